@@ -83,7 +83,10 @@ def predict_certified(
     )
     (soft, stiff), (light, heavy) = domain.environment_stiffness_n_per_m, domain.payload_mass_kg
     is_within = (
-        soft <= stiffness <= stiff and light <= found.plant.payload.mass_kg <= heavy and approach == domain.approach
+        soft <= stiffness <= stiff
+        and found.plant is not None
+        and light <= found.plant.payload.mass_kg <= heavy
+        and approach == domain.approach
     )
     if not is_within:
         return found

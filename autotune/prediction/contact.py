@@ -98,8 +98,29 @@ def simulate_on(
     )
 
 
+def nominal_contact(plants: PlantEnsemble, law: Law, approach: Approach) -> ContactTransient:
+    """Simulate the contact on the most likely plant; of a first blow alone its speed and force, and no trace."""
+    if plants.nominal is not None:
+        return simulate_on(plants.nominal, law, approach, plants.sample_time_s)
+    speed = approach.speed_m_s or (approach.force_n or 0.0) / law.controller.damping_n_s_per_m
+    blow = plants.blow * speed
+    return ContactTransient(
+        time_s=np.zeros(1),
+        sensor_force_n=np.array([blow]),
+        contact_force_n=np.array([blow]),
+        contact_speed_m_s=speed,
+        driving_force_n=approach.force_n or 0.0,
+        peak_sensor_force_n=blow,
+        time_of_sensor_peak_s=0.0,
+        peak_contact_force_n=blow,
+        time_of_peak_s=0.0,
+        impulse_n_s=0.0,
+        is_settled=False,
+    )
+
+
 def simulate_others(plants: PlantEnsemble, law: Law, approach: Approach) -> list[ContactTransient | None]:
-    """Return the contact of every other plant, None where its loop is unstable."""
+    """Return the contact of every other plant, None where its loop is unstable; of a first blow alone none."""
     runs: list[ContactTransient | None] = []
     for plant in plants.others:
         try:
@@ -111,7 +132,7 @@ def simulate_others(plants: PlantEnsemble, law: Law, approach: Approach) -> list
 
 def nominal_peak(plants: PlantEnsemble, law: Law, approach: Approach) -> float:
     """Return the peak at the sensor on the most likely plant, the first blow included [N, N·m]."""
-    contact = simulate_on(plants.nominal, law, approach, plants.sample_time_s)
+    contact = nominal_contact(plants, law, approach)
     return with_blow(contact.peak_sensor_force_n, plants.blow, contact)
 
 
@@ -120,6 +141,9 @@ def peak_interval(
 ) -> PeakInterval:
     """Return where the peaks lie: over all plants of ranges, or with `LEVEL` over the draws and the model's error."""
     blows = plants.other_blows or (0.0,) * len(runs)
+    if plants.nominal is None:
+        span_of_blows = _span(plants, nominal.contact_speed_m_s * np.array([plants.blow, *blows]))
+        return PeakInterval(level=LEVEL, sensor=span_of_blows, contact=span_of_blows)
 
     def span(key: str) -> tuple[float, float | None]:
         others = [
@@ -159,6 +183,9 @@ def contact_band(
 ) -> ContactBand:
     """Return lowest and highest force at the sensor over the time of the nominal contact, as the interval has them."""
     time = nominal.time_s
+    if plants.nominal is None:
+        low, high = peak_interval(plants, nominal, runs).sensor
+        return ContactBand(time_s=time, low=np.array([low]), high=np.array([low if high is None else high]))
     stable = [np.interp(time, run.time_s, run.sensor_force_n) for run in (nominal, *runs) if run is not None]
     forces = np.array(stable)
     if plants.is_range:

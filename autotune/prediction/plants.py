@@ -22,6 +22,12 @@ from problems.model.robot import RobotModel, bandwidth_hz, bandwidth_share, has_
 from .model_error import ModelError, model_error
 
 DRAWS = 128
+# Of the unit interval, so that a normal draw is finite.
+_WITHIN = 1e-6, 1.0 - 1e-6
+_FIRST_BLOW = (
+    "robot or stiffness of surface {surface} on axis {axis} is not identified: predicted is the first blow alone, the "
+    "force per speed that the log shows times the speed, and nothing of what follows it"
+)
 # A deviation larger than this share of its value says no more than that the value is of this size.
 _LARGEST_SHARE = 1.0
 # The massless plant: radians per sample of its own mode, which must be far above everything that is asked of it and
@@ -57,12 +63,14 @@ class PlantEnsemble:
     not known and left out; `has_payload` is False where payload and coupling are: then `blow` and `other_blows` are the
     force of the first blow over the speed [N·s/m, N·m·s/rad], 0 where it is not known. `model_error` is how far a peak
     of the identified model is from a measured one beyond its parameters, None where no log shows anything of it.
+    `nominal` is None, and `others` empty, where not even the robot or the stiffness is known and the first blow alone
+    can be predicted.
     """
 
     axis: str
     surface: str
     sample_time_s: float
-    nominal: Plant
+    nominal: Plant | None
     others: tuple[Plant, ...]
     is_range: bool
     has_payload: bool = True
@@ -127,6 +135,8 @@ def build_plants(
     period = sample_time_s if sample_time_s is not None else _number(result.sample_time_s)
     if period is None:
         raise EstimateError("The controller's period is not known, and nothing can be computed without it; say it.")
+    if touched is not None and _is_blow_only(estimates, touched):
+        return _blow_only(name, touched, period, model_error(estimates.held_out), seed)
     known = _Known(result, name, estimates, touched, surface, payload_mass)
     nominal = known.plant({}, period)
     if source.domain:
@@ -149,6 +159,32 @@ def build_plants(
         model_error=error,
         blow=known.value("blow", {}),
         other_blows=tuple(known.value("blow", draw) for draw in draws),
+    )
+
+
+def _is_blow_only(axis: AxisEstimate, touched: EnvironmentEstimate) -> bool:
+    """Whether nothing but the first blow of a surface can be predicted: robot or stiffness are not known."""
+    has_plant = axis.robot.numerator.value is not None and _number(touched.secant_stiffness_n_per_m) is not None
+    return not has_plant and bool(_number(touched.impact_n_s_per_m))
+
+
+def _blow_only(axis: str, touched: EnvironmentEstimate, period_s: float, error: ModelError, seed: int) -> PlantEnsemble:
+    """Return the ensemble of a surface of which the log shows the first blow alone."""
+    blow, std = _number(touched.impact_n_s_per_m) or 0.0, _std(touched.impact_n_s_per_m)
+    std = math.hypot(std, (touched.contact_spread or 0.0) * blow)
+    unit = qmc.Sobol(1, rng=np.random.default_rng(seed)).random(DRAWS)[:, 0]
+    return PlantEnsemble(
+        axis=axis,
+        surface=touched.name,
+        sample_time_s=period_s,
+        nominal=None,
+        others=(),
+        is_range=False,
+        has_payload=False,
+        neglected=(_FIRST_BLOW.format(surface=touched.name, axis=axis),),
+        model_error=error,
+        blow=blow,
+        other_blows=tuple(shifted("blow", blow, std * each) for each in ndtri(np.clip(unit, *_WITHIN)).tolist()),
     )
 
 
@@ -355,7 +391,7 @@ def _draws(known: _Known, seed: int) -> tuple[dict[str, float], ...]:
     values, vectors = np.linalg.eigh(part / np.outer(deviations, deviations))
     root = deviations[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
     unit = qmc.Sobol(len(varying), rng=np.random.default_rng(seed)).random(DRAWS)
-    errors = ndtri(np.clip(unit, 1e-6, 1.0 - 1e-6)) @ root.T
+    errors = ndtri(np.clip(unit, *_WITHIN)) @ root.T
     return tuple({symbols[i]: float(row[k]) for k, i in enumerate(varying)} for row in errors)
 
 

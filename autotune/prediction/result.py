@@ -14,7 +14,7 @@ from problems.model.axis_kind import AxisKind
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Plant
 
-from .contact import ContactBand, Law, PeakInterval, contact_band, peak_interval, simulate_on, simulate_others
+from .contact import ContactBand, Law, PeakInterval, contact_band, nominal_contact, peak_interval, simulate_others
 from .model_error import ModelError
 from .plants import PlantEnsemble
 
@@ -35,7 +35,8 @@ class PredictedContact(Shown):
     law
         The gains that were running.
     plant
-        The most likely plant, in contact; without payload where that is not known (`neglected`).
+        The most likely plant, in contact; without payload where that is not known (`neglected`), None where the first
+        blow alone is.
     contact
         Forces at the controller's ticks from the impact on, and their peaks, on that plant.
     interval
@@ -59,7 +60,7 @@ class PredictedContact(Shown):
     axis: str
     surface: str
     law: AdmittanceController
-    plant: Plant
+    plant: Plant | None
     contact: ContactTransient
     interval: PeakInterval
     band: ContactBand = field(compare=False)
@@ -92,6 +93,11 @@ class PredictedContact(Shown):
 
     def _headline(self) -> str:
         units = axis_units(self.axis)
+        if self.plant is None:
+            return (
+                f"Predicted contact on axis {self.axis}: first blow of {self.peak_force:.4g} {units.force} at "
+                f"{self.contact.contact_speed_m_s:.3g} {units.speed} on surface {self.surface}"
+            )
         stiffness = self.plant.environment.stiffness_n_per_m * (1.0 if self.has_payload else 0.5)
         mass = f"a payload of {self.plant.payload.mass_kg:.4g} {units.mass}" if self.has_payload else "no payload"
         return (
@@ -135,18 +141,13 @@ class PredictedContact(Shown):
 
     def to_dict(self) -> dict[str, Any]:
         """Return plant, series, peaks and interval as plain data, with the names and units of the fields."""
-        robot = self.plant.robot
         return {
             "axis": self.axis,
             "surface": self.surface,
             "certified": self.certified,
             "certified_peak": self.certified_peak,
             "law": plain_tree(self.law),
-            "plant": {
-                **plain_tree(self.plant),
-                "robot": {name: plain_tree(getattr(robot, name)) for name in ("numerator", "denominator", "delay_s")},
-                "has_payload": self.has_payload,
-            },
+            "plant": None if self.plant is None else {**_plant_tree(self.plant), "has_payload": self.has_payload},
             "contact": plain_tree(self.contact),
             "peak_force": self.peak_force,
             "peak_sensor_force": self.peak_sensor_force,
@@ -176,6 +177,12 @@ class PredictedContact(Shown):
         from autotune.charts.show import show  # noqa: PLC0415 - matplotlib
 
         return show(self.chart(), ax)
+
+
+def _plant_tree(plant: Plant) -> dict[str, Any]:
+    robot = {name: plain_tree(getattr(plant.robot, name)) for name in ("numerator", "denominator", "delay_s")}
+    parts = ("coupling", "payload", "environment", "wrench_filter")
+    return {"robot": robot, **{name: plain_tree(getattr(plant, name)) for name in parts}}
 
 
 def interval_text(span: tuple[float, float | None]) -> str:
@@ -217,7 +224,7 @@ def predict_contact(plants: PlantEnsemble, law: Law, approach: Approach) -> Pred
 
     Raises UnstableLoopError where the loop on the most likely plant is unstable.
     """
-    contact = simulate_on(plants.nominal, law, approach, plants.sample_time_s)
+    contact = nominal_contact(plants, law, approach)
     runs = simulate_others(plants, law, approach)
     return PredictedContact(
         axis=plants.axis,

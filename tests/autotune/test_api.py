@@ -135,6 +135,7 @@ def test_a_saved_design_is_loaded_and_holds(design: at.Design, tmp_path: Path) -
 def test_a_prediction_is_that_of_the_exact_transient(design: at.Design) -> None:
     found = at.predict(design, environment_stiffness=6e4, approach_speed=0.02)
     axis, plant = design._axis(None), found.plant
+    assert plant is not None
     assert plant.environment.stiffness_n_per_m == 6e4
     pair = build_sampled_contact(build_sampled_plant(plant, 8e-4))
     again = simulate_contact(pair, axis.law, at.Approach(speed_m_s=0.02))
@@ -300,6 +301,7 @@ def test_a_prediction_names_the_payload_and_the_worst_of_the_certificate() -> No
     found = at.predict(design, environment_stiffness=8e4)
     ends = [at.predict(design, environment_stiffness=8e4, payload_mass=mass).peak_force for mass in (14.0, 18.0)]
     assert found.peak_force >= max(ends)
+    assert found.plant is not None
     assert f"payload of {found.plant.payload.mass_kg:.4g} kg" in repr(found)
     assert found.certified_peak == design.peak_force
     assert found.certified == (found.peak_force <= design.peak_force * (1.0 + 1e-9))

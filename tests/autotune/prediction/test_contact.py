@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import autotune as at
-from autotune.prediction.contact import Law, peak_interval, simulate_on, simulate_others
+from autotune.prediction.contact import Law, nominal_contact, peak_interval, simulate_on, simulate_others
 from autotune.prediction.plants import Surface, build_plants, series_plant
 from autotune.prediction.result import predict_contact
 from problems.contact.nonlinearities import Deadband
@@ -98,7 +98,7 @@ def test_an_interval_holds_other_cells_as_often_as_it_says() -> None:
     file = replace(identified, result=replace(result, axes={name: told}, payload=payload), domain={})
     plants = replace(build_plants(file, Surface()), model_error=None)
     law, approach = Law(controller=PLAIN), Approach(force_n=30.0)
-    nominal = simulate_on(plants.nominal, law, approach, FAST_S)
+    nominal = nominal_contact(plants, law, approach)
     low, high = peak_interval(plants, nominal, simulate_others(plants, law, approach)).sensor
     assert high is not None
     rng = np.random.default_rng(3)
