@@ -55,11 +55,16 @@ def build_requirements(
 
 
 def load_objective(name: str) -> Objective:
-    """Make the objective of this name; raises UsageError as `load_requirement` does."""
+    """Return the objective of this name; raises UsageError as `load_requirement` does."""
     if name in BUILT_IN_OBJECTIVES:
-        return BUILT_IN_OBJECTIVES[name]()
+        return BUILT_IN_OBJECTIVES[name]
     found: Objective = load_plugin(OBJECTIVES, name, Objective)
     return found
+
+
+def objective_names() -> tuple[str, ...]:
+    """Return the names of all objectives, built in and installed."""
+    return tuple(dict.fromkeys((*BUILT_IN_OBJECTIVES, *registered(OBJECTIVES))))
 
 
 def load_plugin(group: str, name: str, kind: type) -> Any:
@@ -105,5 +110,6 @@ __all__ = [
     "load_objective",
     "load_plugin",
     "load_requirement",
+    "objective_names",
     "registered",
 ]

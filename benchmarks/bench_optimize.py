@@ -155,8 +155,8 @@ def run_problem(seed: int, options: argparse.Namespace) -> Record:
         wall_s=wall,
         cpu_s=processor,
         design=result.design.tolist(),
-        value_n=result.evaluation.objective_n,
-        own_gap=own.gap(result.evaluation.objective_n),
+        value_n=result.evaluation.cost,
+        own_gap=own.gap(result.evaluation.cost),
         own_gap_s=own_seconds,
         reference_n=long.low.objective_n,
         reference_high_n=long.high_n,
@@ -164,7 +164,7 @@ def run_problem(seed: int, options: argparse.Namespace) -> Record:
         reference_design=long.low.design.tolist(),
         reference_scenarios=long.scenarios,
         reference_evaluations=long.evaluations,
-        gap=result.evaluation.objective_n / long.low.objective_n - 1.0 if np.isfinite(long.low.objective_n) else None,
+        gap=result.evaluation.cost / long.low.objective_n - 1.0 if np.isfinite(long.low.objective_n) else None,
         unstable=dense.unstable,
         worst=dense.worst,
         worst_name=dense.worst_name,
@@ -219,7 +219,7 @@ def _ours(problem: DesignProblem, seed: int) -> tuple[Trace, float]:
     """Return a trace with one entry: when the search returned, with everything verified over its dense grid."""
     trace = Trace(problem=problem, budget_s=np.inf)
     result = solve_design(problem, seed=seed)
-    trace.add(result.design, result.evaluation.objective_n)
+    trace.add(result.design, result.evaluation.cost)
     trace.note = f"{result.evaluations} evaluations"
     return trace, trace.incumbents[-1].seconds
 

@@ -16,6 +16,7 @@ from autotune.tuning.bounds import Box
 from benchmarks.optimizer_judge import DIMENSION, SEEN, Trace, solution_noter
 from problems.arrays import FloatArray
 from problems.design.evaluation import PreparedScenarios, build_scenarios
+from problems.design.objectives import force_of
 from problems.design.problem import VARIABLES, DesignProblem
 from problems.design.symbolic import Structure, arguments_of, build_contact_forces, build_symbolic_form
 from problems.model.controller import PAPER_ACCELERATION_FILTER_RAD_PER_S
@@ -81,7 +82,7 @@ def constraints(problem: DesignProblem, design: ca.MX, highest: ca.MX) -> ca.MX:
     controller = ca.vertcat(design, problem.velocity_filter_rad_per_s, PAPER_ACCELERATION_FILTER_RAD_PER_S, 0.0)
     forces = build_contact_forces(structure, problem.approach, _TICKS)
     response, asked = build_symbolic_form(structure).response, problem.requirements
-    wanted = 1 if problem.objective == "contact_force" else 0
+    wanted = 1 if force_of(problem.objective).place == "contact" else 0
     rows = []
     for pair in prepared.pairs:
         outputs = forces(*_numbers(pair.contact, problem), controller)

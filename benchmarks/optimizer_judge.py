@@ -91,7 +91,7 @@ def judge(screen: BatchEvaluator, design: FloatArray) -> Verdict:
     return Verdict(
         is_stable=bool(found.is_stable[0]),
         violation=float(found.violation[0]),
-        objective_n=float(found.objective_n[0]),
+        objective_n=float(found.cost[0]),
     )
 
 
@@ -104,9 +104,7 @@ def ranked_costs(screen: BatchEvaluator, box: Box) -> Callable[[FloatArray], Flo
 
     def costs(units: FloatArray) -> FloatArray:
         found = screen.evaluate(box.design(units))
-        judged = np.where(
-            found.violation > 0.0, _MISSED * (1.0 + np.minimum(found.violation, 500.0)), found.objective_n
-        )
+        judged = np.where(found.violation > 0.0, _MISSED * (1.0 + np.minimum(found.violation, 500.0)), found.cost)
         return np.where(found.is_stable, judged, _UNSTABLE * np.maximum(found.radius, 1.0))
 
     return costs

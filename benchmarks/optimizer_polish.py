@@ -110,7 +110,7 @@ def compare_polishes(name: str, problem: DesignProblem) -> list[dict[str, Any]]:
                 "name": name,
                 "solver": solver,
                 "seconds": seconds,
-                "value_n": found.objective_n,
+                "value_n": found.cost,
                 "violation": found.violation,
                 "residual": optimality.relative_residual,
                 "slack": optimality.slack,

@@ -119,13 +119,11 @@ def _worst(dense: PreparedScenarios, design: FloatArray) -> tuple[list[Scenario]
     except UnstableLoopError:
         radii = dense.radii(controller)[: len(dense.scenarios)]
         return [dense.scenarios[int(np.argmax(radii))]], np.inf
-    contact = problem.objective == "contact_force"
-    forces = [each.peak_contact_force_n if contact else each.peak_sensor_force_n for each in found.evaluation.peaks]
-    worst = [dense.scenarios[int(np.argmax(forces))]]
+    worst = [problem.objective.worst_scenario(problem.requirements, dense.stable(controller))]
     misses = [max(each.ratios.values(), default=0.0) for each in found.margins[: len(dense.scenarios)]]
     if max(misses) > 1.0 + _MISSED:
         return [*worst, dense.scenarios[int(np.argmax(misses))]], np.inf
-    return worst, found.evaluation.objective_n if found.evaluation.violation <= _MISSED else np.inf
+    return worst, found.evaluation.cost if found.evaluation.violation <= _MISSED else np.inf
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -158,7 +156,7 @@ def check_densely(problem: DesignProblem, design: FloatArray, *, seed: int, dens
         except UnstableLoopError:
             unstable += int(np.sum(prepared.radii(controller) >= 1.0))
             continue
-        highest = max(highest, found.objective_n)
+        highest = max(highest, found.cost)
         asked = {**found.requirements, **_admittance(prepared, design)}
         worst = max(worst, *((value, name) for name, value in asked.items()))
     return DenseCheck(count=len(scenarios), unstable=unstable, worst=worst[0], worst_name=worst[1], objective_n=highest)

@@ -59,7 +59,7 @@ def measure_growth(*, up_to: int = ALL_AT_ONCE_UP_TO) -> list[Growth]:
             Growth(
                 scenarios=count,
                 exchange_s=exchange,
-                exchange_n=result.evaluation.objective_n,
+                exchange_n=result.evaluation.cost,
                 active=len(result.active.scenarios),
                 rounds=result.rounds,
                 at_once_s=at_once,
@@ -80,7 +80,7 @@ def _all_at_once(problem: DesignProblem, grid: tuple[int, int]) -> tuple[float, 
     run, scenarios = search.Search(problem, 0), problem.scenarios(*grid)
     unit = run.polish(scenarios, run.explore(scenarios, lambda _share: None))
     seconds = time.process_time() - begin
-    return seconds, float(screen_of(problem, grid).evaluate(run.box.design(unit)[None]).objective_n[0])
+    return seconds, float(screen_of(problem, grid).evaluate(run.box.design(unit)[None]).cost[0])
 
 
 def _population_seconds(problem: DesignProblem, grid: tuple[int, int]) -> float:

@@ -3,7 +3,8 @@
 import numpy as np
 
 from problems.contact.transient import Approach
-from problems.design.problem import AdmittanceTarget, DesignProblem, Objective, Requirements
+from problems.design.objectives import BUILT_IN
+from problems.design.problem import AdmittanceTarget, DesignProblem, Requirements
 from problems.design.uncertainty import PlantSet
 from problems.model.robot import RobotModel
 
@@ -49,7 +50,7 @@ def draw_problem(seed: int) -> DesignProblem:
         approach = Approach(force_n=ratio(15.0, 60.0))
     else:
         approach = Approach(speed_m_s=ratio(0.01, 0.05))
-    objective: Objective = "contact_force" if rng.random() < 0.5 else "sensor_force"
+    objective = BUILT_IN["contact_force" if rng.random() < 0.5 else "sensor_force"]
     return DesignProblem(
         plants=PlantSet.of(
             draw_robot(rng, samples * h),

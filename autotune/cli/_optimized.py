@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from autotune.tuning.compliance import Compliance, CompliancePoint
     from autotune.tuning.optimality_report import ActiveConstraint, OptimalityReport, Reference
     from autotune.tuning.optimize import Optimized
+    from problems.design.objectives import Objective
     from problems.design.problem import DesignProblem
     from problems.model.axis_kind import AxisKind
     from problems.model.controller import AdmittanceController
@@ -23,14 +24,15 @@ _DECIMALS = {"N": 2, "N·m": 4}
 
 
 def active_tree(found: "Optimized") -> dict[str, Any]:
-    """Return, per axis, the active requirements and bounds with the price of one percent in N, or in N·m."""
+    """Return, per axis, the active requirements and bounds with the price of one percent, of a force in N or N·m."""
     from autotune.formats.units import ROTATIONAL_AXES
+    from autotune.tuning.optimality_report import price_key
 
     return {
         name: [
             {
                 "name": a.name,
-                "price_n_m_per_percent" if name in ROTATIONAL_AXES else "price_n_per_percent": a.price_n,
+                price_key(standing.objective, rotational=name in ROTATIONAL_AXES): a.price,
                 **({"soft": True} if a.soft else {}),
             }
             for a in standing.active
@@ -40,19 +42,48 @@ def active_tree(found: "Optimized") -> dict[str, Any]:
 
 
 def active_lines(found: "Optimized", name: str) -> list[str]:
-    """Say in words what holds the peak of one axis up, and how far the result is shown to be the best."""
-    from autotune.formats.units import axis_units
+    """Say in words what holds the peak of one axis up, or another objective back, and how near it is to the best."""
+    from autotune.formats.units import ROTATIONAL_AXES, axis_units
+    from problems.design.objectives import PeakObjective
 
-    standing, units = found.optimality_reports[name], axis_units(name)
-    lines = [_active_line(entry, found.searches[name].problem, units) for entry in standing.active]
+    standing, problem, is_rotational = (
+        found.optimality_reports[name],
+        found.searches[name].problem,
+        name in ROTATIONAL_AXES,
+    )
+    if not isinstance(problem.objective, PeakObjective):
+        return [*_objective_lines(standing, problem, turning=is_rotational)]
+    units = axis_units(name)
+    lines = [_active_line(entry, problem, units) for entry in standing.active]
     if not standing.active:
         lines.append(f"no requirement is active: the peak is the approach {units.force_name} itself")
-    return [*lines, *_optimality_lines(standing, units, bool(found.searches[name].problem.requirements.soft_n))]
+    return [*lines, *_optimality_lines(standing, units.force, (".2f", ".3f"), bool(problem.requirements.soft_n))]
+
+
+def _objective_lines(standing: "OptimalityReport", problem: "DesignProblem", *, turning: bool) -> Iterator[str]:
+    """Yield the value of an objective that is no peak force, what holds it back, and how near it is to the best."""
+    objective = problem.objective
+    unit = objective.unit_on(turning=turning)
+    verb = "larger" if objective.direction == "maximize" else "smaller"
+    yield f"objective {objective.name}: {objective.title} {standing.shown(standing.cost, 4):g} {unit}".rstrip()
+    for entry in standing.active:
+        moved = f"{entry.price:.2g} {unit}".rstrip()
+        side, _, variable = entry.name.partition(" bound of ")
+        limit = f", {problem.bounds[variable][0 if side == 'lower' else 1]:g}," if variable else ""
+        yield f"{entry.name}{limit} is active: easing it by 1 % makes the objective {moved} {verb}"
+    if not standing.active:
+        yield "no requirement and no bound is active"
+    yield from _optimality_lines(standing, unit, (".4g", ".2g"), has_wishes=False)
+    if standing.optimality.exact_share < 1.0:
+        yield (
+            f"{100.0 * (1.0 - standing.optimality.exact_share):.0f} % of the gradients behind this are central "
+            "differences, for there is no exact one"
+        )
 
 
 def _active_line(entry: "ActiveConstraint", problem: "DesignProblem", units: "AxisKind") -> str:
     decimals = _DECIMALS[units.force]
-    saved, is_nothing = f"{entry.price_n:.{decimals}f} {units.force}", entry.price_n < 0.5 * 10.0**-decimals
+    saved, is_nothing = f"{entry.price:.{decimals}f} {units.force}", entry.price < 0.5 * 10.0**-decimals
     side, _, variable = entry.name.partition(" bound of ")
     if variable:
         limit = problem.bounds[variable][0 if side == "lower" else 1]
@@ -66,24 +97,29 @@ def _active_line(entry: "ActiveConstraint", problem: "DesignProblem", units: "Ax
     return f"{entry.name} holds the peak up: easing it by 1 % saves {saved}, asking 1 % more costs as much"
 
 
-def _optimality_lines(standing: "OptimalityReport", units: "AxisKind", has_wishes: bool) -> Iterator[str]:
+def _optimality_lines(
+    standing: "OptimalityReport", unit: str, digits: tuple[str, str], has_wishes: bool
+) -> Iterator[str]:
     """Yield whether the design is feasible, an optimum of its surroundings, and the best that anyone found.
 
-    With wishes, what was minimised is the peak and the prices of what is missed.
+    `digits` are the formats of the value and of a share of it. With wishes, what was minimised is the peak and the
+    prices of what is missed.
     """
-    what = f"{units.force} of peak and price" if has_wishes else units.force
+    what = f" {unit} of peak and price" if has_wishes else f" {unit}".rstrip()
+    value, best = (float(standing.objective.value(cost)) for cost in (standing.cost, standing.reference.least))
+    word = "least" if standing.objective.direction == "minimize" else "most"
     near = ""
     if standing.nearest is not None:
         near = f"; nearest to its limit is {standing.nearest}, {100.0 * standing.ratio:.4f} % of it used up"
     met = "every requirement is met" if standing.is_feasible else "a requirement is missed"
     yield f"{met} over {standing.scenario_count} contacts{near}"
-    optimality, slack = standing.optimality, standing.optimality.slack * standing.objective_n
+    optimality, slack = standing.optimality, standing.optimality.slack * value
     yield (
         f"conditions of an optimum: {optimality.relative_residual:.1e} of the gradient is left over (KKT residual), "
-        f"unused slack is worth {slack:.3f} {units.force}"
+        f"unused slack is worth {slack:{digits[1]}} {unit}".rstrip()
     )
     yield (
-        f"gap {100.0 * standing.gap:.3f} % to a reference: {standing.reference.least_n:.2f} {what} is the least "
+        f"gap {100.0 * standing.gap:.3f} % to a reference: {best:{digits[0]}}{what} is the {word} "
         f"that was found {_where_it_was_looked(standing.reference)}"
     )
 
@@ -93,7 +129,7 @@ def _where_it_was_looked(reference: "Reference") -> str:
         f"over the {reference.scenarios} hardest contacts alone with nothing kept in reserve, from here and by "
         f"{reference.descents} descents from the best of {reference.designs} other designs"
     )
-    if not math.isfinite(reference.elsewhere_n):
+    if not math.isfinite(reference.elsewhere):
         return f"{text}, none of which met the requirements"
     return f"{text}, {reference.arrived} of which end there"
 
@@ -198,10 +234,9 @@ def print_compliance(name: str, compliance: "Compliance", problem: "DesignProble
         f"axis {name}: build K_e {compliance.chosen.stiffness_n_per_m:g} N/m to ± {tolerance:g} %, certified from "
         f"{low:g} to {high:g} N/m"
     )
-    place = "contact" if problem.objective == "contact_force" else "sensor"
     # Where there are wishes, it is the peak and their price that is least.
     prices = ("and price [N]",) if problem.requirements.soft_n else ()
-    heads = ("K_e [N/mm]", f"least worst peak at {place} [N]", *prices, "")
+    heads = ("K_e [N/mm]", _objective_head(problem.objective), *prices, "")
     rows = [(*_numbers(point, len(prices)), _remark(compliance, point)) for point in compliance.points]
     last = len(heads) - 1
     print_table([heads, *rows], left=(last,), point=range(last), indent="  ")
@@ -209,10 +244,23 @@ def print_compliance(name: str, compliance: "Compliance", problem: "DesignProble
         print_message(f"  {line}")
 
 
+def _objective_head(objective: "Objective") -> str:
+    """Return the head of the column of an objective."""
+    from problems.design.objectives import PeakObjective
+
+    if isinstance(objective, PeakObjective):
+        return f"least worst peak at {objective.place} [N]"
+    return f"{objective.title} [{objective.unit}]" if objective.unit else objective.title
+
+
 def _numbers(point: "CompliancePoint", prices: int) -> tuple[str, ...]:
-    evaluation = None if point.found is None else point.found.evaluation
-    values = () if evaluation is None else (evaluation.peak_n, evaluation.objective_n)
-    text = [f"{value:.2f}" for value in values] or ["-", "-"]
+    from problems.design.objectives import PeakObjective
+
+    text = ["-", "-"]
+    if point.found is not None:
+        evaluation, objective = point.found.evaluation, point.found.problem.objective
+        values = (objective.value(evaluation.objective_cost), evaluation.cost)
+        text = [f"{value:.2f}" if isinstance(objective, PeakObjective) else f"{value:.4g}" for value in values]
     return f"{point.stiffness_n_per_m * 1e-3:.6g}", *text[: 1 + prices]
 
 
@@ -266,7 +314,7 @@ def response_lines(controller: "Controller") -> Iterator[str]:
     collision: Mapping[str, Any] | None = controller.provenance.get("collision")
     if collision is None:
         return
-    where = "at the contact" if collision["objective"] == "contact_force" else "at the sensor"
+    where = f"at the {collision['objective'].removesuffix('_force')}"
     without, with_it = collision["worst_peak_n"]["without"], collision["worst_peak_n"]["with"]
     best, (low, high), lowest = collision["best_threshold_n"], collision["bounds_n"], collision["lowest_n"]
     if collision["response"] == "reset":

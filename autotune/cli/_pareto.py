@@ -175,8 +175,7 @@ def _beside(out: Path, suffix: str) -> Path:
 
 def print_fronts(fronts: Mapping[str, "Front"], path: Path) -> None:
     """Print the fronts as tables, a line per controller, and where they were written."""
-    from autotune.formats.units import axis_units
-    from autotune.studies.pareto_file import objective_unit
+    from autotune.formats.units import ROTATIONAL_AXES, axis_units
 
     for axis, front in fronts.items():
         units = axis_units(axis)
@@ -184,7 +183,7 @@ def print_fronts(fronts: Mapping[str, "Front"], path: Path) -> None:
         study = front.study
         by = "" if study is None else _share(study)
         print_message(f"axis {axis}: front of {names}, every point in {front.scenario_count} scenarios{by}")
-        named = [(each.name, objective_unit(axis, each)) for each in front.objectives]
+        named = [(each.name, each.unit_on(turning=axis in ROTATIONAL_AXES)) for each in front.objectives]
         heads = [f"{name} [{unit}]" if unit else name for name, unit in named]
         gains = [
             f"M_a [{units.mass}]",

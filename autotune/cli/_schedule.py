@@ -177,7 +177,7 @@ def print_schedule(tree: Mapping[str, Any]) -> None:
     from autotune.formats.units import ROTATIONAL_AXES
 
     scheduled = [name for name in _SHORT if name in tree["covered"]]
-    place = "contact" if tree["objective"] == "contact_force" else "sensor"
+    place = tree["objective"].removesuffix("_force")
     names = set(tree["classes"][0]["axes"])
     unit = {0: "N", len(names): "N·m"}.get(len(names & ROTATIONAL_AXES), "N, N·m")
     heads = ["class", *(f"{_SHORT[name][0]} [{_SHORT[name][1]}]" for name in scheduled), "axis"]

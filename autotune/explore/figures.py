@@ -301,7 +301,7 @@ class Figures:
         x, y = place
         ratio, step = np.exp(0.5 * _step(np.log(window.x_values()))), 0.5 * _step(window.y_values())
         own = view.evaluation
-        peak = own.objective_n if own.is_feasible else math.nan
+        peak = own.cost if own.is_feasible else math.nan
         cell: dict[str, Any] = {"left": x / ratio, "right": x * ratio, "bottom": y - step, "top": y + step}
         cell |= {"x": x, "y": y, "stable": float(own.is_stable), "peak": peak}
         sender.put(self.sources["own"], data={key: [float(value)] for key, value in cell.items()})

@@ -151,7 +151,7 @@ def save_controller(
         path=target.path,
         checksum=written.checksum,
         replaced=written.replaced,
-        peak_n={name: search.evaluation.peak_n for name, search in searches.items()},
+        peak_n={name: search.evaluation.objective_cost for name, search in searches.items()},
         checks=checks,
     )
 

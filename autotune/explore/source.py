@@ -27,6 +27,7 @@ from autotune.validation.certified_requirements import certified_problem_require
 from autotune.version import __version__
 from problems.arrays import FloatArray
 from problems.design.evaluation import build_scenarios
+from problems.design.objectives import force_of
 from problems.design.problem import DEFAULT_BOUNDS, FURTHER_VARIABLES, VARIABLES, DesignProblem
 from problems.design.uncertainty import Scenario
 from problems.frozen import freeze
@@ -118,13 +119,15 @@ def _by_hand(provenance: Mapping[str, Any]) -> dict[str, Any]:
 
 def _searched(problem: DesignProblem, progress: Progress) -> AxisStart:
     grid = problem.scenarios(*_GRID)
+    # Whatever is searched, the page shows a peak force.
+    shown = replace(problem, objective=force_of(problem.objective))
     try:
         found = solve_design(problem, progress=progress)
     except InfeasibleError as error:
         middle = Box(problem).design(np.full(len(problem.variables), 0.5))
-        return AxisStart(problem=problem, design=middle, scenarios=grid, note=str(error))
+        return AxisStart(problem=shown, design=middle, scenarios=grid, note=str(error))
     # What the search found worst belongs to what is looked at, or designs that fail there would look good.
-    return AxisStart(problem=problem, design=found.design, scenarios=tuple(dict.fromkeys((*grid, *_worst_few(found)))))
+    return AxisStart(problem=shown, design=found.design, scenarios=tuple(dict.fromkeys((*grid, *_worst_few(found)))))
 
 
 def _worst_few(found: SearchResult) -> list[Scenario]:
@@ -132,7 +135,7 @@ def _worst_few(found: SearchResult) -> list[Scenario]:
     further = [each for each in found.active.scenarios if each.further()]
     judged = [build_scenarios(found.problem, [each]).evaluate(found.design, peaks_if_missed=True) for each in further]
     tight = sorted(zip(judged, further, strict=True), key=lambda pair: -max(pair[0].requirements.values(), default=0.0))
-    hard = sorted(zip(judged, further, strict=True), key=lambda pair: -pair[0].objective_n)
+    hard = sorted(zip(judged, further, strict=True), key=lambda pair: -pair[0].cost)
     return [each for _, each in (*tight[:_MOST_TIGHT], *hard[:_MOST_HARD])]
 
 

@@ -182,7 +182,7 @@ def compute_map(prepared: PreparedView, design: FloatArray, window: MapWindow) -
     designs = np.tile(design, (x.size, 1))
     designs[:, columns[0]], designs[:, columns[1]] = x.reshape(-1), y.reshape(-1)
     found = prepared.screen.evaluate(designs)
-    worst = np.where(found.violation <= 0.0, np.max(found.peaks_n, axis=1), np.nan)
+    worst = np.where(found.violation <= 0.0, np.max(found.objective_rows, axis=1), np.nan)
     return DesignMap(
         window=window,
         is_stable=found.is_stable.reshape(x.shape),

@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import Any, Literal
 
 from autotune.errors import UsageError
-from autotune.plugins import build_requirements, find_requirement, load_requirement
+from autotune.plugins import build_requirements, find_requirement, load_objective, load_requirement, objective_names
 from problems.contact.transient import Approach
 from problems.design.evaluation import CustomRequirement
-from problems.design.problem import Objective
+from problems.design.objectives import BUILT_IN as BUILT_IN_OBJECTIVES
+from problems.design.objectives import CONTACT_FORCE, Objective
 from problems.design.requirements import BUILT_IN, FIELDS, Requirement, Requirements
 from problems.design.uncertainty import FURTHER_UNCERTAIN, UNCERTAIN
 from problems.errors import ParameterError
@@ -85,7 +86,7 @@ class ProblemSpec:
     payload_mass_kg: Interval | None = None
     uncertain: Uncertain = field(default_factory=dict)
     requirements: Requirements = field(default_factory=Requirements)
-    objective: Objective = "contact_force"
+    objective: Objective = CONTACT_FORCE
     rotational: RotationalSpec = field(default_factory=RotationalSpec)
     free: Mapping[str, Interval] = field(default_factory=dict)
     collision_threshold_n: Interval | None = None
@@ -113,7 +114,7 @@ def read_problem(path: Path) -> ProblemSpec:
             axes=(axis,) if isinstance(axis, str) else axis and tuple(axis),
             **_ranges(tree),
             requirements=build_requirements(*_requirements(tree.get("requirements", {}))),
-            objective=tree.get("objective", "contact_force"),
+            objective=load_objective(tree.get("objective", CONTACT_FORCE.name)),
             free={name: _pair(value) for name, value in free.items() if name not in (_THRESHOLD, _STIFFNESS)},
             collision_threshold_n=_optional_pair(free.get(_THRESHOLD)),
             compliance=_compliance(document),
@@ -175,9 +176,12 @@ def _requirements(tree: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, fl
 def problem_schema(tree: Mapping[str, Any]) -> dict[str, Any]:
     """Return the schema of the file with an entry for every requirement that it names and that has none there.
 
-    The built-in ones have one whether they are named or not; those of other packages where they are installed.
+    The built-in ones have one whether they are named or not; those of other packages where they are installed. So do
+    the objectives.
     """
     schema = deepcopy(load_schema("problem"))
+    is_known = tree.get("objective", CONTACT_FORCE.name) in BUILT_IN_OBJECTIVES
+    schema["properties"]["objective"] = {"enum": list(BUILT_IN_OBJECTIVES if is_known else objective_names())}
     turning = schema["properties"]["rotational"]["properties"]["requirements"]["properties"]
     straight, rotational = schema["properties"]["requirements"]["properties"], tree.get("rotational")
     for said, known, price in (

@@ -10,6 +10,7 @@ from autotune.formats.canonical import short
 from autotune.formats.controller import ControllerFile
 from autotune.formats.controller_record import Controller
 from autotune.formats.units import axis_units
+from problems.arrays import FloatArray
 from problems.model.axis_kind import AxisKind
 
 from .axis_design import AxisDesign, axis_designs
@@ -107,7 +108,9 @@ def active_notes(controller: Controller) -> Iterator[Note]:
         prices = prices_of(optimality_of(controller, name))
         if prices is not None:
             active = ", ".join(each.replace("_", " ") for each, price in prices.items() if price > _LEAST_PRICE)
-            text = f"what holds the peak up is {active}." if active else "no requirement holds the peak up."
+            words, _, _ = _objective_of(optimality_of(controller, name), axis_units(name))
+            verb = "holds the peak up" if words.startswith("peak") else f"holds the {words} back"
+            text = f"what {verb} is {active}." if active else f"no requirement {verb}."
             yield Note(text=f"Axis {name}: {text}", kind="why", tone="quiet")
 
 
@@ -116,6 +119,14 @@ def optimality_of(controller: Controller, name: str) -> Mapping[str, Any] | None
     axes = controller.provenance.get("optimality")
     found = axes.get(name) if isinstance(axes, Mapping) else None
     return found if isinstance(found, Mapping) else None
+
+
+def _objective_of(optimality: Mapping[str, Any] | None, units: AxisKind) -> tuple[str, str, bool]:
+    """Return what was minimised, or maximised (True): its name in words and its unit."""
+    found = (optimality or {}).get("objective")
+    if found is None:
+        return f"peak {units.force_name}", units.force, False
+    return _title(found), found["unit"], found["direction"] == "maximize"
 
 
 def design_section(
@@ -136,31 +147,34 @@ def search_section(controller: Controller, steps: Mapping[str, Sequence["SearchS
     """Return how the search went, as far as it is known, and how near each axis is to the best."""
     blocks: list[Block] = [*compliance_tables(controller)]
     for name in controller.axes:
-        chart, optimality = (
-            convergence_chart(name, axis_units(name), steps.get(name, ())),
-            optimality_of(controller, name),
-        )
+        optimality = optimality_of(controller, name)
+        chart = convergence_chart(name, _objective_of(optimality, axis_units(name)), steps.get(name, ()))
         blocks += [] if chart is None else [chart]
         blocks += [] if optimality is None else [_optimality_table(name, optimality)]
     return Section(key="search", title="The search", blocks=tuple(blocks))
 
 
 def _optimality_table(name: str, optimality: Mapping[str, Any]) -> Table:
-    against, force = optimality["gap_against"], axis_units(name).force
-    least, elsewhere = (
-        next(value for key, value in against.items() if key.startswith(f"{what}_"))
-        for what in ("least", "from_elsewhere")
+    against = optimality["gap_against"]
+    words, unit, is_maximised = _objective_of(optimality, axis_units(name))
+    best, elsewhere = (
+        next(value for key, value in against.items() if key.startswith(what))
+        for what in (("best", "least"), "from_elsewhere")
     )
+    most = "most" if is_maximised else "least"
     rows = [
         ("requirements", "all met" if optimality["feasible"] else "missed"),
         ("contacts that this was seen on", str(optimality["scenarios"])),
         ("left over of the conditions of an optimum", f"at most {optimality['kkt_residual']:.2g} of the gradient"),
-        ("unused slack is worth", f"at most {100.0 * optimality['unused_slack']:.2g} % of the peak"),
-        ("gap to the least that was found", f"at most {100.0 * optimality['gap']:.2g} %"),
-        ("the least, over the hardest contacts alone", f"{least:.4g} {force}"),
+        (
+            "unused slack is worth",
+            f"at most {100.0 * optimality['unused_slack']:.2g} % of the {words}",
+        ),
+        (f"gap to the {most} that was found", f"at most {100.0 * optimality['gap']:.2g} %"),
+        (f"the {most}, over the hardest contacts alone", f"{best:.4g} {unit}".rstrip()),
         (
             f"by {against['descents']} descents from the best of {against['designs']} other designs",
-            "none met the requirements" if elsewhere is None else f"{elsewhere:.4g} {force}",
+            "none met the requirements" if elsewhere is None else f"{elsewhere:.4g} {unit}".rstrip(),
         ),
     ]
     return build_table(f"Axis {name}: how near it is to the best", ("", "found"), rows, numbers=(1,))
@@ -209,21 +223,29 @@ def certificate_section(controller: Controller, designs: Sequence[AxisDesign]) -
     return Section(key="certificate", title="Certificate", blocks=tuple(blocks))
 
 
-def convergence_chart(name: str, units: AxisKind, steps: Sequence["SearchStep"]) -> Chart | None:
-    """Draw the best value over the designs evaluated; None where nothing was recorded."""
+def convergence_chart(name: str, of: tuple[str, str, bool], steps: Sequence["SearchStep"]) -> Chart | None:
+    """Draw the best value over the designs evaluated; None where nothing was recorded.
+
+    `of` is what `_objective_of` returns.
+    """
     if not steps:
         return None
-    rounds = [step for step in steps if step.whole_n is not None]
+    rounds = [step for step in steps if step.whole_cost is not None]
     count = np.array([step.evaluations for step in steps], dtype=np.float64)
-    best = np.array([step.best_n for step in steps])
+    words, unit, is_maximised = of
+
+    def values(costs: Sequence[float]) -> FloatArray:
+        return 1.0 / np.array(costs) if is_maximised else np.array(costs, dtype=np.float64)
+
+    best = values([step.best_cost for step in steps])
     elements: list[Element] = [Line(x=count, y=best, label="over the working scenarios", role="after", steps=True)]
-    whole = [step for step in rounds if step.whole_n is not None and np.isfinite(step.whole_n)]
+    whole = [step for step in rounds if step.whole_cost is not None and np.isfinite(step.whole_cost)]
     names = tuple(f"round {i}: {step.scenarios} scenarios" for i, step in enumerate(rounds, 1))
     if whole:
         elements.append(
             Points(
                 x=np.array([step.evaluations for step in whole], dtype=np.float64),
-                y=np.array([step.whole_n for step in whole], dtype=np.float64),
+                y=values([step.whole_cost or 0.0 for step in whole]),
                 label="over the whole set, at the end of a round",
                 role="model",
                 marker="diamond",
@@ -234,13 +256,13 @@ def convergence_chart(name: str, units: AxisKind, steps: Sequence["SearchStep"])
     return Chart(
         key=f"{name}-convergence",
         title="How the search converged",
-        alternative=f"The best peak over {int(count[-1])} evaluated designs, from {best[0]:.4g} to {best[-1]:.4g} "
-        f"{units.force}, with {rounds_text}.",
+        alternative=f"The best {words} over {int(count[-1])} evaluated designs, "
+        f"from {best[0]:.4g} to {f'{best[-1]:.4g} {unit}'.rstrip()}, with {rounds_text}.",
         caption=f"{int(count[-1])} designs evaluated; {rounds_text}, the last with {steps[-1].scenarios} scenarios.",
         panels=(
             Panel(
                 x=Scale(label="designs evaluated"),
-                y=Scale(label=f"peak {units.force_name} [{units.force}]"),
+                y=Scale(label=f"{words} [{unit}]" if unit else words),
                 elements=tuple(elements),
             ),
         ),

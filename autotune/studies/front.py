@@ -18,11 +18,11 @@ from autotune.tuning.bounds import Box
 from autotune.tuning.search import SearchResult, presentable, solve_design
 from problems.arrays import FloatArray
 from problems.design.evaluation import Evaluation, PreparedScenarios, build_scenarios
-from problems.design.objectives import Admittance, PeakForce
+from problems.design.objectives import Admittance, Objective, PeakForce, force_of
 from problems.design.problem import AdmittanceTarget, DesignProblem
 from problems.progress import no_progress
 
-from .plugins import Demand, Objective, load_demands, load_objectives
+from .plugins import Demand, load_demands, load_objectives
 from .points import Front, Judge, check_choices, design_of, index_of, undominated
 
 if TYPE_CHECKING:
@@ -45,13 +45,14 @@ def trace_front(
 ) -> Front:
     """Sweep the admittance target from what `first` achieves to the largest feasible one, in `count` points.
 
-    At each target the peak force is minimised by `solve_design`, started from the neighbour with more admittance
+    At each target the peak force (at the contact, where the problem minimises something else) is minimised by
+    `solve_design`, started from the neighbour with more admittance
     (which meets this target too, so that the peak never falls from there on). Every point is judged over the dense
     grid, none is infeasible, and those that another one beats are left out. Deterministic for a seed. `progress` is
     called with the share of the work done since the last call.
     """
     report = progress or no_progress
-    problem = first.problem
+    problem = replace(first.problem, objective=force_of(first.problem.objective))
     judge = Judge(problem, (PeakForce(), Admittance()))
     own = judge.judge(problem.controller(first.design))
     end, design = _most_admittance(problem, first.design, judge, seed)

@@ -4,10 +4,11 @@ import math
 from typing import ClassVar
 
 from problems.design.evaluation import Evaluation
-from problems.design.objectives import admittance_band_hz, free_plants
+from problems.design.objectives import admittance_target
 from problems.design.problem import DesignProblem
 from problems.model.controller import AdmittanceController
-from problems.model.sampled import SampledPlant
+from problems.model.plant import FREE_SPACE
+from problems.model.sampled import SampledPlant, build_sampled_plant
 from problems.stability.passivity import check_passivity
 
 from .plugins import Requirement
@@ -20,8 +21,11 @@ class PassiveBand(Requirement):
 
     def __call__(self, controller: AdmittanceController, problem: DesignProblem, evaluation: Evaluation) -> float:
         """Return the band's upper end over the frequency above which passivity fails."""
-        by_robot = {free.plant.port: free for free in free_plants(problem, evaluation)}
-        return max(self._share(free, controller, admittance_band_hz(problem)[1]) for free in by_robot.values())
+        plants = (problem.plant(peak.scenario).in_contact_with(FREE_SPACE) for peak in evaluation.peaks)
+        by_robot = {plant.port: plant for plant in plants}
+        free = [build_sampled_plant(plant, problem.sample_time_s) for plant in by_robot.values()]
+        end_hz = admittance_target(problem.requirements).band_hz[1]
+        return max(self._share(each, controller, end_hz) for each in free)
 
     @staticmethod
     def _share(free: SampledPlant, controller: AdmittanceController, end_hz: float) -> float:

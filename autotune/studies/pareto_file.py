@@ -9,7 +9,6 @@ from autotune.formats.canonical import dump_yaml, plain
 from autotune.formats.records import record_tree, rename_axis_keys
 from autotune.formats.schema import VERSION, check_tree
 from autotune.formats.units import ROTATIONAL_AXES
-from problems.design.objectives import Objective
 
 from .points import Front, Judgement
 
@@ -33,17 +32,9 @@ def write_pareto(path: Path | str, tree: Mapping[str, Any]) -> None:
     write_atomic(path, dump_yaml(tree))
 
 
-def objective_unit(axis: str, objective: Objective) -> str:
-    """Return the unit of an objective on an axis."""
-    return objective.rotational_unit or objective.unit if axis in ROTATIONAL_AXES else objective.unit
-
-
 def _front(axis: str, front: Front) -> dict[str, Any]:
     return {
-        "objectives": [
-            {"name": each.name, "unit": objective_unit(axis, each), "direction": each.direction}
-            for each in front.objectives
-        ],
+        "objectives": [each.tree(turning=axis in ROTATIONAL_AXES) for each in front.objectives],
         "scenarios": front.scenario_count,
         "chosen": front.chosen,
         "study": None if front.study is None else record_tree(front.study),

@@ -5,20 +5,23 @@ from dataclasses import dataclass
 
 from autotune.errors import UsageError
 from autotune.plugins import OBJECTIVES, REQUIREMENTS, load_objective, load_plugin, registered
-from problems.design.evaluation import CustomRequirement, Evaluation
-from problems.design.objectives import Direction, Objective
+from problems.design.evaluation import CustomObjective, CustomRequirement
+from problems.design.objectives import Direction
+from problems.design.objectives import Objective as AnyObjective
 from problems.design.problem import DesignProblem
-from problems.model.controller import AdmittanceController
+from problems.design.stable_design import StableDesign
 
 Requirement = CustomRequirement
 """One thing that a controller must meet, as required/achieved: ≤ 1 is met. A subclass says its `name`."""
+Objective = CustomObjective
+"""One number of a controller that should be small or large. A subclass says its `name`, `unit` and `direction`."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ObjectiveLimit:
     """An objective held to a limit, in its unit: at most `value` where less is better, else at least."""
 
-    objective: Objective
+    objective: AnyObjective
     value: float
 
     @property
@@ -26,9 +29,9 @@ class ObjectiveLimit:
         """The name under which the requirement is reported."""
         return f"{self.objective.name}_limit"
 
-    def __call__(self, controller: AdmittanceController, problem: DesignProblem, evaluation: Evaluation) -> float:
-        """Return required/achieved, see `Requirement`."""
-        found = self.objective(controller, problem, evaluation)
+    def ratio(self, problem: DesignProblem, design: StableDesign) -> float:
+        """Return required/achieved, ≤ 1 is met."""
+        found = self.objective.beside(problem.objective).worst(problem.requirements, design)
         share = (self.value, found) if self.objective.direction == "maximize" else (found, self.value)
         return share[0] / share[1] if share[1] > 0.0 else math.inf
 
@@ -36,7 +39,7 @@ class ObjectiveLimit:
 Demand = Requirement | ObjectiveLimit
 
 
-def load_objectives(names: tuple[str, ...]) -> tuple[Objective, ...]:
+def load_objectives(names: tuple[str, ...]) -> tuple[AnyObjective, ...]:
     """Return the objectives of these names, in this order; raises UsageError, see `load_objective`."""
     if len(set(names)) != len(names):
         raise UsageError(f"Each objective may be named once; found {', '.join(names)}.")

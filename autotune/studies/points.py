@@ -9,13 +9,14 @@ import numpy as np
 from autotune.errors import AutotuneError, UsageError
 from autotune.tuning.scenario_exchange import WholeSet
 from problems.arrays import FloatArray
-from problems.design.evaluation import Evaluation
+from problems.design.objectives import Objective
 from problems.design.problem import DesignProblem
+from problems.design.stable_design import StableDesign
 from problems.errors import ParameterError
 from problems.frozen import FrozenDict
 from problems.model.controller import AdmittanceController, Discretization
 
-from .plugins import Demand, Objective
+from .plugins import Demand, ObjectiveLimit
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,7 +65,8 @@ class Judge:
     def __init__(
         self, problem: DesignProblem, objectives: tuple[Objective, ...], demands: tuple[Demand, ...] = ()
     ) -> None:
-        self.problem, self.objectives, self.demands = problem, objectives, demands
+        self.problem, self.demands = problem, demands
+        self.objectives = tuple(each.beside(problem.objective) for each in objectives)
         self._prepared = WholeSet(problem).prepared
 
     @property
@@ -74,23 +76,28 @@ class Judge:
 
     def judge(self, controller: AdmittanceController) -> Judgement:
         """Judge one controller; raises UnstableLoopError where no number of it means anything."""
-        evaluation = self._prepared.evaluate_exactly(controller).evaluation
-        values = {each.name: _finite(each.name, self._ask(each, evaluation)) for each in self.objectives}
-        asked = {each.name: _required(each.name, self._ask(each, evaluation)) for each in self.demands}
+        design = self._prepared.stable(controller)
+        evaluation = self._prepared.evaluate_stable(design).evaluation
+        values = {each.name: _finite(each.name, self._ask(each, design)) for each in self.objectives}
+        asked = {each.name: _required(each.name, self._ask(each, design)) for each in self.demands}
         return Judgement(
             controller=controller,
             values=FrozenDict(values),
             requirements=FrozenDict({**evaluation.requirements, **asked}),
         )
 
-    def _ask(self, plugin: Objective | Demand, evaluation: Evaluation) -> float:
+    def _ask(self, plugin: Objective | Demand, design: StableDesign) -> float:
         # Other people's code may raise anything.
         try:
-            return plugin(evaluation.controller, self.problem, evaluation)
+            if isinstance(plugin, ObjectiveLimit):
+                return plugin.ratio(self.problem, design)
+            if isinstance(plugin, Objective):
+                return plugin.worst(self.problem.requirements, design)
+            return plugin.achieved(1.0, design, 0)
         except AutotuneError:
             raise
         except Exception as error:
-            raise UsageError(f"{plugin.name} failed on {evaluation.controller}: {error!r}.") from error
+            raise UsageError(f"{plugin.name} failed on {design.controller}: {error!r}.") from error
 
 
 def undominated(points: Sequence[Judgement], objectives: tuple[Objective, ...]) -> tuple[Judgement, ...]:

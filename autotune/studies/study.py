@@ -4,7 +4,7 @@ import itertools
 import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -21,12 +21,13 @@ from autotune.tuning.bounds import LINEAR_VARIABLES
 from autotune.tuning.search import presentable
 from autotune.version import __version__
 from problems.arrays import FloatArray
+from problems.design.objectives import Objective
 from problems.design.problem import DesignProblem
 from problems.model.controller import AdmittanceController
 from problems.progress import no_progress
 from problems.stability.margins import UnstableLoopError
 
-from .plugins import Demand, Objective, ObjectiveLimit
+from .plugins import Demand, ObjectiveLimit
 from .points import (
     STRUCTURES,
     Front,
@@ -85,6 +86,7 @@ def run_study(
     """
     report = progress or no_progress
     judge = Judge(problem, plan.objectives, plan.demands)
+    plan = replace(plan, objectives=judge.objectives)
     with quiet_optuna(), named_failures():
         study = _open_study(problem, plan, storage, start, name)
         _seed(study, problem, plan, seeds)
@@ -142,7 +144,7 @@ def fingerprint(problem: DesignProblem, plan: StudyPlan, start: FloatArray) -> s
     tree = {
         "version": __version__,
         "optuna": optuna.__version__,
-        "problem": record_tree(problem),
+        "problem": {**record_tree(problem), "objective": problem.objective.name},
         "objectives": [each.name for each in plan.objectives],
         "demands": [
             each.name + (f"={each.value!r}" if isinstance(each, ObjectiveLimit) else "") for each in plan.demands

@@ -16,6 +16,7 @@ from autotune.errors import InfeasibleError, UsageError
 from autotune.formats.problem import ComplianceSpec, Interval, ProblemSpec, Uncertain
 from autotune.formats.units import ROTATIONAL_AXES
 from identification.result import Identified
+from problems.design.objectives import ContactForce, force_of
 from problems.design.problem import DesignProblem
 from problems.design.uncertainty import STIFFNESS
 from problems.progress import no_progress
@@ -46,9 +47,9 @@ class CompliancePoint:
     missed: float
 
     @property
-    def objective_n(self) -> float:
-        """The worst peak with the price of what is missed, infinite where something is missed."""
-        return math.inf if self.found is None or self.missed > 0.0 else self.found.evaluation.objective_n
+    def cost(self) -> float:
+        """The objective's cost with the price of what is missed, infinite where something is missed."""
+        return math.inf if self.found is None or self.missed > 0.0 else self.found.evaluation.cost
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,7 +68,7 @@ class Compliance:
         """The point of least objective, the stiffest of those as good; where none meets all, the one nearest to it."""
         if self.settled_n_per_m is not None:
             return next(point for point in self.points if point.stiffness_n_per_m == self.settled_n_per_m)
-        least = min(point.objective_n for point in self.points)
+        least = min(point.cost for point in self.points)
         if math.isinf(least):
             return min(self.points, key=lambda point: point.missed)
         return self._stiffest((1.0 + _SAME) * least)
@@ -75,7 +76,7 @@ class Compliance:
     @property
     def nearly_as_good(self) -> CompliancePoint:
         """The stiffest point whose objective lies within `NEARLY` of the chosen one's."""
-        return self._stiffest((1.0 + NEARLY) * self.chosen.objective_n)
+        return self._stiffest((1.0 + NEARLY) * self.chosen.cost)
 
     @property
     def stiffest(self) -> CompliancePoint:
@@ -89,9 +90,9 @@ class Compliance:
         ends = {low: "lower", high: "upper"} if low < high else {}
         return ends.get(self.chosen.stiffness_n_per_m)
 
-    def _stiffest(self, most_n: float) -> CompliancePoint:
+    def _stiffest(self, most: float) -> CompliancePoint:
         """Return the stiffest point that meets everything with at most this objective, or else the chosen one."""
-        good = [point for point in self.points if point.missed == 0.0 and point.objective_n <= most_n]
+        good = [point for point in self.points if point.missed == 0.0 and point.cost <= most]
         return good[-1] if good else self.chosen
 
     def next_stiffness(self) -> float | None:
@@ -255,7 +256,7 @@ def _without_limit(problem: DesignProblem) -> tuple[float | None, DesignProblem]
     """
     asked = problem.requirements
     limit = asked.max_peak_force_n
-    if limit is None or asked.soft_n or problem.objective != "contact_force":
+    if limit is None or asked.soft_n or not isinstance(problem.objective, ContactForce):
         return None, problem
     return limit, replace(problem, requirements=replace(asked, max_peak_force_n=None))
 
@@ -265,10 +266,22 @@ def _point_tree(point: CompliancePoint) -> Mapping[str, Any]:
     has_price = evaluation is not None and bool(evaluation.soft_cost_n)
     return {
         "environment_stiffness_n_per_m": point.stiffness_n_per_m,
-        "peak_force_n": None if evaluation is None else _digits(evaluation.peak_n, 6),
-        **({"objective_n": _digits(evaluation.objective_n, 6)} if evaluation is not None and has_price else {}),
+        **_objective_tree(point),
+        **({"objective_n": _digits(evaluation.cost, 6)} if evaluation is not None and has_price else {}),
         "meets_all": point.missed == 0.0,
     }
+
+
+def _objective_tree(point: CompliancePoint) -> Mapping[str, Any]:
+    """Return the worst peak, and the objective by its name where that is another number."""
+    if point.found is None:
+        return {"peak_force_n": None}
+    evaluation, objective = point.found.evaluation, point.found.problem.objective
+    force = force_of(objective)
+    tree = {"peak_force_n": _digits(max(map(force.of_peak, evaluation.peaks)), 6)}
+    if force is not objective:
+        tree[objective.name] = _digits(float(objective.value(evaluation.objective_cost)), 6)
+    return tree
 
 
 def _grid(bounds: Interval) -> tuple[float, ...]:

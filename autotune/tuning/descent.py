@@ -16,7 +16,7 @@ from problems.design.requirements import LARGEST_SHARE
 from problems.frozen import FrozenDict
 
 from .bounds import Box, bounds_of, linear_variables
-from .optimality import LEAST_RATIO, PEAK, near_keys, row_at, unit_widths
+from .optimality import LEAST_RATIO, OBJECTIVE, near_keys, row_at, unit_widths
 
 BACKOFF = 2e-5
 """The share of every requirement that is kept in hand, for what a step along a curved limit misses."""
@@ -46,7 +46,7 @@ def descend(
     backoff: Mapping[str, float] = _NONE,
     reserve: float = BACKOFF,
 ) -> Descent:
-    """Lower t, which no scenario's peak may exceed, while every margin keeps its limit, from a point (n,) on.
+    """Lower t, which no cost of the objective may exceed, while every margin keeps its limit, from a point (n,) on.
 
     By e_j ≥ 0 a soft requirement j may be missed, which costs its price times e_j. `backoff` is the share by which
     more is asked of a requirement, `reserve` what is kept in hand of each. Where the descent ends it may still miss
@@ -60,17 +60,17 @@ def descend(
 
     def slack(x: FloatArray) -> FloatArray:
         here = points.values(x[:count])
-        return np.concatenate([x[count] - here.peaks, here.slack + spares @ x[count + 1 :]])
+        return np.concatenate([x[count] - here.costs, here.slack + spares @ x[count + 1 :]])
 
     def slack_gradients(x: FloatArray) -> FloatArray:
         here = points.gradients(x[:count])
-        rising, still = np.ones((len(here.peaks), 1)), np.zeros((len(here.slack), 1))
-        return np.block([[-here.peaks, rising, np.zeros((len(rising), len(prices)))], [here.slack, still, spares]])
+        rising, still = np.ones((len(here.costs), 1)), np.zeros((len(here.slack), 1))
+        return np.block([[-here.costs, rising, np.zeros((len(rising), len(prices)))], [here.slack, still, spares]])
 
     missed = np.max(spares * -first.slack[:, None], axis=0, initial=0.0)
     found = minimize(
         lambda x: costs @ x,
-        np.concatenate([start, [np.max(first.peaks)], missed]),
+        np.concatenate([start, [np.max(first.costs)], missed]),
         jac=lambda _: costs,
         method="SLSQP",
         bounds=[*[(0.0, 1.0)] * count, *[(0.0, None)] * (1 + len(prices))],
@@ -82,16 +82,16 @@ def descend(
 
 @dataclass(frozen=True, kw_only=True)
 class _Rows:
-    """Peaks (s,) in units of the first one and slack (k,), or their gradients (s, n) and (k, n)."""
+    """Costs (s,) in units of the largest at the start and slack (k,), or their gradients (s, n) and (k, n)."""
 
-    peaks: FloatArray
+    costs: FloatArray
     slack: FloatArray
 
 
 class _Points:
     """Points of a descent: each is evaluated once, its neighbours only where the way goes on.
 
-    `scale` is the largest peak [N] at the start; `spares` (k, j) marks which rows of slack may be missed at a price,
+    `scale` is the largest cost at the start; `spares` (k, j) marks which rows of slack may be missed at a price,
     and by which of j soft requirements.
     """
 
@@ -100,13 +100,13 @@ class _Points:
     ) -> None:
         self.screen, self.box, self.backoff, self.reserve = screen, box, backoff, reserve
         self.evaluations, self.scale, self.spares = 0, 1.0, np.zeros((0, 0))
-        highest = float(np.max(self._look(start[None])[0].peaks))
+        highest = float(np.max(self._look(start[None])[0].costs))
         self.scale = highest if np.isfinite(highest) else 1.0
         self._values: dict[bytes, _Rows] = {}
         self._gradients: dict[bytes, _Rows] = {}
 
     def values(self, unit: FloatArray) -> _Rows:
-        """Return peaks and slack at a point (n,)."""
+        """Return costs and slack at a point (n,)."""
         key = unit.tobytes()
         if key not in self._values:
             self._values[key] = self._look(unit[None])[0]
@@ -119,7 +119,7 @@ class _Points:
             here, steps = self.values(unit), np.where(unit + _STEP <= 1.0, _STEP, -_STEP)
             there = self._look(unit + np.diag(steps))
             self._gradients[key] = _Rows(
-                peaks=np.column_stack([each.peaks - here.peaks for each in there]) / steps,
+                costs=np.column_stack([each.costs - here.costs for each in there]) / steps,
                 slack=np.column_stack([each.slack - here.slack for each in there]) / steps,
             )
         return self._gradients[key]
@@ -134,22 +134,22 @@ class _Points:
         slack = np.hstack([np.zeros((len(units), 0)), *rows])
         owners = np.repeat(np.arange(len(rows)), [row.shape[1] for row in rows]) - len(found.rows)
         self.spares = (owners[:, None] == np.arange(len(found.soft_rows))).astype(np.float64)
-        peaks = np.where(stable, found.peaks_n / self.scale, _WALL)
+        costs = np.where(stable, found.objective_rows / self.scale, _WALL)
         slack = np.where(stable, np.clip(slack, -_WALL, 1.0) - self.reserve * (owners < 0), -1.0)
-        return [_Rows(peaks=p, slack=s) for p, s in zip(peaks, slack, strict=True)]
+        return [_Rows(costs=c, slack=s) for c, s in zip(costs, slack, strict=True)]
 
 
 def polish_exactly(
     screen: BatchEvaluator, design: FloatArray, *, backoff: Mapping[str, float], reserve: float
 ) -> FloatArray:
-    """Return a design (n,) near a stable one, with a lower peak if the gradients lead to one.
+    """Return a design (n,) near a stable one, with a lower cost if the gradients lead to one.
 
     Sequential quadratic programming on `LocalProblem`. Whether the result is better, and feasible, is for the caller
     to evaluate: scenarios that were far from active are not looked at.
     """
     problem, count = LocalProblem(screen, design, backoff=backoff, reserve=reserve), len(design)
     start = problem.start()
-    # Peak and prices are counted from the peak at the start.
+    # Cost and prices are counted from the cost at the start.
     shares, origin = problem.prices / np.exp(start[count]), np.append(start[count], np.zeros(len(problem.prices)))
     found = minimize(
         lambda x: _log_of_sum(x[count:] - origin, shares, count),
@@ -167,7 +167,7 @@ class LocalProblem:
     """min t under φ_s ≤ t and c_j ≤ −reserve − backoff_j around a stable design (n,), with exact gradients.
 
     x is the move (n,) in the variables of `optimality`, at most 1 %, then t and a w per soft requirement, which has
-    c_j ≤ w and w ≥ 0: its price times e^w − 1 is added to the peak. Rows are the peaks and requirements within 1 % of
+    c_j ≤ w and w ≥ 0: its price times e^w − 1 is added to the cost. Rows are the costs and requirements within 1 % of
     their limits. `moves` are the bounds of the moves, `prices` (N) those of the soft requirements.
     """
 
@@ -182,13 +182,13 @@ class LocalProblem:
         prices = {name: price for name, price in problem.requirements.soft_n.items() if name in dict(self._keys)}
         self._held = np.array(
             [
-                0.0 if name == PEAK or name in prices else reserve + np.log1p(backoff.get(name, 0.0))
+                0.0 if name == OBJECTIVE or name in prices else reserve + np.log1p(backoff.get(name, 0.0))
                 for name, _ in self._keys
             ]
         )
         # Which of t and the w each row is held under.
         self._under = np.array(
-            [[name == owner for owner in (PEAK, *prices)] for name, _ in self._keys], dtype=np.float64
+            [[name == owner for owner in (OBJECTIVE, *prices)] for name, _ in self._keys], dtype=np.float64
         )
         self.prices = np.array(list(prices.values()), dtype=np.float64)
         self.moves = _moves(screen, design, self._widths)
@@ -227,7 +227,7 @@ class LocalProblem:
             name: np.clip(row, LEAST_RATIO, LARGEST_SHARE)
             for name, row in (*found.rows.items(), *found.soft_rows.items())
         }
-        rows[PEAK] = found.peaks_n
+        rows[OBJECTIVE] = found.objective_rows
         return np.log([rows[name][0, index] for name, index in self._keys])
 
 
@@ -236,9 +236,9 @@ def _log_of_sum(levels: FloatArray, shares: FloatArray, count: int) -> tuple[flo
 
     That is t where there are no shares.
     """
-    peak, missed = np.exp(levels[0]), np.exp(levels[1:])
-    total = peak + shares @ (missed - 1.0)
-    return float(np.log(total)), np.concatenate([np.zeros(count), [peak / total], shares * missed / total])
+    cost, missed = np.exp(levels[0]), np.exp(levels[1:])
+    total = cost + shares @ (missed - 1.0)
+    return float(np.log(total)), np.concatenate([np.zeros(count), [cost / total], shares * missed / total])
 
 
 def _moves(screen: BatchEvaluator, design: FloatArray, widths: FloatArray) -> list[tuple[float, float]]:

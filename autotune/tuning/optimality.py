@@ -1,11 +1,12 @@
 """Is the design optimal, and what does each requirement cost: the Karush–Kuhn–Tucker conditions at the result.
 
 In u (variables that may be zero by the width of their bounds, the others by their logarithm) the search minimises the
-largest φ_s = ln F_s over the scenarios under c_j = ln(required/achieved) ≤ 0. At an optimum some λ_s ≥ 0 of sum 1,
-μ_j ≥ 0 and ν_b ≥ 0 balance Σ λ_s ∇φ_s + Σ μ_j ∇c_j + Σ ν_b n_b = 0 over what is active; what is left of that sum is the
-residual, and Σ λ_s (φ − φ_s) + Σ μ_j |c_j| is what the design could still gain, to first order, by using up its slack.
-μ_j is the share by which the peak grows when requirement j is raised by one share. A soft requirement that is missed,
-with the price p and the ratio r = e^c, has multipliers of the sum p r/F: what missing it costs; just met, at most that.
+largest φ_s = ln F_s of the objective's costs F_s under c_j = ln(required/achieved) ≤ 0. At an optimum some λ_s ≥ 0 of
+sum 1, μ_j ≥ 0 and ν_b ≥ 0 balance Σ λ_s ∇φ_s + Σ μ_j ∇c_j + Σ ν_b n_b = 0 over what is active; what is left of that
+sum is the residual, and Σ λ_s (φ − φ_s) + Σ μ_j |c_j| is what the design could still gain, to first order, by using up
+its slack. μ_j is the share by which the cost grows when requirement j is raised by one share. A soft requirement that
+is missed, with the price p and the ratio r = e^c, has multipliers of the sum p r/F: what missing it costs; just met, at
+most that.
 """
 
 import math
@@ -17,17 +18,16 @@ from scipy.optimize import nnls
 
 from problems.arrays import FloatArray
 from problems.design.evaluation import PreparedScenarios
-from problems.design.gradients import contact_peak_gradient
 from problems.design.problem import FURTHER_VARIABLES, VARIABLES, DesignProblem
 from problems.design.requirements import LARGEST_SHARE
-from problems.design.stable_design import Gradient, Peak, StableDesign
+from problems.design.stable_design import Gradient, StableDesign
 from problems.model.controller import AdmittanceController
 
 from .bounds import bounds_of, linear_variables
 
 Key = tuple[str, int]
 
-PEAK = "peak"
+OBJECTIVE = "objective"
 _NEAR = 2e-3
 _AGREES = 2e-3
 _STEP = 1e-5
@@ -40,7 +40,7 @@ _PARAMETERS = (*VARIABLES, *FURTHER_VARIABLES)
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """A peak or requirement near its limit: its logarithm and the gradient of that by u, (n,).
+    """A cost of the objective or a requirement near its limit: its logarithm and the gradient of that by u, (n,).
 
     `is_exact` where the symbolic derivative was taken, else central differences of the simulation.
     """
@@ -56,8 +56,8 @@ class Optimality:
     """How the conditions hold: `residual` of the balance beside `gradient`, the largest ∇φ_s of an active scenario.
 
     `multipliers` are those of requirements and of bounds ("lower bound of mass"), by name, the largest first;
-    `scenarios` how many peaks are at the top together; `exact_share` of the gradients that are symbolic; `slack` the
-    share of the peak that using up what the active ones leave could still save.
+    `scenarios` how many costs are at the top together; `exact_share` of the gradients that are symbolic; `slack` the
+    share of the cost that using up what the active ones leave could still save.
     """
 
     residual: float
@@ -69,15 +69,15 @@ class Optimality:
 
     @property
     def relative_residual(self) -> float:
-        """The residual as a share of the gradient; 0 where the peak does not depend on the design at all."""
+        """The residual as a share of the gradient; 0 where the cost does not depend on the design at all."""
         return self.residual / self.gradient if self.gradient > 0.0 else 0.0
 
 
 def check_optimality(prepared: PreparedScenarios, design: FloatArray) -> Optimality:
     """Check the conditions at a stable design (n,) over prepared scenarios."""
-    peaks, limits = active_rows(prepared, design)
+    costs, limits = active_rows(prepared, design)
     count, bounds = len(design), dict(_active_bounds(prepared.problem, design))
-    top = [row for row in peaks if row.value >= max(row.value for row in peaks) - _NEAR]
+    top = [row for row in costs if row.value >= max(row.value for row in costs) - _NEAR]
     prices = _prices(prepared.problem, top, limits)
     columns = [row.gradient for row in top] + [row.gradient for row in limits] + list(bounds.values())
     # What is just met need not take its whole price: the rest goes to a column without gradient.
@@ -88,8 +88,8 @@ def check_optimality(prepared: PreparedScenarios, design: FloatArray) -> Optimal
     slack = np.maximum([*left, *[0.0] * (len(bounds) + len(spare))], 0.0)
     # λ sum to one, those of a soft requirement to its price: rows so heavy that the sums are met to rounding. Of many
     # active rows those without slack.
-    groups = [*[PEAK] * len(top), *(row.name for row in limits), *bounds, *spare]
-    sums = {PEAK: 1.0, **{name: price for name, (price, _, _) in prices.items()}}
+    groups = [*[OBJECTIVE] * len(top), *(row.name for row in limits), *bounds, *spare]
+    sums = {OBJECTIVE: 1.0, **{name: price for name, (price, _, _) in prices.items()}}
     heavy = [[_SUM_WEIGHT * (group == name) for group in groups] for name in sums]
     matrix = np.vstack([np.column_stack(columns), slack, heavy])
     weights, _ = nnls(matrix, np.concatenate([np.zeros(count + 1), _SUM_WEIGHT * np.array(list(sums.values()))]))
@@ -110,36 +110,36 @@ def check_optimality(prepared: PreparedScenarios, design: FloatArray) -> Optimal
 
 def _prices(problem: DesignProblem, top: list[Row], limits: tuple[Row, ...]) -> dict[str, tuple[float, float, bool]]:
     """Return for each active soft requirement p r/F, its largest c, and whether it is missed by more than a hair."""
-    peak, found = math.exp(max(row.value for row in top)), {}
+    cost, found = math.exp(max(row.value for row in top)), {}
     for name, price in problem.requirements.soft_n.items():
         worst = max((row.value for row in limits if row.name == name), default=None)
         if worst is not None:
             ratio = math.exp(min(worst, math.log(LARGEST_SHARE)))
-            found[name] = (price * ratio / peak, max(worst, 0.0), worst > _NEAR)
+            found[name] = (price * ratio / cost, max(worst, 0.0), worst > _NEAR)
     return found
 
 
 def active_rows(
     prepared: PreparedScenarios, design: FloatArray, near: float = _NEAR
 ) -> tuple[tuple[Row, ...], tuple[Row, ...]]:
-    """Return the peaks within `near` of the largest one, and the requirements within `near` of their limit.
+    """Return the costs within `near` of the largest one, and the requirements within `near` of their limit.
 
     Of a soft requirement that is missed those within `near` of the worst.
     """
     rows = {key: row_at(prepared, design, key) for key in near_keys(prepared, design, near)}
-    peaks = tuple(row for (name, _), row in rows.items() if name == PEAK)
-    return peaks, tuple(row for (name, _), row in rows.items() if name != PEAK)
+    costs = tuple(row for (name, _), row in rows.items() if name == OBJECTIVE)
+    return costs, tuple(row for (name, _), row in rows.items() if name != OBJECTIVE)
 
 
 def near_keys(prepared: PreparedScenarios, design: FloatArray, near: float) -> tuple[Key, ...]:
-    """Return which peaks lie within `near` of the largest one, then which requirements of their limit or worst.
+    """Return which costs lie within `near` of the largest one, then which requirements of their limit or worst.
 
     A key is a name and the index of a scenario, of a plant, or 0.
     """
     problem, stable = prepared.problem, StableDesign(prepared, prepared.problem.controller(design))
-    values = np.array([_objective_force(problem, peak) for peak in stable.peaks])
-    keys = [(PEAK, int(i)) for i in np.flatnonzero(np.log(values) >= math.log(float(np.max(values))) - near)]
     asked = problem.requirements
+    values = problem.objective.costs(asked, stable)
+    keys = [(OBJECTIVE, int(i)) for i in np.flatnonzero(np.log(values) >= math.log(float(np.max(values))) - near)]
     for requirement, value in asked.of("loop", "robot", "contact"):
         name = requirement.name
         logs = np.log(np.clip(requirement.ratios(value, stable), LEAST_RATIO, LARGEST_SHARE))
@@ -148,22 +148,19 @@ def near_keys(prepared: PreparedScenarios, design: FloatArray, near: float) -> t
     return tuple(keys)
 
 
-def _objective_force(problem: DesignProblem, peak: Peak) -> float:
-    return peak.peak_contact_force_n if problem.objective == "contact_force" else peak.peak_sensor_force_n
-
-
 def row_at(prepared: PreparedScenarios, design: FloatArray, key: Key) -> Row:
-    """Return value and gradient of one peak or requirement, named by `near_keys`, at a stable design (n,)."""
+    """Return value and gradient of one cost or requirement, named by `near_keys`, at a stable design (n,)."""
     problem, (name, index) = prepared.problem, key
-    if name == PEAK:
-        at_sensor = problem.objective != "contact_force"
+    if name == OBJECTIVE:
+        objective, of = problem.objective, problem.requirements
         return _row(
             prepared,
             design,
             name,
-            lambda stable: _objective_force(problem, stable.peak(index)),
-            lambda stable: contact_peak_gradient(stable, index, at_sensor=at_sensor),
-            math.log,
+            lambda stable: objective.achieved(of, stable, index),
+            lambda stable: objective.gradient(of, stable, index),
+            lambda achieved: math.log(objective.value(achieved)),
+            sign=1.0 if objective.direction == "minimize" else -1.0,
         )
     requirement, asked = problem.requirements.kind(name), problem.requirements.asked()[name]
     return _row(

@@ -1,6 +1,6 @@
 """Report what a design meets, how well it meets the conditions of an optimum, and its gap to a reference.
 
-The reference is the least peak that descents from elsewhere find where less is asked: of all scenarios only those count
+The reference is the least cost that descents from elsewhere find where less is asked: of all scenarios only those count
 that the search ended with, and nothing is kept in reserve. Whatever is best for the whole uncertainty is allowed there
 too, so the best design there is at least as low: a lower bound, as far as the descents find it. They start from the
 best of a Sobol' sequence over the bounds, of which the search knows nothing, and from the design itself.
@@ -15,6 +15,7 @@ from scipy.stats import qmc
 
 from problems.arrays import FloatArray
 from problems.design.batch_evaluation import BatchEvaluation, build_batch_evaluator
+from problems.design.objectives import Objective, PeakObjective
 from problems.design.problem import DesignProblem
 
 from .bounds import LINEAR_VARIABLES, Box, spread_out
@@ -38,13 +39,13 @@ _PERCENT = 0.01
 class Reference:
     """What was found over `scenarios`, the hardest of all, with nothing in reserve, and where it was looked for.
 
-    `elsewhere_n` is the least objective (N) of the `descents` from the best of `designs` spread over the bounds,
+    `elsewhere` is the least cost of the `descents` from the best of `designs` spread over the bounds,
     infinite where none of them met the requirements; `arrived` is how many of them ended within 0.1 % of the least;
-    `from_here_n` is that of the descent from the design itself, `design` (n,) the one of the least objective.
+    `from_here` is that of the descent from the design itself, `design` (n,) the one of the least cost.
     """
 
-    elsewhere_n: float
-    from_here_n: float
+    elsewhere: float
+    from_here: float
     designs: int
     descents: int
     arrived: int
@@ -52,24 +53,26 @@ class Reference:
     design: FloatArray = field(default_factory=lambda: np.zeros(0), compare=False)
 
     @property
-    def least_n(self) -> float:
+    def least(self) -> float:
         """The lower of both."""
-        return min(self.elsewhere_n, self.from_here_n)
+        return min(self.elsewhere, self.from_here)
 
-    def gap(self, objective_n: float) -> float:
-        """Return the share by which an objective lies above the least that was found, at least 0."""
-        return max(objective_n / self.least_n - 1.0, 0.0)
+    def gap(self, cost: float) -> float:
+        """Return the share by which a cost lies above the least that was found, at least 0."""
+        return max(cost / self.least - 1.0, 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ActiveConstraint:
-    """A requirement or bound that the design rests on; `price_n` is what one percent of it costs in peak force.
+    """A requirement or bound that the design rests on; `price` is what one percent of it costs.
+
+    The price is in the unit of the objective.
 
     `soft` is a requirement that may be missed at a price: then that is counted in.
     """
 
     name: str
-    price_n: float
+    price: float
     soft: bool = False
 
 
@@ -77,12 +80,13 @@ class ActiveConstraint:
 class OptimalityReport:
     """What is recomputed of one axis's design as it is written.
 
-    `objective_n` is the worst peak with the price of missed soft requirements (N, or N·m); `nearest` the hard
-    requirement nearest to its limit, None without any, and `ratio` its required/achieved over `scenario_count`
-    scenarios; `active` what the design rests on, with prices.
+    `cost` is the objective's with the price of missed soft requirements; `nearest` the hard requirement nearest to its
+    limit, None without any, and `ratio` its required/achieved over `scenario_count` scenarios; `active` what the design
+    rests on, with prices.
     """
 
-    objective_n: float
+    objective: Objective
+    cost: float
     nearest: str | None
     ratio: float
     scenario_count: int
@@ -97,8 +101,12 @@ class OptimalityReport:
 
     @property
     def gap(self) -> float:
-        """The share by which the objective lies above the least that was found where less is asked."""
-        return self.reference.gap(self.objective_n)
+        """The share by which the cost lies above the least that was found where less is asked."""
+        return self.reference.gap(self.cost)
+
+    def shown(self, cost: float, digits: int = 5) -> float | None:
+        """Return the objective's value at a cost, in so many digits; None of an infinite cost."""
+        return _digits(float(self.objective.value(cost)), digits) if math.isfinite(cost) else None
 
 
 def report_optimality(search: SearchResult) -> OptimalityReport:
@@ -107,24 +115,28 @@ def report_optimality(search: SearchResult) -> OptimalityReport:
     ratios = search.evaluation.requirements
     nearest = max(ratios, key=lambda name: ratios[name]) if ratios else None
     return OptimalityReport(
-        objective_n=search.evaluation.objective_n,
+        objective=search.problem.objective,
+        cost=search.evaluation.cost,
         nearest=nearest,
         ratio=0.0 if nearest is None else ratios[nearest],
         scenario_count=search.scenario_count,
         optimality=optimality,
         reference=find_reference(search),
-        active=active_constraints(search.problem, search.evaluation.peak_n, optimality),
+        active=active_constraints(search.problem, search.evaluation.objective_cost, optimality),
     )
 
 
 def optimality_tree(report: OptimalityReport, *, rotational: bool) -> dict[str, Any]:
     """Return the plain tree of a report, for `controller.yaml`; forces in N, on a rotational axis in N·m.
 
-    Rounded upwards to the digits that mean something: a residual of 3e-12 and one of 5e-12 are both at most 1e-6.
+    Another objective than a peak force is named, with its unit. Rounded upwards to the digits that mean something: a
+    residual of 3e-12 and one of 5e-12 are both at most 1e-6.
     """
-    unit = "n_m" if rotational else "n"
-    reference, elsewhere = report.reference, report.reference.elsewhere_n
+    reference, objective = report.reference, report.objective
+    is_force = isinstance(objective, PeakObjective)
+    best = f"least{force_suffix(objective, rotational=rotational)}" if is_force else "best"
     return {
+        **({} if is_force else {"objective": objective.tree(turning=rotational)}),
         "feasible": report.is_feasible,
         "scenarios": report.scenario_count,
         "nearest_requirement": report.nearest,
@@ -133,8 +145,8 @@ def optimality_tree(report: OptimalityReport, *, rotational: bool) -> dict[str, 
         "unused_slack": _upwards(report.optimality.slack, _LEAST_SHARE),
         "gap": _upwards(report.gap, _LEAST_SHARE),
         "gap_against": {
-            f"least_{unit}": _digits(reference.least_n, 5),
-            f"from_elsewhere_{unit}": _digits(elsewhere, 5) if math.isfinite(elsewhere) else None,
+            best: report.shown(reference.least),
+            f"from_elsewhere{force_suffix(objective, rotational=rotational)}": report.shown(reference.elsewhere),
             "scenarios": reference.scenarios,
             "designs": reference.designs,
             "descents": reference.descents,
@@ -143,12 +155,26 @@ def optimality_tree(report: OptimalityReport, *, rotational: bool) -> dict[str, 
         "active": [
             {
                 "name": each.name,
-                f"price_{unit}_per_percent": _digits(each.price_n, 3) if each.price_n > _LEAST_PRICE else 0.0,
+                price_key(objective, rotational=rotational): _digits(each.price, 3)
+                if each.price > _LEAST_PRICE
+                else 0.0,
                 **({"soft": True} if each.soft else {}),
             }
             for each in report.active
         ],
     }
+
+
+def force_suffix(objective: Objective, *, rotational: bool) -> str:
+    """Return what the names of an objective's numbers end in: the unit of a force, else nothing."""
+    if not isinstance(objective, PeakObjective):
+        return ""
+    return "_n_m" if rotational else "_n"
+
+
+def price_key(objective: Objective, *, rotational: bool) -> str:
+    """Return the name of a price in the file and in `--json`."""
+    return f"price{force_suffix(objective, rotational=rotational)}_per_percent"
 
 
 def _digits(value: float, count: int) -> float:
@@ -170,13 +196,13 @@ def find_reference(search: SearchResult) -> Reference:
     starts = spread_out(units[order], _APART, _DESCENTS)
     ends = [descend(screen, box, start, reserve=0.0).unit for start in (box.unit(search.design), *starts)]
     found = screen.evaluate(box.design(np.array(ends)), peaks_if_missed=True)
-    values = np.where(found.violation <= _HAIR, found.objective_n, np.inf)
+    values = np.where(found.violation <= _HAIR, found.cost, np.inf)
     # The design itself is allowed here: a descent from it that went astray is no worse.
-    here, elsewhere = min(float(values[0]), search.evaluation.objective_n), values[1:]
+    here, elsewhere = min(float(values[0]), search.evaluation.cost), values[1:]
     least = min(here, float(np.min(elsewhere)))
     return Reference(
-        elsewhere_n=float(np.min(elsewhere)),
-        from_here_n=here,
+        elsewhere=float(np.min(elsewhere)),
+        from_here=here,
         designs=len(units),
         descents=len(starts),
         arrived=int(np.sum(elsewhere <= (1.0 + _SAME) * least)),
@@ -186,25 +212,24 @@ def find_reference(search: SearchResult) -> Reference:
 
 
 def _costs(found: BatchEvaluation) -> FloatArray:
-    """Order designs (m,): feasible ones by the objective, before the others by what they miss, before unstable ones."""
+    """Order designs (m,): feasible ones by their cost, before the others by what they miss, before unstable ones."""
     with np.errstate(invalid="ignore"):
-        judged = np.where(
-            found.violation > 0.0, _MISSED * (1.0 + np.minimum(found.violation, 500.0)), found.objective_n
-        )
+        judged = np.where(found.violation > 0.0, _MISSED * (1.0 + np.minimum(found.violation, 500.0)), found.cost)
     return np.where(found.is_stable, judged, _UNSTABLE * found.radius)
 
 
-def active_constraints(problem: DesignProblem, peak_n: float, optimality: Optimality) -> tuple[ActiveConstraint, ...]:
-    """Return the active requirements and bounds, dearest first, by their multipliers at a design with this peak."""
+def active_constraints(problem: DesignProblem, cost: float, optimality: Optimality) -> tuple[ActiveConstraint, ...]:
+    """Return the active requirements and bounds, dearest first, by their multipliers at a design of this cost."""
+    value = float(problem.objective.value(cost))
     found = [
         ActiveConstraint(
             name=name,
-            price_n=_PERCENT * _moved(problem, name) * multiplier * peak_n,
+            price=_PERCENT * _moved(problem, name) * multiplier * value,
             soft=name in problem.requirements.soft_n,
         )
         for name, multiplier in optimality.multipliers.items()
     ]
-    return tuple(sorted(found, key=lambda active: -active.price_n))
+    return tuple(sorted(found, key=lambda active: -active.price))
 
 
 def _moved(problem: DesignProblem, name: str) -> float:

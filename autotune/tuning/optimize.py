@@ -312,8 +312,9 @@ def _without_uncertainty(problem: DesignProblem, seed: int) -> str:
         found = solve_design(replace(problem, plants=problem.plants.only()), seed=seed)
     except InfeasibleError:
         return ""
+    best = f"{problem.objective.value(found.evaluation.cost):.4g} {problem.objective.unit}".rstrip()
     return (
-        f" With everything but K_e and M_p at its nominal value there is one, of {found.evaluation.objective_n:.4g} N: "
+        f" With everything but K_e and M_p at its nominal value there is one, of {best}: "
         f"the obstacle is how little is known of {', '.join(problem.plants.further)}. Record more, or say in "
         "problem.yaml what is sure."
     )

@@ -16,6 +16,7 @@ from problems.arrays import FloatArray
 from problems.contact.bouncing import Ending, follow_contact, settling_window
 from problems.contact.transient import Approach, SampledContact, build_sampled_contact
 from problems.design.evaluation import Evaluation, ExactEvaluation, PlantMargins, build_scenarios
+from problems.design.objectives import CONTACT_FORCE, Objective
 from problems.design.problem import DesignProblem
 from problems.design.stable_design import StableDesign
 from problems.design.uncertainty import Scenario
@@ -32,7 +33,7 @@ _LOOKS = 60
 _FIRST_STEP, _LAST_STEP = 0.08, 0.002
 _GAIN = 1e-4
 _UNSTABLE = 8
-_WORSE_PEAK = 1e-3
+_WORSE = 1e-3
 # Beside the impact that was found, faster and slower ones on its plant: how a contact ends hangs on the ratio of speed
 # and force alone (`validation.bouncing`).
 _LADDER = tuple(np.geomspace(4.0, SPEEDS[1] / LEAST_FORCE, 4).tolist())
@@ -94,12 +95,13 @@ class WholeSet:
                 continue
             starts = _worst([m.scenario for m in exact.margins], [each or 0.0 for each in values])
             found += [self._climb(start, lambda s, n=name: self._missed(s, controller, n)) for start in starts]  # type: ignore[misc]
-        peaks = exact.evaluation.peaks
-        # The objective's force, and that at the contact, which may be limited whatever the objective is.
-        for at_contact in {True, self.problem.objective == "contact_force"}:
-            values = [p.peak_contact_force_n if at_contact else p.peak_sensor_force_n for p in peaks]
-            starts = _worst([p.scenario for p in peaks], [each or 0.0 for each in values])
-            found += [self._climb(start, lambda s, c=at_contact: self._peak(s, controller, c)) for start in starts]  # type: ignore[misc]
+        # The objective, and the force at the contact, which may be limited whatever the objective is.
+        costs: dict[Objective, list[tuple[Scenario, float]]] = {}
+        costs[CONTACT_FORCE] = [(p.scenario, p.peak_contact_force_n) for p in exact.evaluation.peaks]
+        costs[self.problem.objective] = [(row.scenario, row.cost) for row in exact.evaluation.objective]
+        for objective in dict.fromkeys((self.problem.objective, *costs)):
+            starts = _worst([s for s, _ in costs[objective]], [cost for _, cost in costs[objective]])
+            found += [self._climb(start, lambda s, o=objective: self._cost(s, controller, o)) for start in starts]  # type: ignore[misc]
         known = set(self.scenarios)
         return tuple(s for s in dict.fromkeys(found) if s not in known)
 
@@ -111,14 +113,13 @@ class WholeSet:
         except UnstableLoopError:
             return np.inf
 
-    def _peak(self, scenario: Scenario, controller: AdmittanceController, at_contact: bool) -> float:
-        """Return the peak force [N] in one scenario; infinite where the loop is unstable."""
-        found = build_scenarios(self.problem, [scenario])
+    def _cost(self, scenario: Scenario, controller: AdmittanceController, objective: Objective) -> float:
+        """Return the largest cost of an objective in one scenario; infinite where the loop is unstable."""
         try:
-            peak = found.stable(controller).peak(0)
+            stable = build_scenarios(self.problem, [scenario]).stable(controller)
         except UnstableLoopError:
             return np.inf
-        return peak.peak_contact_force_n if at_contact else peak.peak_sensor_force_n
+        return float(np.max(objective.costs(self.problem.requirements, stable)))
 
     def _climb(self, start: Scenario, value: Callable[[Scenario], float]) -> Scenario:
         """Return a scenario that is at least as bad: a pattern search in the unit cube, pulled into the set."""
@@ -149,21 +150,22 @@ def _worst(scenarios: Sequence[Scenario], values: Sequence[float]) -> list[Scena
 def worst_scenarios(
     problem: DesignProblem, exact: Evaluation, known: Evaluation | None, active: tuple[Scenario, ...]
 ) -> tuple[Scenario, ...]:
-    """Return the scenarios with the highest peaks that beat what the active ones showed.
+    """Return the worst scenarios that beat what the active ones showed.
 
-    What counts is the objective's force, and the one at the contact where it is limited.
+    What counts is the objective, and the force at the contact where it is limited.
     """
     if known is None or not exact.peaks:
         return ()
-    kinds = {"peak_contact_force_n" if problem.objective == "contact_force" else "peak_sensor_force_n"}
-    if problem.requirements.max_peak_force_n is not None:
-        kinds.add("peak_contact_force_n")
     found = []
-    for force in map(attrgetter, sorted(kinds)):
-        worst = max(exact.peaks, key=force)
-        if force(worst) > (1.0 + _WORSE_PEAK) * max(map(force, known.peaks)) and worst.scenario not in active:
-            found.append(worst.scenario)
-    return tuple(found)
+    if problem.requirements.max_peak_force_n is not None:
+        force = attrgetter("peak_contact_force_n")
+        peak = max(exact.peaks, key=force)
+        if force(peak) > (1.0 + _WORSE) * max(map(force, known.peaks)):
+            found.append(peak.scenario)
+    row = max(exact.objective, key=attrgetter("cost"))
+    if row.cost > (1.0 + _WORSE) * known.objective_cost:
+        found.append(row.scenario)
+    return tuple(scenario for scenario in dict.fromkeys(found) if scenario not in active)
 
 
 def softly_missed_scenarios(
@@ -172,7 +174,7 @@ def softly_missed_scenarios(
     """Return the scenarios where soft requirements cost more than the active ones showed."""
     if known is None:
         return ()
-    least = _WORSE_PEAK * exact.objective_n
+    least = _WORSE * exact.cost
     worse = [name for name, cost in exact.soft_cost_n.items() if cost > known.soft_cost_n.get(name, 0.0) + least]
     return scenarios_of(whole, exact, margins, worse)
 

@@ -16,6 +16,7 @@ from autotune.formats.problem import Interval, ProblemSpec
 from autotune.formats.schedule import COMMON_FILE, Schedule, ScheduleClass, Tuned, worst_peaks
 from autotune.processes import map_in_processes
 from identification.errors import EstimateError
+from problems.design.objectives import PeakObjective, force_of
 from problems.errors import ParameterError
 from problems.progress import no_progress
 from problems.stability.margins import UnstableLoopError
@@ -105,6 +106,12 @@ def tune_schedule(
             "free.environment_stiffness_n_per_m in problem.yaml chooses one compliance, and a schedule has many "
             "controllers; choose it without --schedule, then say its range with stiffness=LOW:HIGH."
         )
+    objective = spec.objective
+    if not isinstance(objective, PeakObjective):
+        raise UsageError(
+            f"A schedule compares peak forces, and objective in problem.yaml is {objective.name}; tune the classes "
+            "without --schedule, or ask for contact_force or sensor_force."
+        )
     whole, spec = hull(classes), within_domain(spec, identified.domain)
 
     def task(of: ScheduleClass) -> _Task:
@@ -122,7 +129,7 @@ def tune_schedule(
     common, refusal = _common(by_class[whole])
     own = _required({each.name: by_class[each] for each in classes})
     tuned = [
-        Tuned(of=each, controller=controller, peaks=worst_peaks(controller, spec.objective))
+        Tuned(of=each, controller=controller, peaks=worst_peaks(controller, objective))
         for each, controller in zip(classes, own, strict=True)
     ]
     if common is not None:
@@ -131,7 +138,7 @@ def tune_schedule(
         pairs = [(task(each.of), each) for each in tuned]
         beside = map_in_processes(work, pairs, processes, each=lambda: report(0.2 / len(pairs)))
         tuned = _required({each.of.name: other for each, other in zip(tuned, beside, strict=True)})
-    return Schedule(tuned=tuple(tuned), hull=whole, common=common, common_refusal=refusal, objective=spec.objective)
+    return Schedule(tuned=tuple(tuned), hull=whole, common=common, common_refusal=refusal, objective=objective)
 
 
 def _check(task: _Task) -> None:
@@ -169,7 +176,7 @@ def _beside(pair: tuple[_Task, Tuned], *, common: str) -> Tuned | AutotuneError:
                 existing=existing,
                 relax=False,
             ).controller
-            found = worst_peaks(again, task.spec.objective)
+            found = worst_peaks(again, force_of(task.spec.objective))
             if all(found[axis] <= peak for axis, peak in own.peaks.items()):
                 own = replace(own, controller=again, peaks=found)
     except AutotuneError as error:
@@ -189,7 +196,7 @@ def _judge(task: _Task, controller: Controller) -> tuple[dict[str, float], float
                 f"unstable in this class (largest |z| {error.spectral_radius:.6f}); give the hull as a class to look "
                 "closer."
             ) from error
-        peaks[axis], missed = exact.objective_n, max(missed, exact.violation)
+        peaks[axis], missed = max(map(force_of(problem.objective).of_peak, exact.peaks)), max(missed, exact.violation)
     return peaks, missed
 
 

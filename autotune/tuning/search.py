@@ -50,15 +50,15 @@ _FAR_OFF = 0.1
 
 @dataclass(frozen=True, kw_only=True)
 class SearchStep:
-    """State of the search after so many `evaluations`: `best_n` over the `scenarios` that it then worked with.
+    """State of the search after so many `evaluations`: `best_cost` over the `scenarios` that it then worked with.
 
-    `whole_n` is that design's value over the whole set, at the end of a round; None within the global stage.
+    `whole_cost` is that design's cost over the whole set, at the end of a round; None within the global stage.
     """
 
     evaluations: int
     scenarios: int
-    best_n: float
-    whole_n: float | None = None
+    best_cost: float
+    whole_cost: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,7 +90,7 @@ def solve_design(
     counterexamples: Counterexamples = NOTHING,
     progress: Callable[[float], None] | None = None,
 ) -> SearchResult:
-    """Find the design of least worst peak force that is stable and meets every requirement in every scenario.
+    """Find the design of the best worst objective that is stable and meets every requirement in every scenario.
 
     Deterministic for a given seed and `start`, a design (n,) inside the bounds that joins the search. Nothing unstable
     or infeasible is returned: the result is evaluated again, exactly, over a dense grid of the whole uncertainty.
@@ -200,8 +200,8 @@ def _evaluated_exactly(whole: WholeSet, design: FloatArray) -> tuple[Evaluation,
 class Search:
     """One run: the box, what was asked (tightened where a grid flattered), the impacts, the count of evaluations.
 
-    With a `goal` the required/achieved of that requirement is minimised instead of the peak. `generations` is the most
-    that the global stage makes.
+    With a `goal` the required/achieved of that requirement is minimised instead of the objective. `generations` is the
+    most that the global stage makes.
     """
 
     def __init__(
@@ -248,10 +248,10 @@ class Search:
         self.elite = spread_out(good, _NEAR, _POLISH_STARTS) + spread_out(good, _FAR, _OTHER_VALLEYS)[1:]
         return np.asarray(found.x)
 
-    def _note_generation(self, scenarios: int, found_n: float) -> None:
-        best = min([found_n, *(step.best_n for step in self.steps[-1:])])
+    def _note_generation(self, scenarios: int, found: float) -> None:
+        best = min([found, *(step.best_cost for step in self.steps[-1:])])
         if best < _MISSED:
-            self.steps.append(SearchStep(evaluations=self.evaluations, scenarios=scenarios, best_n=best))
+            self.steps.append(SearchStep(evaluations=self.evaluations, scenarios=scenarios, best_cost=best))
 
     def note_round(self, scenarios: int, exact: Evaluation) -> None:
         """Keep what a round ended with."""
@@ -260,8 +260,8 @@ class Search:
                 SearchStep(
                     evaluations=self.evaluations,
                     scenarios=scenarios,
-                    best_n=self.last.objective_n,
-                    whole_n=exact.objective_n,
+                    best_cost=self.last.cost,
+                    whole_cost=exact.cost,
                 )
             )
 
@@ -307,7 +307,7 @@ class Search:
         self.evaluations += len(units)
         missed = -np.min(self._slack(found), axis=0, initial=0.0) if tightened else found.violation
         with np.errstate(invalid="ignore"):
-            judged = np.where(missed > 0.0, _MISSED * (1.0 + np.minimum(missed, 500.0)), found.objective_n)
+            judged = np.where(missed > 0.0, _MISSED * (1.0 + np.minimum(missed, 500.0)), found.cost)
         costs = np.where(found.is_stable, judged, _UNSTABLE * found.radius)
         if self.impacts:
             self._ask_impacts(self.impacts, units, costs)
@@ -328,7 +328,7 @@ class Search:
 
     def prefers(self, design: FloatArray, given: Evaluation, found: Evaluation) -> bool:
         """Return whether a design that was given is as good as the one found."""
-        better = given.is_feasible and given.objective_n <= found.objective_n
+        better = given.is_feasible and given.cost <= found.cost
         return better and (not self.impacts or self.impacts.passes(design))
 
     def polish(self, active: tuple[Scenario, ...], unit: FloatArray) -> FloatArray:

@@ -41,13 +41,13 @@ def settle(name: str, found: SearchResult, asked: ProofOptions, *, seed: int) ->
         return first
     try:
         other = solve_design(search.problem, seed=seed, start=start, counterexamples=first.counterexamples)
-        if other.evaluation.objective_n > (1.0 - _BETTER) * search.evaluation.objective_n:
+        if other.evaluation.cost > (1.0 - _BETTER) * search.evaluation.cost:
             return first
         second = _unrefuted(name, other, asked, first.counterexamples, seed)
     except (InfeasibleError, CertificateError):
         # The first result is kept.
         return first
-    lower = second.search.evaluation.objective_n < search.evaluation.objective_n
+    lower = second.search.evaluation.cost < search.evaluation.cost
     return second if lower else first
 
 

@@ -15,7 +15,7 @@ from autotune.formats.problem import ProblemSpec
 from autotune.formats.units import ROTATIONAL_AXES
 from identification.result import Identified
 from problems.arrays import FloatArray
-from problems.design.problem import Objective
+from problems.design.objectives import PLACES, PeakObjective, force_of
 from problems.design.uncertainty import Scenario
 from problems.errors import ParameterError
 
@@ -76,7 +76,7 @@ class ThresholdChoice:
     is_used: bool
     limited_by: str | None
 
-    def tree(self, objective: Objective) -> dict[str, Any]:
+    def tree(self, objective: PeakObjective) -> dict[str, Any]:
         """Return the choice as plain data, for the provenance of a controller."""
         return {
             "bounds_n": list(self.settings.bounds_n),
@@ -84,7 +84,7 @@ class ThresholdChoice:
             **({"noise_is_assumed": True} if self.settings.is_assumed else {}),
             "free_motion_n": self.free_motion_n,
             "lowest_n": self.lowest_n,
-            "objective": objective,
+            "objective": objective.name,
             "best_threshold_n": self.threshold_n,
             "limited_by": self.limited_by,
             "worst_peak_n": {"without": self.worst_without_n, "with": self.worst_with_n},
@@ -99,10 +99,10 @@ def choose_threshold(
 ) -> tuple[Controller, ThresholdChoice]:
     """Return the controller with the response "reset", or without one where none lowers the worst peak.
 
-    Minimised is the worst peak of the objective's force over the predicted contacts and the scenarios of the search
-    of every tuned x, y, z; of none of these axes may the worst peak rise, at the contact or at the sensor. What was
-    predicted and certified stays as it is, and `predicted.<axis>.with_collision_response` holds the same contacts with
-    the response.
+    Minimised is the worst peak of the objective's force (at the contact where the objective is no force) over the
+    predicted contacts and the scenarios of the search of every tuned x, y, z; of none of these axes may the worst peak
+    rise, at the contact or at the sensor. What was predicted and certified stays as it is, and
+    `predicted.<axis>.with_collision_response` holds the same contacts with the response.
 
     Raises InfeasibleError where free motion alone would pass every threshold asked for, UsageError where no axis is a
     straight one or the full simulation cannot do the contact.
@@ -110,7 +110,7 @@ def choose_threshold(
     straight = [name for name in controller.axes if name not in ROTATIONAL_AXES]
     if not straight:
         raise UsageError("collision_threshold_n is a force, and only axes that turn are tuned; leave it out of free.")
-    objective = searches[straight[0]].problem.objective
+    objective = force_of(searches[straight[0]].problem.objective)
     simulations = {name: contacts_of(controller, name) for name in straight}
     scenarios = {name: _scenarios(controller.predicted[name], searches[name]) for name in straight}
     try:
@@ -121,7 +121,7 @@ def choose_threshold(
         raise UsageError(
             f"free.collision_threshold_n: the contact cannot be simulated with a response: {error}"
         ) from error
-    choice = _choose(contacts, settings, free, lowest, 0 if objective == "contact_force" else 1)
+    choice = _choose(contacts, settings, free, lowest, PLACES.index(objective.place))
     provenance = {**controller.provenance, "collision": choice.tree(objective)}
     if not choice.is_used:
         return replace(controller, provenance=provenance), choice

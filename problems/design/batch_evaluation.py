@@ -10,7 +10,6 @@ from itertools import chain
 from operator import attrgetter
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..arrays import BoolArray, FloatArray
 from ..contact.transient import Approach, SampledContact, longest_run, simulate_contact
@@ -18,7 +17,7 @@ from ..errors import ParameterError
 from ..model.controller import THETA, AdmittanceController
 from ..model.response import PlantResponse
 from ..model.sampled import SampledPlant, build_loop, check_wrench_delay, spectral_radius
-from ..stability.margins import PreparedMargins, check_finite, find_margins, loop_polynomials, prepare_margins
+from ..stability.margins import check_finite, find_margins, prepare_margins
 from ..stability.polynomials import DOUBTFUL, STABLE, UNSTABLE
 from .batch_kernel import (
     ADMITTANCE,
@@ -46,8 +45,13 @@ from .batch_kernel import (
     evaluate_designs,
     evaluate_pairs,
     judge_stability,
+    stack_contacts,
+    stack_grids,
+    stack_loops,
+    stack_responses,
 )
 from .evaluation import Evaluation, PreparedScenarios
+from .objectives import admittance_target
 from .requirements import Requirements, target_response
 from .stable_design import StableDesign
 
@@ -144,41 +148,6 @@ def build_batch(pairs: Sequence[SampledContact]) -> ScenarioBatch:
     )
 
 
-def stack_responses(plants: Sequence[PreparedMargins]) -> FloatArray:
-    """Return the response polynomials (p, 4, n) of plants, as `find_loop_margins` takes them."""
-    return stacked([plant.polynomials for plant in plants])
-
-
-def stack_grids(plants: Sequence[PreparedMargins]) -> Grids:
-    """Return the grids of plants one after the other."""
-    grids = [plant.grid for plant in plants]
-    return (
-        np.concatenate([grid[0] for grid in grids]),
-        np.concatenate([grid[1] for grid in grids]),
-        np.concatenate([grid[2] for grid in grids]),
-        np.concatenate([grid[3] for grid in grids]),
-        offsets_of([len(grid[0]) for grid in grids]),
-    )
-
-
-def stack_contacts(pairs: Sequence[SampledContact]) -> Contacts:
-    """Return what `run_contact` takes of every pair, with a leading axis."""
-    plants = [pair.arguments for pair in pairs]
-    return (
-        (
-            np.array([plant.step for plant in plants]),
-            np.array([plant.flow for plant in plants]),
-            np.array([plant.rows for plant in plants]),
-            np.array([plant.wall for plant in plants]),
-            np.array([pair.ramp for pair in pairs]),
-        ),
-        np.array([(plant.delay.whole, plant.delay.chain) for plant in plants], dtype=np.int64),
-        np.array([plant.delay.fraction for plant in plants]),
-        np.concatenate([plant.inside for plant in plants]),
-        offsets_of([len(plant.inside) for plant in plants]),
-    )
-
-
 def are_stable(plants: Sequence[SampledPlant], controllers: Sequence[AdmittanceController]) -> BoolArray:
     """Tell for every controller on every plant, (m, p), whether the sampled loop is stable.
 
@@ -212,20 +181,6 @@ def _decided(pair: SampledContact, controller: AdmittanceController, approach: A
     return row
 
 
-def stack_loops(plants: Sequence[SampledPlant]) -> Loops:
-    """Return the polynomials of plants of one robot order and sample time, as `judge_loop` takes them."""
-    found = [loop_polynomials(plant) for plant in plants]
-    sizes = np.array([each.shape[1] for each in found], dtype=np.int64)
-    first = np.array([0 if plant.plant.environment.is_anchored else 1 for plant in plants], dtype=np.int64)
-    return stacked(found), sizes, first
-
-
-def stacked(polynomials: Sequence[FloatArray]) -> FloatArray:
-    """Return one array of polynomials of different length: the higher powers of the shorter ones are zero."""
-    most = max(each.shape[1] for each in polynomials)
-    return np.array([np.pad(each, ((0, 0), (0, most - each.shape[1]))) for each in polynomials])
-
-
 def controller_numbers(controllers: Sequence[AdmittanceController]) -> tuple[FloatArray, float, bool]:
     """Return the parameters (m, 7) with θ and whether the compensation is ideal, which all controllers must share."""
     kinds = {(THETA[rule], kind == "ideal" and mass > 0.0) for rule, kind, mass in set(map(_KIND, controllers))}
@@ -247,36 +202,31 @@ def check_alike(plants: Sequence[SampledPlant]) -> None:
         check_finite(plant)
 
 
-def offsets_of(lengths: Sequence[int]) -> NDArray[np.int64]:
-    """Return where each of several pieces begins, and where the last one ends."""
-    return np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
-
-
 @dataclass(frozen=True, kw_only=True)
 class BatchEvaluation:
     """Designs (m,): `radius` of the first plant found unstable, 0 where all are stable.
 
     `rows` maps each requirement to required/achieved (m, k), plant by plant or scenario by scenario as it depends on
     them: each column is smooth in the design, their maximum is not. NaN where unstable, 0 where not evaluated because
-    something is missed. `peaks_n` (m, s) of the objective's force, infinite where not evaluated. `soft_rows` are those
-    of `asked` that need not be met.
+    something is missed. `objective_rows` (m, s) are the costs of the objective, infinite where not evaluated.
+    `soft_rows` are those of `asked` that need not be met.
     """
 
     radius: FloatArray
     rows: Mapping[str, FloatArray]
-    peaks_n: FloatArray
+    objective_rows: FloatArray
     soft_rows: Mapping[str, FloatArray]
     asked: Requirements
 
     def towards(self, goal: str) -> "BatchEvaluation":
-        """Return the same with one requirement, or with `EVERY_REQUIREMENT`, in place of peaks and soft ones."""
+        """Return the same with one requirement, or `EVERY_REQUIREMENT`, in place of the objective and soft ones."""
         rows = dict(self.rows)
         if goal == EVERY_REQUIREMENT:
             sought, rows = np.hstack([np.zeros((len(self.radius), 1)), *rows.values()]), {}
         else:
             sought = rows.pop(goal)
-        peaks = np.where(self.is_stable[:, None], sought, np.inf)
-        return replace(self, rows=rows, peaks_n=peaks, soft_rows={})
+        costs = np.where(self.is_stable[:, None], sought, np.inf)
+        return replace(self, rows=rows, objective_rows=costs, soft_rows={})
 
     @property
     def is_stable(self) -> BoolArray:
@@ -289,9 +239,9 @@ class BatchEvaluation:
         return {name: np.max(value, axis=1) for name, value in self.rows.items()}
 
     @property
-    def objective_n(self) -> FloatArray:
-        """The largest peak (m,), and what missed soft requirements add to it."""
-        return np.asarray(np.max(self.peaks_n, axis=1)) + self.penalty_n
+    def cost(self) -> FloatArray:
+        """The objective's largest cost (m,), and what missed soft requirements add to it."""
+        return np.asarray(np.max(self.objective_rows, axis=1)) + self.penalty_n
 
     @property
     def penalty_n(self) -> FloatArray:
@@ -314,8 +264,8 @@ class BatchEvaluation:
 class BatchEvaluator:
     """Prepared scenarios as the compiled loop takes them; `slow` are requirements that it does not know.
 
-    With a `goal` that requirement is minimised, see `BatchEvaluation.towards`, and every design is evaluated
-    in full.
+    With a `goal` that requirement is minimised in place of the objective, see `BatchEvaluation.towards`, and every
+    design is evaluated in full.
     """
 
     prepared: PreparedScenarios
@@ -354,21 +304,38 @@ class BatchEvaluator:
         found = BatchEvaluation(
             radius=self._radius(whole, controllers),
             rows=hard,
-            peaks_n=np.nan_to_num(
-                by_pair[:, :, PEAK_CONTACT if problem.objective == "contact_force" else PEAK_SENSOR], nan=np.inf
-            ),
+            objective_rows=self._objective_rows(whole, by_plant, by_pair),
             soft_rows=soft,
             asked=problem.requirements,
         )
-        missed = found.violation > 0.0
+        missed, is_slow = found.violation > 0.0, bool(self.slow) or self._has_slow_objective
         for i in range(len(designs)):
             if whole[i, VERDICT] == DOUBTFUL:
                 _settle(found, i, self.prepared.evaluate(designs[i], peaks_if_missed=peaks_if_missed))
-            elif self.slow and found.is_stable[i] and (peaks_if_missed or not missed[i]):
+            elif is_slow and found.is_stable[i] and (peaks_if_missed or not missed[i]):
                 self._evaluate_slowly(found, i, controllers[i])
         if self.slow and not peaks_if_missed:
-            found.peaks_n[found.violation > 0.0] = np.inf
+            found.objective_rows[found.violation > 0.0] = np.inf
         return found if self.goal is None else found.towards(self.goal)
+
+    @property
+    def _has_slow_objective(self) -> bool:
+        return self.goal is None and self.prepared.problem.objective.batch_column is None
+
+    def _objective_rows(self, whole: FloatArray, by_plant: FloatArray, by_pair: FloatArray) -> FloatArray:
+        """Return the objective's costs (m, k), infinite where not evaluated and of one without a compiled form."""
+        objective = self.prepared.problem.objective
+        if objective.batch_column is None:
+            return np.full((len(whole), objective.count(self.prepared)), np.inf)
+        numbers = {
+            "contact_peak": by_pair[:, :, PEAK_CONTACT],
+            "sensor_peak": by_pair[:, :, PEAK_SENSOR],
+            "modulus": by_plant[:, :, MODULUS],
+            "admittance": whole[:, [ADMITTANCE]],
+        }
+        costs = objective.value(numbers[objective.batch_column])
+        # Where no contact was simulated something is missed, and then no number counts.
+        return np.where(np.isnan(costs) | np.isnan(by_pair[:, :1, PEAK_CONTACT]), np.inf, costs)
 
     def _evaluate_slowly(self, found: BatchEvaluation, index: int, controller: AdmittanceController) -> None:
         """Write the rows that no compiled form has."""
@@ -377,6 +344,8 @@ class BatchEvaluator:
             if requirement.name in self.slow:
                 rows = found.soft_rows if requirement.name in asked.soft_n else found.rows
                 rows[requirement.name][index] = requirement.ratios(value, design)
+        if self._has_slow_objective:
+            found.objective_rows[index] = self.prepared.problem.objective.costs(asked, design)
 
     def _radius(self, whole: FloatArray, controllers: Sequence[AdmittanceController]) -> FloatArray:
         radius = np.zeros(len(whole))
@@ -411,7 +380,7 @@ class BatchEvaluator:
 def _settle(found: BatchEvaluation, index: int, evaluation: Evaluation) -> None:
     """Write the evaluation of one design over what was screened."""
     found.radius[index] = evaluation.spectral_radius if not evaluation.is_stable else 0.0
-    found.peaks_n[index] = evaluation.peak_n
+    found.objective_rows[index] = evaluation.objective_cost
     for rows, said in ((found.rows, evaluation.requirements), (found.soft_rows, evaluation.soft)):
         for name, value in rows.items():
             value[index] = said.get(name, np.nan if not evaluation.is_stable else 0.0)
@@ -420,13 +389,17 @@ def _settle(found: BatchEvaluation, index: int, evaluation: Evaluation) -> None:
 def build_batch_evaluator(prepared: PreparedScenarios) -> BatchEvaluator:
     """Stack prepared scenarios; plants in contact first, then those in free space."""
     asked = prepared.problem.requirements
-    target = None if asked.free_space_admittance is None else target_response(prepared, asked.free_space_admittance)
+    looks_at_band = asked.free_space_admittance is not None or prepared.problem.objective.batch_column == "admittance"
+    target = target_response(prepared, admittance_target(asked)) if looks_at_band else None
     sampled = [plant.sampled for plant in prepared.plants]
     check_alike(sampled)
     margins = np.zeros(PLANT_COLUMNS)
     for name, column in _MARGINS.items():
         margins[column] = 0.0 if name in asked.soft_n else getattr(asked, name) or 0.0
     margins[PHASE_RAD] = np.radians(margins[PHASE_RAD])
+    if prepared.problem.objective.batch_column == "modulus":
+        # Also where none is asked for, it is found.
+        margins[MODULUS] = max(margins[MODULUS], np.finfo(np.float64).tiny)
     wanted = None if "free_space_admittance" in asked.soft_n else asked.free_space_admittance
     crosses = any(getattr(asked, name) is not None for name in _CROSSOVERS)
     nothing = np.zeros(0, dtype=np.complex128)

@@ -1,6 +1,9 @@
-"""Compiled loops over designs and plants, for `problems.design.batch_evaluation`."""
+"""Compiled loops over designs and plants, for `problems.design.batch_evaluation`, and the arrays that they take."""
+
+from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..arrays import ComplexArray, FloatArray, IntArray
 from ..compiled import compiled
@@ -17,11 +20,14 @@ from ..contact.kernel_types import (
     Traces,
     Wall,
 )
+from ..contact.transient import SampledContact
 from ..model.controller import blocks_of
 from ..model.difference import DAMPING
 from ..model.response import controller_gains
+from ..model.sampled import SampledPlant
 from ..stability import margin_kernel
 from ..stability.margin_kernel import MARGINS, MODULUS_ALONE, WITH_CROSSOVERS, find_loop_margins
+from ..stability.margins import PreparedMargins, loop_polynomials
 from ..stability.polynomials import CONTROLLER_POWERS, STABLE, controller_polynomials, hurwitz, loop_polynomial
 
 # Polynomials (p, 3, L), their degrees (p,), and the power of w that is divided out (1 for the integrator of a loop
@@ -232,3 +238,57 @@ def _least_admittance(band: Band, blocks: FloatArray) -> float:
         forward, feedback = controller_gains(blocks, z[k])
         least = min(least, abs(forward * (1j * omega[k]) * position[k] / (1.0 + feedback * position[k])))
     return least
+
+
+def stack_loops(plants: Sequence[SampledPlant]) -> Loops:
+    """Return the polynomials of plants of one robot order and sample time, as `judge_loop` takes them."""
+    found = [loop_polynomials(plant) for plant in plants]
+    sizes = np.array([each.shape[1] for each in found], dtype=np.int64)
+    first = np.array([0 if plant.plant.environment.is_anchored else 1 for plant in plants], dtype=np.int64)
+    return stacked(found), sizes, first
+
+
+def stacked(polynomials: Sequence[FloatArray]) -> FloatArray:
+    """Return one array of polynomials of different length: the higher powers of the shorter ones are zero."""
+    most = max(each.shape[1] for each in polynomials)
+    return np.array([np.pad(each, ((0, 0), (0, most - each.shape[1]))) for each in polynomials])
+
+
+def stack_responses(plants: Sequence[PreparedMargins]) -> FloatArray:
+    """Return the response polynomials (p, 4, n) of plants, as `find_loop_margins` takes them."""
+    return stacked([plant.polynomials for plant in plants])
+
+
+def stack_grids(plants: Sequence[PreparedMargins]) -> Grids:
+    """Return the grids of plants one after the other."""
+    grids = [plant.grid for plant in plants]
+    return (
+        np.concatenate([grid[0] for grid in grids]),
+        np.concatenate([grid[1] for grid in grids]),
+        np.concatenate([grid[2] for grid in grids]),
+        np.concatenate([grid[3] for grid in grids]),
+        offsets_of([len(grid[0]) for grid in grids]),
+    )
+
+
+def stack_contacts(pairs: Sequence[SampledContact]) -> Contacts:
+    """Return what `run_contact` takes of every pair, with a leading axis."""
+    plants = [pair.arguments for pair in pairs]
+    return (
+        (
+            np.array([plant.step for plant in plants]),
+            np.array([plant.flow for plant in plants]),
+            np.array([plant.rows for plant in plants]),
+            np.array([plant.wall for plant in plants]),
+            np.array([pair.ramp for pair in pairs]),
+        ),
+        np.array([(plant.delay.whole, plant.delay.chain) for plant in plants], dtype=np.int64),
+        np.array([plant.delay.fraction for plant in plants]),
+        np.concatenate([plant.inside for plant in plants]),
+        offsets_of([len(plant.inside) for plant in plants]),
+    )
+
+
+def offsets_of(lengths: Sequence[int]) -> NDArray[np.int64]:
+    """Return where each of several pieces begins, and where the last one ends."""
+    return np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)

@@ -14,10 +14,19 @@ from ..model.controller import AdmittanceController
 from ..model.plant import Plant
 from ..model.sampled import SampledPlant, build_sampled_plant
 from ..stability.margins import Margins, UnstableLoopError, prepare_margins
+from .objectives import Objective
 from .problem import DesignProblem
-from .requirements import Requirement
+from .requirements import Requirement, Requirements
 from .stable_design import Peak, PreparedPlants, StableDesign
 from .uncertainty import Scenario
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObjectiveRow:
+    """What the objective costs in one row (`Objective.costs`), and the scenario that the row belongs to."""
+
+    scenario: Scenario
+    cost: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,28 +34,33 @@ class Evaluation:
     """A design against its problem.
 
     `requirements` maps each requirement to required/achieved (≤ 1 is met), worst over the scenarios; it is empty
-    and `peaks` too when the loop is unstable. `peaks` is also empty when a margin is missed, unless the peaks were
-    asked for all the same. `soft` is the same of requirements that need not be met, `soft_cost_n` what each of them
-    adds to the peak in `objective_n`.
+    and `peaks` too when the loop is unstable. `peaks` and the rows of the `objective` are also empty when a margin is
+    missed, unless the peaks were asked for all the same. `soft` is the same as `requirements` of those that need not be
+    met, `soft_cost_n` what each of them adds to the peak in `cost`.
     """
 
     controller: AdmittanceController
     spectral_radius: float
     requirements: Mapping[str, float]
     peaks: tuple[Peak, ...]
-    objective_n: float
+    objective: tuple[ObjectiveRow, ...] = ()
     soft: Mapping[str, float] = field(default_factory=dict)
     soft_cost_n: Mapping[str, float] = field(default_factory=dict)
 
     @property
-    def penalty_n(self) -> float:
-        """What missed soft requirements add to the peak."""
-        return sum(self.soft_cost_n.values())
+    def objective_cost(self) -> float:
+        """The largest cost of the objective, infinite where it was not evaluated."""
+        return max((row.cost for row in self.objective), default=math.inf)
 
     @property
-    def peak_n(self) -> float:
-        """The largest peak of the objective's force."""
-        return self.objective_n - self.penalty_n
+    def cost(self) -> float:
+        """What a search minimises: the objective's cost, and what missed soft requirements add to it."""
+        return self.objective_cost + self.penalty_n
+
+    @property
+    def penalty_n(self) -> float:
+        """What missed soft requirements add to the peak force."""
+        return sum(self.soft_cost_n.values())
 
     @property
     def is_stable(self) -> bool:
@@ -99,16 +113,15 @@ class ExactEvaluation:
     def together_with(self, other: "ExactEvaluation") -> "ExactEvaluation":
         """Return the evaluation of the same design over the scenarios of both."""
         own, more = self.evaluation, other.evaluation
-        cost = _larger(own.soft_cost_n, more.soft_cost_n)
         return ExactEvaluation(
             evaluation=replace(
                 own,
                 spectral_radius=max(own.spectral_radius, more.spectral_radius),
                 requirements=_larger(own.requirements, more.requirements),
                 peaks=own.peaks + more.peaks,
-                objective_n=max(own.peak_n, more.peak_n) + sum(cost.values()),
+                objective=own.objective + more.objective,
                 soft=_larger(own.soft, more.soft),
-                soft_cost_n=cost,
+                soft_cost_n=_larger(own.soft_cost_n, more.soft_cost_n),
             ),
             margins=self.margins + other.margins,
         )
@@ -144,7 +157,6 @@ class PreparedScenarios(PreparedPlants):
                 spectral_radius=float(np.nan_to_num(np.max(radii), nan=math.inf)),
                 requirements={},
                 peaks=(),
-                objective_n=math.inf,
             )
         stable = StableDesign(self, controller, radii)
         return self._evaluated(stable, self._margins(stable), peaks_if_missed)
@@ -154,9 +166,12 @@ class PreparedScenarios(PreparedPlants):
 
         Raises UnstableLoopError when any scenario is unstable.
         """
-        stable = self.stable(controller)
-        margins = self._margins(stable)
-        return ExactEvaluation(evaluation=self._evaluated(stable, margins, True), margins=margins)
+        return self.evaluate_stable(self.stable(controller))
+
+    def evaluate_stable(self, design: StableDesign) -> ExactEvaluation:
+        """Evaluate a controller whose loops are known to be stable, with its margins plant by plant."""
+        margins = self._margins(design)
+        return ExactEvaluation(evaluation=self._evaluated(design, margins, True), margins=margins)
 
     def stable(self, controller: AdmittanceController) -> StableDesign:
         """Return a controller with its stable loops; raises UnstableLoopError when any of them is not."""
@@ -194,23 +209,28 @@ class PreparedScenarios(PreparedPlants):
                 spectral_radius=radius,
                 requirements=hard,
                 peaks=(),
-                objective_n=math.inf,
                 soft=soft,
             )
-        contact = self.problem.objective == "contact_force"
-        peak = max(p.peak_contact_force_n if contact else p.peak_sensor_force_n for p in design.peaks)
         ratios |= {each.name: float(np.max(each.ratios(value, design))) for each, value in asked.of("contact")}
         hard, soft = asked.split(ratios)
-        cost = {name: asked.cost_n(name, ratio) for name, ratio in soft.items()}
         return Evaluation(
             controller=design.controller,
             spectral_radius=radius,
             requirements=hard,
             peaks=design.peaks,
-            objective_n=peak + sum(cost.values()),
+            objective=self._objective(design),
             soft=soft,
-            soft_cost_n=cost,
+            soft_cost_n={name: asked.cost_n(name, ratio) for name, ratio in soft.items()},
         )
+
+    def _objective(self, design: StableDesign) -> tuple[ObjectiveRow, ...]:
+        """Return the rows of the objective; of one of all scenarios together that of the scenario worst by itself."""
+        objective, asked = self.problem.objective, self.problem.requirements
+        costs = objective.costs(asked, design)
+        if len(costs) == 1:
+            return (ObjectiveRow(scenario=objective.worst_scenario(asked, design), cost=float(costs[0])),)
+        scenarios = (objective.scenario(self, row) for row in range(len(costs)))
+        return tuple(ObjectiveRow(scenario=s, cost=float(c)) for s, c in zip(scenarios, costs, strict=True))
 
 
 def build_scenarios(problem: DesignProblem, scenarios: Sequence[Scenario]) -> PreparedScenarios:
@@ -233,8 +253,51 @@ def build_scenarios(problem: DesignProblem, scenarios: Sequence[Scenario]) -> Pr
     )
 
 
-class CustomRequirement(Requirement[float], ABC):
-    """A requirement as one function of a whole evaluation: required/achieved, ≤ 1 is met, worst over its scenarios.
+class EvaluationFunction(ABC):
+    """A number as one function of a whole evaluation, all scenarios together."""
+
+    @abstractmethod
+    def __call__(self, controller: AdmittanceController, problem: DesignProblem, evaluation: Evaluation) -> float:
+        """Return the number, worst over the scenarios of `evaluation.peaks`; the loop is stable in all of them.
+
+        The same arguments must give the same number, to the last bit: trials of different processes are compared.
+        """
+
+    def count(self, prepared: PreparedPlants) -> int:
+        """Return 1: all scenarios together."""
+        del prepared
+        return 1
+
+    def achieved(self, asked: Any, design: StableDesign, row: int) -> float:
+        """Return the number, worst over all scenarios."""
+        del asked, row
+        return self._of(design, design.peaks)
+
+    def _of(self, design: StableDesign, peaks: tuple[Peak, ...]) -> float:
+        prepared = design.prepared
+        if not isinstance(prepared, PreparedScenarios):
+            raise TypeError("a function of an evaluation is computed for a design problem's scenarios only")
+        evaluation = Evaluation(
+            controller=design.controller,
+            spectral_radius=float(np.max(design.radii)),
+            requirements={},
+            peaks=peaks,
+        )
+        return self(design.controller, prepared.problem, evaluation)
+
+    def scenario(self, prepared: PreparedPlants, row: int) -> Scenario:
+        """Return any scenario; `worst_scenario` knows better."""
+        del row
+        return prepared.scenarios[0]
+
+    def _worst_alone(self, design: StableDesign, *, is_large: bool) -> Scenario:
+        """Return the scenario whose number by itself is the largest, or the least."""
+        sign = 1.0 if is_large else -1.0
+        return max(design.peaks, key=lambda peak: sign * self._of(design, (peak,))).scenario
+
+
+class CustomRequirement(EvaluationFunction, Requirement[float]):
+    """A requirement as one function of a whole evaluation: required/achieved, 0 or above, ≤ 1 is met.
 
     Its threshold is the largest such number, 1 unless it is relaxed.
     """
@@ -248,39 +311,16 @@ class CustomRequirement(Requirement[float], ABC):
         if "name" in cls.__dict__ and "title" not in cls.__dict__:
             cls.title = cls.name.replace("_", " ")
 
-    @abstractmethod
-    def __call__(self, controller: AdmittanceController, problem: DesignProblem, evaluation: Evaluation) -> float:
-        """Return required/achieved (0 or above), worst over the scenarios of `evaluation.peaks`, all of them stable."""
-
-    def count(self, prepared: PreparedPlants) -> int:
-        """Return 1: all scenarios together."""
-        del prepared
-        return 1
-
-    def achieved(self, asked: float, design: StableDesign, row: int) -> float:
-        """Return required/achieved, worst over all scenarios."""
-        del asked, row
-        return self._of(design, design.peaks)
-
-    def _of(self, design: StableDesign, peaks: tuple[Peak, ...]) -> float:
-        prepared = design.prepared
-        if not isinstance(prepared, PreparedScenarios):
-            raise TypeError("a custom requirement is computed for a design problem's scenarios only")
-        evaluation = Evaluation(
-            controller=design.controller,
-            spectral_radius=float(np.max(design.radii)),
-            requirements={},
-            peaks=peaks,
-            objective_n=max(each.peak_contact_force_n for each in peaks),
-        )
-        return float(self(design.controller, prepared.problem, evaluation))
-
-    def scenario(self, prepared: PreparedPlants, row: int) -> Scenario:
-        """Return any scenario; `worst_scenario` knows better."""
-        del row
-        return prepared.scenarios[0]
-
     def worst_scenario(self, asked: float, design: StableDesign) -> Scenario:
         """Return the scenario that is worst by itself."""
         del asked
-        return max(design.peaks, key=lambda peak: self._of(design, (peak,))).scenario
+        return self._worst_alone(design, is_large=True)
+
+
+class CustomObjective(EvaluationFunction, Objective):
+    """An objective as one function of a whole evaluation."""
+
+    def worst_scenario(self, asked: Requirements, design: StableDesign) -> Scenario:
+        """Return the scenario that is worst by itself."""
+        del asked
+        return self._worst_alone(design, is_large=self.direction == "minimize")

@@ -9,7 +9,7 @@ gradient is ∂/∂(M_a, B_a, K_l, B_fb, ω_v, ω_a, P̂), shape (7,), the order
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,8 @@ from ..model.sampled import SampledPlant
 from ..stability.margins import frequency_grid
 from .stable_design import Gradient, StableDesign
 from .symbolic import Structure, arguments_of, build_contact_forces, build_symbolic_form
+
+ForcePlace = Literal["contact", "sensor"]
 
 _GRID_POINTS = 2000
 _BAND_POINTS = 60
@@ -43,9 +45,9 @@ class _Response:
 
 
 def peak_gradient(
-    sampled: SampledPlant, controller: AdmittanceController, approach: Approach, time_s: float, *, at_sensor: bool
+    sampled: SampledPlant, controller: AdmittanceController, approach: Approach, time_s: float, place: ForcePlace
 ) -> Gradient:
-    """Differentiate the force [N] at `time_s` after the impact, F_e or −F, of a payload that has not left since.
+    """Differentiate the force [N] at `time_s` after the impact, F_e or at the sensor −F; the payload stays until then.
 
     Between the ticks by the parabola through the three next to it. Whether the payload left is the caller's to know:
     compare the value with the simulation's.
@@ -53,7 +55,7 @@ def peak_gradient(
     moment = time_s / sampled.sample_time_s
     first = max(round(moment) - 1, 0)
     length = -(-(first + 3) // _LENGTHS) * _LENGTHS
-    forces = _forces(Structure.like(sampled, controller), approach, length, at_sensor)
+    forces = _forces(Structure.like(sampled, controller), approach, length, place)
     value, gradients = forces(*arguments_of(sampled, controller))
     # Lagrange's weights of the three ticks.
     u = moment - first
@@ -64,19 +66,22 @@ def peak_gradient(
     )
 
 
-def contact_peak_gradient(design: StableDesign, scenario: int, *, at_sensor: bool) -> Gradient | None:
+def contact_peak_gradient(design: StableDesign, scenario: int, place: ForcePlace) -> Gradient | None:
     """Differentiate the peak force [N] of one scenario's contact.
 
     None where it comes too late to be unrolled to, or where the payload has left before.
     """
     pair, approach = design.prepared.pairs[scenario], design.prepared.approach
     run = transient_from(pair, design.controller, approach)
-    moment = run.time_of_sensor_peak_s if at_sensor else run.time_of_peak_s
+    moment, value = (
+        (run.time_of_sensor_peak_s, run.peak_sensor_force_n)
+        if place == "sensor"
+        else (run.time_of_peak_s, run.peak_contact_force_n)
+    )
     # A force that has crept so long is nearly at rest; unrolled that far, its derivative costs a hundred simulations.
     if moment > _LATEST_TICK * design.prepared.sample_time_s:
         return None
-    found = peak_gradient(pair.contact, design.controller, approach, moment, at_sensor=at_sensor)
-    value = run.peak_sensor_force_n if at_sensor else run.peak_contact_force_n
+    found = peak_gradient(pair.contact, design.controller, approach, moment, place)
     return replace(found, value=value) if abs(found.value - value) <= _AGREES * value else None
 
 
@@ -285,7 +290,7 @@ def _loop(structure: Structure) -> Any:
 
 
 @lru_cache(maxsize=8)
-def _forces(structure: Structure, approach: Approach, samples: int, at_sensor: bool) -> Any:
+def _forces(structure: Structure, approach: Approach, samples: int, place: ForcePlace) -> Any:
     whole = build_contact_forces(structure, approach, samples)
-    name = "sensor_force" if at_sensor else "contact_force"
+    name = f"{place}_force"
     return whole.factory("gradients_forces", whole.name_in(), [name, f"jac:{name}:controller"])

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from ..model.controller import (
     check_feedback_damping,
 )
 from ..model.plant import Plant
+from .objectives import CONTACT_FORCE, Objective, PeakObjective
 from .requirements import AdmittanceTarget, NoiseLimit, PassivityTarget, Requirements
 from .uncertainty import SYMBOLS, PlantSet, Scenario
 
@@ -28,12 +29,9 @@ __all__ = [
     "AdmittanceTarget",
     "DesignProblem",
     "NoiseLimit",
-    "Objective",
     "PassivityTarget",
     "Requirements",
 ]
-
-Objective = Literal["contact_force", "sensor_force"]
 
 # The variables that are always free, in the order of the design vector. The bounds hold the paper's cells (10..20 kg,
 # 550..2000 N s/m, 0..0.025 s, 0..0.0075 s) and little more on the side of small mass and large lead: K_l/M_a is what
@@ -60,7 +58,7 @@ class DesignProblem:
     approach: Approach = field(default_factory=lambda: Approach(force_n=30.0))
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     requirements: Requirements = field(default_factory=Requirements)
-    objective: Objective = "contact_force"
+    objective: Objective = CONTACT_FORCE
     velocity_filter_rad_per_s: float = PAPER_VELOCITY_FILTER_RAD_PER_S
 
     def __post_init__(self) -> None:
@@ -68,7 +66,15 @@ class DesignProblem:
         object.__setattr__(self, "sample_time_s", positive("sample_time_s", self.sample_time_s))
         for requirement, asked in self.requirements.of("loop", "robot", "contact"):
             requirement.check_sampling(asked, self.sample_time_s)
+        self._check_prices()
         self._check_plants()
+
+    def _check_prices(self) -> None:
+        """Refuse prices in newtons beside an objective that is no force."""
+        prices = self.requirements.soft_n
+        if prices and not isinstance(self.objective, PeakObjective):
+            must = f"left out: these are newtons of peak force, and the objective is {self.objective.name}"
+            raise ParameterError("soft_n", dict(prices), must)
 
     def _check_bounds(self) -> None:
         unknown = sorted(set(self.bounds) - {*VARIABLES, *FURTHER_VARIABLES})
@@ -152,7 +158,12 @@ class DesignProblem:
     def __str__(self) -> str:
         """Return the problem as a table for people: what is free, what is uncertain, what is asked."""
         asked = self.requirements
-        lines = [("minimise", f"the peak {self.objective.replace('_', ' ')}, worst over the whole uncertainty")]
+        lines = [
+            (
+                self.objective.direction.replace("ize", "ise"),
+                f"the {self.objective.title}, worst over the whole uncertainty",
+            )
+        ]
         approach = self.approach
         words = f"{approach.speed_m_s:g} m/s" if approach.force_n is None else f"{approach.force_n:g} N"
         lines.append(("approach", words))

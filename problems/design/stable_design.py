@@ -163,7 +163,9 @@ class StableDesign:
         return self._loops[plant]
 
     def peak(self, scenario: int) -> Peak:
-        """Return the simulated contact of one scenario."""
+        """Return the contact of one scenario: the one that was given, else the simulated one."""
+        if self._given is not None:
+            return self._given[scenario]
         if scenario not in self._peaks:
             run = transient_from(self.prepared.pairs[scenario], self.controller, self.prepared.approach)
             self._peaks[scenario] = Peak(

@@ -133,7 +133,7 @@ def test_drawn_problems_are_the_same_again_and_differ() -> None:
     assert 1.0 <= min(samples) + 1e-9 < max(samples) <= 5.0 + 1e-9
     assert {*whole} == {True, False}
     assert {each.plants.nominal.robot.order for each in drawn} == {1, 2}
-    assert {each.objective for each in drawn} == {"contact_force", "sensor_force"}
+    assert {each.objective.name for each in drawn} == {"contact_force", "sensor_force"}
     assert {each.approach.force_n is None for each in drawn} == {True, False}
 
 

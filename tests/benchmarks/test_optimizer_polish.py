@@ -16,7 +16,7 @@ def test_two_solvers_and_one_answer() -> None:
     theirs = polish_by_ipopt(screen, solved().design)
     values = screen.evaluate(np.array([ours, theirs]), peaks_if_missed=True)
     # Both stop where a step changes the peak by some 1e-8 of it.
-    assert values.objective_n[1] == pytest.approx(values.objective_n[0], rel=1e-6)
+    assert values.cost[1] == pytest.approx(values.cost[0], rel=1e-6)
     assert float(np.max(values.violation)) == 0.0
     # The optimum is flat along the limits: there 1e-6 of the peak are some 1e-3 of the gains.
     assert theirs == pytest.approx(ours, rel=5e-3)

@@ -1,29 +1,31 @@
 """How freely the robot moves in free space: the least admittance, and the force of a hand per speed."""
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
-from ...model.controller import AdmittanceController
 from ...model.response import hand_admittance
-from ..evaluation import Evaluation
-from ..problem import DesignProblem
-from ..requirements import band_frequencies, smallest_admittance
-from .base import Direction, Objective, admittance_band_hz, free_plants
+from ..requirements import AdmittanceRequirement, AdmittanceTarget, Requirement, Requirements, band_frequencies
+from ..stable_design import PreparedPlants, StableDesign
+from ..uncertainty import Scenario
+from .base import BatchColumn, Direction, Objective, RequirementObjective
+
+_ADMITTANCE = AdmittanceRequirement()
 
 
-class Admittance(Objective):
+class Admittance(RequirementObjective):
     """The least free-space admittance min |G(j2πf)| over the band of the problem's target (MODEL.md)."""
 
     name: ClassVar[str] = "admittance"
+    title: ClassVar[str] = "least free-space admittance"
     unit: ClassVar[str] = "m/s/N"
     rotational_unit: ClassVar[str | None] = "rad/s/(N·m)"
     direction: ClassVar[Direction] = "maximize"
+    batch_column: ClassVar[BatchColumn | None] = "admittance"
 
-    def __call__(self, controller: AdmittanceController, problem: DesignProblem, evaluation: Evaluation) -> float:
-        """Return min |G|; the payload does not enter G, so one plant of each robot will do."""
-        by_robot = {free.plant.port: free for free in free_plants(problem, evaluation)}
-        return min(smallest_admittance(free, controller, admittance_band_hz(problem)) for free in by_robot.values())
+    def limited(self, asked: Requirements) -> tuple[Requirement[Any], Any]:
+        """Return the requirement with the band of the problem's target; the payload does not enter G."""
+        return _ADMITTANCE, admittance_target(asked)
 
 
 class HandForce(Objective):
@@ -34,12 +36,26 @@ class HandForce(Objective):
     """
 
     name: ClassVar[str] = "hand_force"
+    title: ClassVar[str] = "hand force per speed"
     unit: ClassVar[str] = "N/(m/s)"
     rotational_unit: ClassVar[str | None] = "N·m/(rad/s)"
     direction: ClassVar[Direction] = "minimize"
 
-    def __call__(self, controller: AdmittanceController, problem: DesignProblem, evaluation: Evaluation) -> float:
-        """Return max 1/|V_p/F_h|."""
-        omega = band_frequencies(problem.plants.nominal.robot, admittance_band_hz(problem))
-        responses = [hand_admittance(free, controller, omega) for free in free_plants(problem, evaluation)]
-        return max(float(np.max(1.0 / np.abs(response))) for response in responses)
+    def count(self, prepared: PreparedPlants) -> int:
+        """Return the number of different plants in free space."""
+        return len(prepared.free_of)
+
+    def achieved(self, asked: Requirements, design: StableDesign, row: int) -> float:
+        """Return max 1/|V_p/F_h| of one plant in free space."""
+        free = design.prepared.free[row]
+        omega = band_frequencies(free.plant.robot, admittance_target(asked).band_hz)
+        return float(np.max(1.0 / np.abs(hand_admittance(free, design.controller, omega))))
+
+    def scenario(self, prepared: PreparedPlants, row: int) -> Scenario:
+        """Return the scenario that the plant belongs to."""
+        return prepared.free_of[row]
+
+
+def admittance_target(asked: Requirements) -> AdmittanceTarget:
+    """Return the problem's admittance target, the default one if it has none: what is looked at is its band."""
+    return asked.free_space_admittance or AdmittanceTarget()

@@ -6,19 +6,21 @@ from ...frozen import FrozenDict
 from .admittance import Admittance, HandForce
 from .base import Objective
 from .command_noise import CommandNoise
-from .peak_force import PeakForce
+from .peak_force import ContactForce, PeakForce, SensorForce
 from .robustness import Robustness
 
-BUILT_IN: Mapping[str, type[Objective]] = FrozenDict(
+BUILT_IN: Mapping[str, Objective] = FrozenDict(
     {
         each.name: each
         for each in (
-            PeakForce,
-            Admittance,
-            HandForce,
-            CommandNoise,
-            Robustness,
+            ContactForce(),
+            SensorForce(),
+            PeakForce(),
+            Admittance(),
+            HandForce(),
+            CommandNoise(),
+            Robustness(),
         )
     }
 )
-"""All objectives of this package by name; each is made anew for every front."""
+"""All objectives of this package by name: of `objective` in problem.yaml, and of fronts."""

@@ -30,7 +30,7 @@ class PeakForceLimit(Requirement[float]):
         from ..gradients import contact_peak_gradient  # noqa: PLC0415 - CasADi takes a second to import
 
         del asked
-        return contact_peak_gradient(design, row, at_sensor=False)
+        return contact_peak_gradient(design, row, "contact")
 
     def scenario(self, prepared: PreparedPlants, row: int) -> Scenario:
         """Return the scenario."""

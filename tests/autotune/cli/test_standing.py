@@ -19,27 +19,27 @@ def with_active(*active: ActiveConstraint) -> Optimized:
     ("entry", "said"),
     [
         (
-            ActiveConstraint(name="delay_margin_s", price_n=0.8),
+            ActiveConstraint(name="delay_margin_s", price=0.8),
             "delay_margin_s holds the peak up: easing it by 1 % saves 0.80 N, asking 1 % more costs as much",
         ),
         (
-            ActiveConstraint(name="upper bound of lead_s", price_n=0.25),
+            ActiveConstraint(name="upper bound of lead_s", price=0.25),
             "the upper bound of lead_s, 0.03, is active: 1 % wider saves 0.25 N; widen it, or accept",
         ),
         (
-            ActiveConstraint(name="lower bound of damping", price_n=0.0),
+            ActiveConstraint(name="lower bound of damping", price=0.0),
             "the lower bound of damping, 900, is active, and widening it saves nothing",
         ),
         (
-            ActiveConstraint(name="gain_margin_db", price_n=0.0),
+            ActiveConstraint(name="gain_margin_db", price=0.0),
             "gain_margin_db is active, easing it alone saves nothing",
         ),
         (
-            ActiveConstraint(name="phase_margin_deg", price_n=0.0049),
+            ActiveConstraint(name="phase_margin_deg", price=0.0049),
             "phase_margin_deg is active, easing it alone saves nothing",
         ),
         (
-            ActiveConstraint(name="modulus_margin", price_n=0.5, soft=True),
+            ActiveConstraint(name="modulus_margin", price=0.5, soft=True),
             "modulus_margin is wished, not required: wishing 1 % less saves 0.50 N of peak and price",
         ),
     ],
@@ -60,7 +60,7 @@ def test_with_wishes_the_gap_is_one_of_peak_and_price() -> None:
 def test_nothing_active_and_nothing_found_elsewhere() -> None:
     found = with_active()
     standing = found.optimality_reports["x"]
-    alone = replace(standing.reference, elsewhere_n=float("inf"), arrived=0)
+    alone = replace(standing.reference, elsewhere=float("inf"), arrived=0)
     lines = active_lines(replace(found, optimality_reports={"x": replace(standing, reference=alone)}), "x")
     assert lines[0] == "no requirement is active: the peak is the approach force itself"
     assert lines[-1].endswith("other designs, none of which met the requirements")

@@ -103,7 +103,7 @@ def test_the_cell_of_the_star_says_what_the_page_says(page: ExplorePage) -> None
         assert cell["bottom"] < lead < cell["top"]
         assert ("Meets every requirement" in page.verdict.text) == said.is_feasible == bool(np.isfinite(cell["peak"]))
         if said.is_feasible:
-            assert cell["peak"] == said.objective_n
+            assert cell["peak"] == said.cost
             low, high = page.figures.colours.low, page.figures.colours.high
             assert low is not None
             assert high is not None

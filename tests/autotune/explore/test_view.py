@@ -57,7 +57,7 @@ def test_requirements_are_judged_on_the_plants_around_and_the_one_that_is_looked
     said = build_scenarios(start.problem, ready.scenarios).evaluate(DESIGN, peaks_if_missed=True)
     view = compute_view(ready, DESIGN)
     assert dict(view.ratios) == dict(said.requirements)
-    assert view.evaluation.objective_n == said.objective_n
+    assert view.evaluation.cost == said.cost
 
 
 def test_a_plant_that_is_not_nominal_moves_the_plants_around() -> None:
@@ -91,7 +91,7 @@ def test_the_map_tells_of_each_design_what_an_evaluation_tells() -> None:
             assert found.is_stable[i, j] == said.is_stable
             assert found.is_feasible[i, j] == said.is_feasible
             if said.is_feasible:
-                assert found.peak_n[i, j] == pytest.approx(said.objective_n, rel=1e-9)
+                assert found.peak_n[i, j] == pytest.approx(said.cost, rel=1e-9)
 
 
 def test_a_window_lies_around_the_design_and_inside_the_bounds() -> None:

@@ -12,6 +12,7 @@ from autotune.formats.limits import LimitsSpec
 from autotune.formats.problem import ComplianceSpec, ProblemSpec, RotationalSpec, read_problem
 from autotune.formats.schema import load_schema
 from problems.contact.transient import Approach
+from problems.design.objectives import SensorForce
 from problems.design.problem import (
     FURTHER_VARIABLES,
     VARIABLES,
@@ -90,7 +91,7 @@ def test_everything_can_be_said(path: Path) -> None:
             max_peak_force_n=120.0,
             free_space_admittance=AdmittanceTarget(min_m_s_per_n=5e-4, band_hz=(0.2, 3.0)),
         ),
-        objective="sensor_force",
+        objective=SensorForce(),
     )
 
 

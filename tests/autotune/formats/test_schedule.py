@@ -24,6 +24,7 @@ from autotune.formats.schedule import (
     write_schedule,
 )
 from autotune.formats.yaml12 import dump_yaml, load_yaml
+from problems.design.objectives import CONTACT_FORCE
 from tests.autotune.formats.samples import make_controller
 
 LIGHT, HEAVY = (14.0, 18.0), (18.0, 18.0)
@@ -57,7 +58,7 @@ def make_schedule() -> Schedule:
         hull=ScheduleClass(payload_mass_kg=LIGHT),
         common=certified(LIGHT),
         common_refusal="",
-        objective="contact_force",
+        objective=CONTACT_FORCE,
     )
 
 

@@ -162,12 +162,12 @@ def test_the_page_says_what_was_asked_what_it_costs_and_how_the_search_came_ther
     found, page = fast_optimized(), controller_page()
     text = texts_of(page)
     for active in found.optimality_reports["x"].active:
-        if active.price_n > 0.01 and "bound" not in active.name:
-            assert f"{active.price_n:.2f} N" in text
+        if active.price > 0.01 and "bound" not in active.name:
+            assert f"{active.price:.2f} N" in text
     steps = found.searches["x"].steps
-    best = [step.best_n for step in steps if step.whole_n is None]
+    best = [step.best_cost for step in steps if step.whole_cost is None]
     assert best == sorted(best, reverse=True)
-    assert steps[-1].whole_n == pytest.approx(found.searches["x"].evaluation.objective_n)
+    assert steps[-1].whole_cost == pytest.approx(found.searches["x"].evaluation.cost)
     assert [step.evaluations for step in steps] == sorted(step.evaluations for step in steps)
     assert "modulus margin | 0.5 | " in text
 

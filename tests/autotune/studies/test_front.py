@@ -43,7 +43,7 @@ def every_controller() -> tuple[tuple[float, float], ...]:
         for lead in np.linspace(0.0, 0.7, 29):
             seen = prepared.evaluate(box.design(np.array([0.0, damping, lead, 0.0])))
             if seen.is_feasible:
-                found.append((seen.objective_n, target.min_m_s_per_n / seen.requirements["free_space_admittance"]))
+                found.append((seen.cost, target.min_m_s_per_n / seen.requirements["free_space_admittance"]))
     return tuple(found)
 
 

@@ -10,6 +10,7 @@ from autotune.tuning.optimize import Optimized, optimize
 from autotune.tuning.problems import DesignOptions
 from autotune.validation.axis_proof import ProofOptions
 from identification.result import CouplingEstimate, PayloadEstimate, RobotEstimate
+from problems.design.objectives import SensorForce
 from problems.design.problem import Requirements
 from tests.autotune.tuning.cases import identified_axis, identified_plant, known, known_vector
 
@@ -26,7 +27,7 @@ NOTHING_ASKED = Requirements(
 SPEC = ProblemSpec(
     bounds={name: (value, value) for name, value in GAINS.items()},
     requirements=NOTHING_ASKED,
-    objective="sensor_force",
+    objective=SensorForce(),
     uncertain={"drag_n_s_per_m": (100.0, 150.0)},
     collision_threshold_n=(2.0, 40.0),
 )

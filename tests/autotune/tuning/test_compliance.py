@@ -206,17 +206,17 @@ def tuned() -> Optimized:
 def ordinary(stiffness: float) -> float:
     """The least worst peak of the ordinary problem, searched from nowhere."""
     given = replace(SPEC, compliance=None, environment_stiffness_n_per_m=certified_range(stiffness, ASKED.tolerance))
-    return solve_design(build_problems(identified_plant(), given, ONE_MASS)["x"], seed=1).evaluation.objective_n
+    return solve_design(build_problems(identified_plant(), given, ONE_MASS)["x"], seed=1).evaluation.cost
 
 
 def test_the_table_is_what_ordinary_searches_find() -> None:
     for point in (tuned().compliance["x"].points[1], tuned().compliance["x"].points[-1]):
-        assert point.objective_n == pytest.approx(ordinary(point.stiffness_n_per_m), rel=SAME)
+        assert point.cost == pytest.approx(ordinary(point.stiffness_n_per_m), rel=SAME)
 
 
 @pytest.mark.parametrize("stiffness", [8.17e4, 9.05e4])
 def test_no_other_stiffness_beats_the_chosen_one(stiffness: float) -> None:
-    assert tuned().compliance["x"].chosen.objective_n <= (1.0 + SAME) * ordinary(stiffness)
+    assert tuned().compliance["x"].chosen.cost <= (1.0 + SAME) * ordinary(stiffness)
 
 
 def test_what_is_certified_is_an_ordinary_problem_over_the_tolerance(tmp_path: Path) -> None:
@@ -226,7 +226,7 @@ def test_what_is_certified_is_an_ordinary_problem_over_the_tolerance(tmp_path: P
     assert solved.plants.environment_stiffness_n_per_m == problem.plants.environment_stiffness_n_per_m
     assert solved.requirements == problem.requirements
     assert found.controller.certificate.domain["x"].environment_stiffness_n_per_m == (7.2e4, 8.8e4)
-    assert chosen.objective_n == found.searches["x"].evaluation.objective_n
+    assert chosen.cost == found.searches["x"].evaluation.cost
     write_controller(tmp_path / "controller.yaml", found.controller)
     read = read_controller(tmp_path / "controller.yaml").controller
     told = read.provenance["compliance"]["x"]

@@ -24,8 +24,8 @@ def test_it_comes_back_to_the_optimum_and_keeps_its_reserve() -> None:
         worst = max(float(value[0]) for value in found.requirements.values())
         # Steps along curved limits end within some 1e-6 of them.
         assert worst == pytest.approx(1.0 - reserve, abs=1e-5)
-        values[reserve] = float(found.objective_n[0])
-    assert values[0.0] == pytest.approx(solved().evaluation.objective_n, rel=1e-3)
+        values[reserve] = float(found.cost[0])
+    assert values[0.0] == pytest.approx(solved().evaluation.cost, rel=1e-3)
     assert values[1e-2] > values[0.0] * (1.0 + 1e-3)
 
 
@@ -70,7 +70,7 @@ def test_the_result_meets_the_conditions_to_many_digits() -> None:
     assert found.slack < 1e-5
     before, after = (solved().active.evaluate(d, peaks_if_missed=True) for d in (solved().design, polished))
     assert after.is_feasible
-    assert after.objective_n <= before.objective_n * (1.0 + 1e-6)
+    assert after.cost <= before.cost * (1.0 + 1e-6)
 
 
 @pytest.mark.parametrize("variable", [1, 2, 3])
@@ -80,7 +80,7 @@ def test_a_design_beside_the_optimum_comes_back(variable: int, share: float) -> 
     moved[variable] *= 1.0 + share
     polished = polish_exactly(screen(), moved, backoff={}, reserve=RESERVE)
     at_best = polish_exactly(screen(), solved().design, backoff={}, reserve=RESERVE)
-    peaks = [solved().active.evaluate(d, peaks_if_missed=True).objective_n for d in (polished, at_best)]
+    peaks = [solved().active.evaluate(d, peaks_if_missed=True).cost for d in (polished, at_best)]
     assert solved().active.evaluate(polished, peaks_if_missed=True).is_feasible
     assert peaks[0] == pytest.approx(peaks[1], rel=3e-5)
 

@@ -63,13 +63,13 @@ def test_the_tree_is_rounded_upwards_and_names_its_units(rotational: bool, unit:
     assert tree["kkt_residual"] >= found.optimality.relative_residual
     assert tree["unused_slack"] >= found.optimality.slack
     assert found.gap <= tree["gap"] <= max(1.1 * found.gap, 1e-5)
-    assert tree["gap_against"][f"least_{unit}"] == pytest.approx(found.reference.least_n, rel=1e-4)
+    assert tree["gap_against"][f"least_{unit}"] == pytest.approx(found.reference.least, rel=1e-4)
     assert {each["name"] for each in tree["active"]} == {each.name for each in found.active}
     assert all(f"price_{unit}_per_percent" in each for each in tree["active"])
 
 
 def test_nothing_found_elsewhere_is_told_as_nothing() -> None:
-    alone = replace(standing(), reference=replace(standing().reference, elsewhere_n=float("inf"), arrived=0))
+    alone = replace(standing(), reference=replace(standing().reference, elsewhere=float("inf"), arrived=0))
     assert optimality_tree(alone, rotational=False)["gap_against"]["from_elsewhere_n"] is None
 
 
@@ -90,36 +90,36 @@ def test_descents_from_elsewhere_end_at_the_search_s_own_optimum() -> None:
     found, reference = solved(), find_reference(solved())
     assert reference.arrived >= 1
     # Less is asked: nothing in reserve, fewer scenarios. That is worth less than the search's own tolerance of 1e-3.
-    assert reference.least_n <= found.evaluation.objective_n
-    assert reference.gap(found.evaluation.objective_n) < 1e-3
-    assert reference.elsewhere_n == pytest.approx(reference.from_here_n, rel=1e-4)
+    assert reference.least <= found.evaluation.cost
+    assert reference.gap(found.evaluation.cost) < 1e-3
+    assert reference.elsewhere == pytest.approx(reference.from_here, rel=1e-4)
     assert reference == find_reference(solved())
 
 
 def test_a_design_that_is_not_the_best_has_the_gap_that_it_was_given() -> None:
     worse = moved(0.05)
-    given = worse.evaluation.objective_n / solved().evaluation.objective_n - 1.0
+    given = worse.evaluation.cost / solved().evaluation.cost - 1.0
     assert given > 5e-3
     reference = find_reference(worse)
-    assert reference.gap(worse.evaluation.objective_n) == pytest.approx(given, abs=1e-3)
+    assert reference.gap(worse.evaluation.cost) == pytest.approx(given, abs=1e-3)
     # Where the design stands does not matter to what is found elsewhere.
-    assert reference.elsewhere_n == find_reference(solved()).elsewhere_n
+    assert reference.elsewhere == find_reference(solved()).elsewhere
 
 
 def test_without_anything_from_elsewhere_the_descent_from_here_is_the_reference() -> None:
-    alone = Reference(elsewhere_n=math.inf, from_here_n=50.0, designs=128, descents=4, arrived=0, scenarios=3)
+    alone = Reference(elsewhere=math.inf, from_here=50.0, designs=128, descents=4, arrived=0, scenarios=3)
     assert alone.gap(50.5) == pytest.approx(0.01)
     assert alone.gap(49.0) == 0.0
 
 
 def explained() -> tuple[ActiveConstraint, ...]:
     found = solved()
-    return active_constraints(found.problem, found.evaluation.objective_n, check_optimality(found.active, found.design))
+    return active_constraints(found.problem, found.evaluation.cost, check_optimality(found.active, found.design))
 
 
 def test_the_active_requirements_are_told_dearest_first() -> None:
     active = explained()
-    assert [a.price_n for a in active] == sorted((a.price_n for a in active), reverse=True)
+    assert [a.price for a in active] == sorted((a.price for a in active), reverse=True)
     tight = {name for name, value in solved().evaluation.requirements.items() if value > 0.999}
     assert tight
     assert tight <= {a.name for a in active}
@@ -130,11 +130,11 @@ def test_the_active_requirements_are_told_dearest_first() -> None:
 def test_easing_the_dearest_requirement_and_solving_anew_saves_its_price() -> None:
     found = solved()
     dearest = next(a for a in explained() if "bound" not in a.name)
-    assert dearest.price_n > 0.1
+    assert dearest.price > 0.1
     eased = solve_design(relaxed(found.problem, dearest.name, 0.01))
-    saved = found.evaluation.objective_n - eased.evaluation.objective_n
+    saved = found.evaluation.cost - eased.evaluation.cost
     # Both objectives are polished to about 1e-3 of the peak by way of their margins: 0.05 N of 55 N.
-    assert saved == pytest.approx(dearest.price_n, abs=0.06)
+    assert saved == pytest.approx(dearest.price, abs=0.06)
 
 
 @pytest.mark.parametrize(

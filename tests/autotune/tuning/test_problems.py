@@ -12,6 +12,7 @@ from autotune.tuning.problems import DesignOptions, build_problems, is_identifie
 from identification.errors import EstimateError
 from identification.result import CONTACT_UNEXPLAINED, AxisEstimate, Estimate, Finding, Identified, Status
 from problems.contact.transient import Approach
+from problems.design.objectives import SensorForce
 from problems.design.problem import DEFAULT_BOUNDS, NoiseLimit, Requirements
 from tests.autotune.tuning.cases import absent, identified_axis, identified_plant, known, known_vector, with_axis
 
@@ -112,14 +113,14 @@ def test_the_problem_file_sets_the_rest() -> None:
         bounds={"mass": (6.0, 9.0)},
         approach=Approach(speed_m_s=0.02),
         requirements=Requirements(modulus_margin=0.4),
-        objective="sensor_force",
+        objective=SensorForce(),
     )
     problem = build_problems(identified_plant(), spec, NOTHING)["x"]
     assert problem.bounds["mass"] == (6.0, 9.0)
     assert problem.bounds["damping"] == DEFAULT_BOUNDS["damping"]
     assert problem.approach.speed_m_s == 0.02
     assert problem.requirements.modulus_margin == 0.4
-    assert problem.objective == "sensor_force"
+    assert problem.objective == SensorForce()
 
 
 def test_a_damping_that_noise_made_negative_is_none() -> None:

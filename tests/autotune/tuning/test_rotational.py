@@ -158,14 +158,14 @@ def test_the_design_of_a_straight_axis_does_the_same_through_the_lever() -> None
     # The matrices differ by factors that are no powers of two; margins are searched to 1e-9 or so.
     assert other.spectral_radius == pytest.approx(one.spectral_radius, rel=1e-9)
     assert dict(other.requirements) == pytest.approx(dict(one.requirements), rel=1e-6)
-    assert other.objective_n == pytest.approx(one.objective_n * LEVER_M, rel=1e-6)
+    assert other.cost == pytest.approx(one.cost * LEVER_M, rel=1e-6)
 
 
 def test_both_axes_are_tuned_in_one_call_to_the_same_optimum() -> None:
     found = both_optimized()
     x, ry = found.searches["x"], found.searches["ry"]
     # Both stop within the search's own tolerance of the optimum, which is 1e-3 in the worst peak.
-    assert ry.evaluation.objective_n == pytest.approx(x.evaluation.objective_n * LEVER_M, rel=2e-3)
+    assert ry.evaluation.cost == pytest.approx(x.evaluation.cost * LEVER_M, rel=2e-3)
     assert [name for name, gains in found.controller.axes.items() if gains.deadband == 1.0] == ["ry"]
     assert found.report.passed
     assert {check.name for check in found.report.checks if check.axis == "x"} - {

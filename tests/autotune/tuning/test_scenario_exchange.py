@@ -25,11 +25,11 @@ def test_the_nominal_design_misses_somewhere_and_the_robust_one_nowhere() -> Non
     prepared = build_scenarios(problem, draws)
     seen = prepared.evaluate_exactly(problem.controller(robust.design)).evaluation
     assert {name: value for name, value in seen.requirements.items() if value > 1.0 + BETWEEN} == {}
-    assert seen.objective_n <= robust.evaluation.objective_n * (1.0 + 2e-3)
+    assert seen.cost <= robust.evaluation.cost * (1.0 + 2e-3)
     flattered = prepared.evaluate_exactly(problem.controller(nominal.design)).evaluation
     assert max(flattered.requirements.values()) > 1.0 + 10.0 * BETWEEN
     # Safety costs: the same plants, more to hold.
-    assert robust.evaluation.objective_n > nominal.evaluation.objective_n
+    assert robust.evaluation.cost > nominal.evaluation.cost
 
 
 def test_the_local_search_finds_what_lies_between_the_scenarios() -> None:
@@ -40,7 +40,7 @@ def test_the_local_search_finds_what_lies_between_the_scenarios() -> None:
     others = build_scenarios(problem, problem.plants.samples(256, seed=99)).evaluate_exactly(law).evaluation
     for name in ("modulus_margin", "free_space_admittance"):
         assert found.requirements[name] >= others.requirements[name] * (1.0 - 1e-3)
-    assert found.objective_n >= others.objective_n * (1.0 - 1e-3)
+    assert found.cost >= others.cost * (1.0 - 1e-3)
 
 
 def test_the_whole_set_is_the_grid_alone_where_nothing_else_is_uncertain() -> None:

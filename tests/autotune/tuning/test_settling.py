@@ -42,7 +42,7 @@ def test_the_best_design_bounces_and_the_search_goes_on_to_one_that_does_not() -
     assert refuted.value.scenario == PLANT
     settled = settle("x", first, ProofOptions(), seed=0)
     assert settled.counterexamples.impacts
-    assert settled.search.evaluation.objective_n > first.evaluation.objective_n
+    assert settled.search.evaluation.cost > first.evaluation.cost
     assert settled.search.evaluation.is_feasible
     assert 0.03 < settled.search.design[2] < BOUNCY.lead_s
     found = bouncing.search_bouncing(
@@ -101,11 +101,13 @@ def test_a_gap_to_the_reference_is_searched_again_from_there() -> None:
     worse = replace(
         best,
         design=best.design * np.array([1.0, 1.0, 0.9, 1.0]),
-        evaluation=replace(best.evaluation, objective_n=1.02 * best.evaluation.objective_n),
+        evaluation=replace(
+            best.evaluation, objective=tuple(replace(row, cost=1.02 * row.cost) for row in best.evaluation.objective)
+        ),
     )
     settled = settle("x", worse, ProofOptions(), seed=0)
     # The search's own tolerance: six digits of each variable.
-    assert settled.search.evaluation.objective_n == pytest.approx(best.evaluation.objective_n, rel=1e-4)
+    assert settled.search.evaluation.cost == pytest.approx(best.evaluation.cost, rel=1e-4)
     assert settled.optimality.gap < 1e-3
 
 

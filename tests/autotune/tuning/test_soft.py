@@ -30,10 +30,10 @@ def without() -> SearchResult:
 
 def test_a_price_lies_between_leaving_it_out_and_insisting_on_it() -> None:
     """Least of peak + price · miss is no more than either end, and grows with the price."""
-    objectives = [at_price(price).evaluation.objective_n for price in PRICES]
+    objectives = [at_price(price).evaluation.cost for price in PRICES]
     assert objectives == sorted(objectives)
-    assert without().evaluation.objective_n * (1.0 - SAME) <= objectives[0]
-    assert objectives[-1] <= solved().evaluation.objective_n * (1.0 + SAME)
+    assert without().evaluation.cost * (1.0 - SAME) <= objectives[0]
+    assert objectives[-1] <= solved().evaluation.cost * (1.0 + SAME)
     missed = [at_price(price).evaluation.soft["modulus_margin"] for price in PRICES]
     assert missed == sorted(missed, reverse=True)
     assert missed[0] > 1.05
@@ -42,7 +42,7 @@ def test_a_price_lies_between_leaving_it_out_and_insisting_on_it() -> None:
 def test_a_price_that_nobody_would_pay_is_a_requirement() -> None:
     found = at_price(PRICES[-1]).evaluation
     assert found.soft["modulus_margin"] < 1.001
-    assert found.peak_n == pytest.approx(solved().evaluation.objective_n, rel=5e-3)
+    assert found.objective_cost == pytest.approx(solved().evaluation.cost, rel=5e-3)
 
 
 @pytest.mark.parametrize("price", PRICES)
@@ -53,7 +53,7 @@ def test_the_result_meets_the_conditions_with_the_price_in_them(price: float) ->
     ratio = found.evaluation.soft["modulus_margin"]
     if ratio > 1.01:
         # What is missed is paid for in full: by the chain rule p·r per share, beside the peak.
-        paid = price * ratio / found.evaluation.peak_n
+        paid = price * ratio / found.evaluation.objective_cost
         assert optimality.multipliers["modulus_margin"] == pytest.approx(paid, rel=2e-3)
         moved = found.design.copy()
         # Less damping moves more freely than is asked: that limit lets go, and nothing balances.
@@ -65,13 +65,15 @@ def test_the_price_of_a_wish_is_what_solving_again_for_less_saves() -> None:
     found = at_price(PRICES[0])
     optimality = check_optimality(found.active, found.design)
     active = next(
-        a for a in active_constraints(found.problem, found.evaluation.peak_n, optimality) if a.name == "modulus_margin"
+        a
+        for a in active_constraints(found.problem, found.evaluation.objective_cost, optimality)
+        if a.name == "modulus_margin"
     )
     assert active.soft
     again = solve_design(relaxed(found.problem, "modulus_margin", 0.01), start=found.design)
-    saved = found.evaluation.objective_n - again.evaluation.objective_n
+    saved = found.evaluation.cost - again.evaluation.cost
     # One percent of second order beside the first.
-    assert active.price_n == pytest.approx(saved, rel=0.05, abs=2e-3)
+    assert active.price == pytest.approx(saved, rel=0.05, abs=2e-3)
 
 
 def test_everything_may_be_wished() -> None:
@@ -90,7 +92,7 @@ def test_everything_may_be_wished() -> None:
     assert found.evaluation.is_stable
     assert found.evaluation.requirements == {}
     assert min(found.evaluation.soft[name] for name in ("modulus_margin", "passivity", "command_noise")) > 1.0
-    assert np.isfinite(found.evaluation.objective_n)
+    assert np.isfinite(found.evaluation.cost)
 
 
 @pytest.mark.parametrize(
@@ -106,7 +108,7 @@ def test_noise_and_passivity_are_held_and_cost_peak(asked: Requirements) -> None
     found = solve_design(design_problem(requirements=asked))
     assert found.evaluation.is_feasible
     assert found.evaluation.requirements[name] > 0.999
-    assert found.evaluation.objective_n > solved().evaluation.objective_n * 1.005
+    assert found.evaluation.cost > solved().evaluation.cost * 1.005
     optimality = check_optimality(found.active, found.design)
     assert optimality.relative_residual < 1e-3
     assert optimality.multipliers[name] > 0.1

@@ -20,6 +20,7 @@ from autotune.tuning.threshold import (
 )
 from problems.contact.nonlinear_simulation import NonlinearRun, simulate_nonlinear
 from problems.contact.nonlinearities import Collision, Deadband, Nonlinearities
+from problems.design.objectives import SensorForce
 from problems.design.uncertainty import Scenario
 from tests.autotune.tuning.cases import fast_optimized, identified_plant
 from tests.autotune.tuning.responding import SPEC, responding
@@ -181,7 +182,7 @@ def test_bounds_below_free_motion_and_axes_that_only_turn_are_refused() -> None:
 def test_of_several_axes_the_straight_ones_are_watched_together() -> None:
     found, search = responding(), responding().searches["x"]
     alike, choice = choose_threshold(on_axes("x", "y", "ry"), dict.fromkeys(("x", "y", "ry"), search), WIDE)
-    assert choice.tree("sensor_force") == found.controller.provenance["collision"]
+    assert choice.tree(SensorForce()) == found.controller.provenance["collision"]
     told = found.controller.predicted["x"].with_collision_response
     assert [alike.predicted[name].with_collision_response for name in ("x", "y", "ry")] == [told, told, ()]
 

@@ -56,9 +56,7 @@ def test_the_worst_cases_are_written_with_all_their_parameters() -> None:
     assert any(set(case) > {"environment_stiffness_n_per_m", "payload_mass_kg"} for case in _worst(controller))
     worst = max(controller.predicted["x"].scenarios, key=lambda s: s.peak_contact_force_n)
     assert set(worst.further or {}) <= set(FURTHER)
-    assert worst.peak_contact_force_n == pytest.approx(
-        uncertain_optimized().searches["x"].evaluation.objective_n, rel=1e-9
-    )
+    assert worst.peak_contact_force_n == pytest.approx(uncertain_optimized().searches["x"].evaluation.cost, rel=1e-9)
     assert controller.delay_samples == pytest.approx(2.6e-3 / 8e-4)
 
 

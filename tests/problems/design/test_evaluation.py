@@ -13,6 +13,7 @@ from problems.design.evaluation import (
     PreparedScenarios,
     build_scenarios,
 )
+from problems.design.objectives import BUILT_IN
 from problems.design.problem import AdmittanceTarget, DesignProblem, NoiseLimit, PassivityTarget, Requirements
 from problems.design.requirements import LoopRequirement, smallest_admittance
 from problems.design.stable_design import StableDesign, StableLoop
@@ -193,7 +194,7 @@ def test_an_evaluation_has_the_requirements_of_the_margins_plant_by_plant(
     assert {name: exact.requirements[name] for name in worst} == worst
     assert [peak.scenario for peak in fast.peaks] == list(ready.scenarios)
     assert fast.peaks == exact.peaks
-    assert fast.objective_n == exact.objective_n
+    assert fast.cost == exact.cost
     assert fast.is_feasible
     assert exact.is_feasible
 
@@ -209,17 +210,17 @@ def test_the_peaks_are_those_of_a_single_simulation() -> None:
         assert peak.time_of_peak_s == run.time_of_peak_s
 
 
-@pytest.mark.parametrize(("objective", "name"), [("contact_force", "contact"), ("sensor_force", "sensor")])
-def test_the_objective_is_the_worst_peak_of_the_force_that_was_asked(objective: str, name: str) -> None:
-    found = prepared(objective=objective).evaluate(GOOD)
-    assert found.objective_n == max(getattr(peak, f"peak_{name}_force_n") for peak in found.peaks)
+@pytest.mark.parametrize("name", ["contact", "sensor"])
+def test_the_objective_is_the_worst_peak_of_the_force_that_was_asked(name: str) -> None:
+    found = prepared(objective=BUILT_IN[f"{name}_force"]).evaluate(GOOD)
+    assert found.cost == max(getattr(peak, f"peak_{name}_force_n") for peak in found.peaks)
 
 
 def test_an_unstable_design_has_neither_peaks_nor_requirements() -> None:
     ready = prepared()
     found = ready.evaluate(UNSTABLE)
     assert found.spectral_radius > 1.0
-    assert (dict(found.requirements), found.peaks, found.objective_n) == ({}, (), math.inf)
+    assert (dict(found.requirements), found.peaks, found.cost) == ({}, (), math.inf)
     assert (found.is_stable, found.is_feasible, found.violation) == (False, False, math.inf)
     with pytest.raises(UnstableLoopError):
         ready.evaluate_exactly(ready.problem.controller(UNSTABLE))
@@ -261,12 +262,12 @@ def test_a_missed_margin_gives_no_peak_unless_it_is_asked_for() -> None:
     assert found.is_stable
     assert not found.is_feasible
     assert found.violation == max(found.requirements.values()) - 1.0 > 0.0
-    assert (found.peaks, found.objective_n) == ((), math.inf)
+    assert (found.peaks, found.cost) == ((), math.inf)
     asked = ready.evaluate(GOOD, peaks_if_missed=True)
     assert asked.requirements == found.requirements
     assert not asked.is_feasible
     # The peaks do not depend on what is required.
-    assert asked.objective_n == prepared().evaluate(GOOD).objective_n
+    assert asked.cost == prepared().evaluate(GOOD).cost
     assert ready.evaluate(UNSTABLE, peaks_if_missed=True).peaks == ()
 
 
@@ -277,29 +278,27 @@ def test_a_limit_on_the_peak_is_a_requirement(limit: float, feasible: bool) -> N
         modulus_margin=0.4,
         gain_margin_db=4.0,
         phase_margin_deg=25.0,
-        max_peak_force_n=limit * unlimited.objective_n,
+        max_peak_force_n=limit * unlimited.cost,
         free_space_admittance=None,
     )
     found = prepared(requirements=asked).evaluate(GOOD)
     # One product and one quotient.
     assert found.requirements["max_peak_force_n"] == pytest.approx(1.0 / limit, rel=1e-14)
     assert found.is_feasible is feasible
-    assert found.objective_n == unlimited.objective_n
+    assert found.cost == unlimited.cost
 
 
 def test_more_scenarios_are_never_better() -> None:
     asked = problem()
     few, many = (build_scenarios(asked, asked.scenarios(n, n)).evaluate(GOOD) for n in (2, 3))
     # The ends and the middle of the finer grid contain the coarser one.
-    assert many.objective_n >= few.objective_n
+    assert many.cost >= few.cost
     assert all(many.requirements[name] >= value * (1.0 - 1e-12) for name, value in few.requirements.items())
 
 
 def test_violation_is_the_excess_of_the_worst_requirement() -> None:
     base = prepared().evaluate(GOOD)
-    missed = Evaluation(
-        controller=base.controller, spectral_radius=0.9, requirements={"a": 0.5, "b": 1.25}, peaks=(), objective_n=1.0
-    )
+    missed = Evaluation(controller=base.controller, spectral_radius=0.9, requirements={"a": 0.5, "b": 1.25}, peaks=())
     assert missed.violation == 0.25
 
 
@@ -342,9 +341,9 @@ def test_a_soft_requirement_decides_nothing_and_costs_its_share() -> None:
     assert not missed.is_feasible
     assert found.is_feasible
     assert found.soft == {"modulus_margin": missed.requirements["modulus_margin"]}
-    assert found.peak_n == pytest.approx(missed.objective_n, rel=1e-14)
+    assert found.objective_cost == pytest.approx(missed.cost, rel=1e-14)
     assert found.penalty_n == pytest.approx(20.0 * (missed.requirements["modulus_margin"] - 1.0), rel=1e-14)
-    assert found.objective_n == pytest.approx(found.peak_n + found.penalty_n, rel=1e-14)
+    assert found.cost == pytest.approx(found.objective_cost + found.penalty_n, rel=1e-14)
 
 
 def test_a_soft_requirement_that_is_met_costs_nothing() -> None:
@@ -352,13 +351,13 @@ def test_a_soft_requirement_that_is_met_costs_nothing() -> None:
     found = ready.evaluate(GOOD)
     assert found.requirements == {}
     assert set(found.soft) == set(EASY.asked())
-    assert (found.penalty_n, found.objective_n) == (0.0, found.peak_n)
+    assert (found.penalty_n, found.cost) == (0.0, found.objective_cost)
 
 
 def test_stability_is_never_soft() -> None:
     ready = prepared(requirements=replace(EASY, soft_n=dict.fromkeys(EASY.asked(), 1.0)))
     assert not ready.evaluate(UNSTABLE).is_feasible
-    assert ready.evaluate(UNSTABLE).objective_n == math.inf
+    assert ready.evaluate(UNSTABLE).cost == math.inf
 
 
 def test_two_halves_of_a_set_cost_what_the_whole_does() -> None:
@@ -373,6 +372,6 @@ def test_two_halves_of_a_set_cost_what_the_whole_does() -> None:
     parts = [build_scenarios(asked, part).evaluate_exactly(law) for part in (scenarios[:3], scenarios[3:])]
     whole = build_scenarios(asked, scenarios).evaluate_exactly(law).evaluation
     both = parts[0].together_with(parts[1]).evaluation
-    assert both.objective_n == pytest.approx(whole.objective_n, rel=1e-12)
+    assert both.cost == pytest.approx(whole.cost, rel=1e-12)
     assert dict(both.soft) == pytest.approx(dict(whole.soft), rel=1e-12)
     assert both.penalty_n == pytest.approx(whole.penalty_n, rel=1e-12)

@@ -124,9 +124,9 @@ def test_admittance(controller: AdmittanceController, band_hz: tuple[float, floa
 def test_peaks(controller: AdmittanceController, stiffness: float, approach: Approach) -> None:
     pair = build_sampled_contact(sampled(stiffness))
     run = simulate_contact(pair, controller, approach)
-    at_sensor = peak_gradient(pair.contact, controller, approach, run.time_of_sensor_peak_s, at_sensor=True)
+    at_sensor = peak_gradient(pair.contact, controller, approach, run.time_of_sensor_peak_s, "sensor")
     agree(at_sensor, lambda c: simulate_contact(pair, c, approach).peak_sensor_force_n, controller)
-    inside = peak_gradient(pair.contact, controller, approach, run.time_of_peak_s, at_sensor=False)
+    inside = peak_gradient(pair.contact, controller, approach, run.time_of_peak_s, "contact")
     assert inside.value == pytest.approx(run.peak_contact_force_n, rel=2e-3)
     sizes = np.array([max(getattr(controller, name), 1e-2) for name in NAMES])
     expected = sizes * differences(lambda c: simulate_contact(pair, c, approach).peak_contact_force_n, controller)

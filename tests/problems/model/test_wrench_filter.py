@@ -163,8 +163,8 @@ SLOPES: dict[str, Callable[..., Gradient | None]] = {
     "delay": delay_gradient,
     "decay": decay_gradient,
     "admittance": lambda sampled, law: admittance_gradient(sampled, law, (0.1, 2.0)),
-    "sensor": lambda sampled, law: peak_gradient(sampled, law, FORCE, 0.02, at_sensor=True),
-    "contact": lambda sampled, law: peak_gradient(sampled, law, FORCE, 0.02, at_sensor=False),
+    "sensor": lambda sampled, law: peak_gradient(sampled, law, FORCE, 0.02, "sensor"),
+    "contact": lambda sampled, law: peak_gradient(sampled, law, FORCE, 0.02, "contact"),
 }
 
 
