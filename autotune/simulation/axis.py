@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from problems.arrays import FloatArray
 from problems.compiled import compiled
-from problems.contact.events import advance_surface, contact_force, is_in_contact, switch_within
+from problems.contact.events import advance_surface, contact_force, is_in_contact
+from problems.contact.kernel import switch_within
 from problems.contact.kernel_types import APART, IN_CONTACT, NEWEST, POSITION, SENSED, Contact, HeldInputs, Inputs
 from problems.contact.transient import build_sampled_contact
 from problems.model.controller import controller_blocks, controller_step

@@ -18,7 +18,7 @@ from ..model.linear_controllers import LinearController
 from ..model.sampled import build_loop, spectral_radius
 from ..stability.margins import UnstableLoopError
 from .kernel import first_moment, walk
-from .kernel_types import CONTACT_PEAK, FOUND, SWITCHES, TOUCHING, Contact, Forces, Start, TickRange, Traces
+from .kernel_types import CONTACT_PEAK, FOUND, SWITCHES, TOUCHING, Contact, Forces, RunResults, Start, TickRange, Traces
 from .linear_controller_contact import begin_linear_contact, run_linear_contact
 from .transient import Approach, SampledContact, begin_contact, longest_run
 
@@ -143,9 +143,10 @@ def follow_bounces(
     """
     now, flags = first_moment(start, plant, np.zeros(FOUND))
     found, crest, length = np.zeros(FOUND), np.full((2, len(now.state) + 3), -1.0), len(work.sensed)
+    results = RunResults(work, found, crest)
     for w in range(len(peaks)):
         found[:], before = 0.0, flags[SWITCHES]
-        walk(plant, blocks, now, flags, forces, TickRange(0, length, length), work, found, crest)
+        walk(plant, blocks, now, flags, forces, TickRange(0, length, length), results)
         peaks[w], switches[w] = found[CONTACT_PEAK], flags[SWITCHES] - before
         verdict = _judge_window(peaks, switches, w, flags[TOUCHING] == 1, forces.desired + forces.push)
         if verdict >= 0:

@@ -25,22 +25,25 @@ from ..model.difference import (
 )
 from .events import spring_force
 from .kernel_types import (
+    APART,
     CONTACT_PEAK,
     CONTACT_TIME,
     HEAD,
+    IN_CONTACT,
     POSITION,
     SENSED,
     SENSOR_PEAK,
     SENSOR_TICK,
     TOUCHING,
-    Delay,
+    Contact,
     Forces,
     Inputs,
     Moment,
+    RunResults,
     TickRange,
-    Traces,
     Wall,
 )
+from .peaks import keep_state, keep_three_states
 
 # A force has come to rest when it has stayed within this share of the largest force for a quarter of the run.
 SETTLED = 1e-3
@@ -76,12 +79,6 @@ def _move(step: FloatArray, wall: Wall, state: FloatArray, inputs: Inputs, follo
 
 
 @compiled
-def _keep(crest: FloatArray, x: float, p: float, v: float, newer: float, held: float, k: int) -> None:
-    row = crest[k & 1]
-    row[0], row[1], row[2], row[3], row[4], row[5] = x, p, v, newer, held, k
-
-
-@compiled
 def _leave(
     found: FloatArray,
     flags: NDArray[np.int64],
@@ -103,26 +100,22 @@ def _leave(
 
 @compiled
 def step_without_events(
-    step: FloatArray,
-    rows: FloatArray,
-    delay: Delay,
-    wall: Wall,
+    plant: Contact,
     blocks: FloatArray,
     now: Moment,
     flags: NDArray[np.int64],
     forces: Forces,
     span: TickRange,
-    traces: Traces,
-    found: FloatArray,
-    crest: FloatArray,
+    results: RunResults,
 ) -> tuple[int, int]:
     """Step from tick to tick, write F and F_e and update their peaks; return the tick that was reached and the aim.
 
     A tick before the aim is to be crossed with care. On a spring the aim is moved on, towards the last tick of `span`,
-    until the force has been near its rest for a quarter of the run. Row k mod 2 of `crest` (2, n + 3) gets state, newer
-    and older command and k of the last ticks at which F_e was the largest so far.
+    until the force has been near its rest for a quarter of the run. Kept are the last ticks at which F_e was the
+    largest so far.
     """
-    (state, past, control, _), (whole, chain, _), (force, contact) = now, delay, traces
+    (state, past, control, _), ((force, contact), found, crest) = now, results
+    (_, _, rows, _, (whole, chain, _), wall), step = plant, plant.step[IN_CONTACT if flags[TOUCHING] == 1 else APART]
     n, head, last, touching, (k, aim, end) = len(state), flags[HEAD], len(past) - 1, flags[TOUCHING] == 1, span
     law = (control[0], control[1], control[2], control[3])
     following = np.empty(n)
@@ -148,7 +141,7 @@ def step_without_events(
             threshold = max(threshold, 0.5 * SETTLED * sensor_peak)
         if shown > contact_peak:
             contact_peak, contact_tick = shown, k
-            crest[k & 1, :n], crest[k & 1, n], crest[k & 1, n + 1], crest[k & 1, n + 2] = state, newer, held, k
+            keep_state(crest, state, newer, held, k)
         if abs(forces.desired + sensed) >= threshold:
             last_unsettled = k
         pressed, law = pressing, law_after
@@ -180,29 +173,34 @@ def _row(of: FloatArray) -> _Row:
 
 
 @compiled
+def _three_rows(step: FloatArray) -> tuple[_Row, _Row, _Row]:
+    return _row(step[FLANGE]), _row(step[PAYLOAD]), _row(step[VELOCITY])
+
+
+@compiled
 def step_three_states(
-    step: FloatArray,
-    rows: FloatArray,
-    delay: Delay,
-    wall: Wall,
+    plant: Contact,
     blocks: FloatArray,
     now: Moment,
     flags: NDArray[np.int64],
     forces: Forces,
     span: TickRange,
-    traces: Traces,
-    found: FloatArray,
-    crest: FloatArray,
+    results: RunResults,
 ) -> tuple[int, int]:
     """Do what `step_without_events` does for a state (x, x_p, v_p h) with everything in scalars."""
-    (state, past, control, _), (whole, chain, _), (force, contact) = now, delay, traces
+    (state, past, control, _), ((force, contact), found, crest) = now, results
+    steps, _, rows, _, (whole, chain, _), wall = plant
     head, last, touching, (k, aim, end) = flags[HEAD], len(past) - 1, flags[TOUCHING] == 1, span
     plain = blocks[FEEDBACK_DAMPING] == 0.0 and blocks[COMPENSATION] == 0.0 and blocks[IS_IDEAL] == 0.0
-    of_x, of_p, of_v = _row(step[FLANGE]), _row(step[PAYLOAD]), _row(step[VELOCITY])
+    of_x, of_p, of_v = _three_rows(steps[IN_CONTACT if touching else APART])
     f_x, f_p, f_v, f_held = rows[SENSED, 0], rows[SENSED, 1], rows[SENSED, 2], rows[SENSED, 3]
-    p_rest, v_rest, c_x = of_p.push * forces.push, of_v.push * forces.push, rows[POSITION, FLANGE]
-    direct, integral = blocks[INTEGRATOR_DIRECT] + blocks[LAG_DIRECT], blocks[INTEGRATOR_GAIN]
-    pole, gain = blocks[LAG_POLE], blocks[LAG_GAIN]
+    p_rest, v_rest, c_x, gain = (
+        of_p.push * forces.push,
+        of_v.push * forces.push,
+        rows[POSITION, FLANGE],
+        blocks[LAG_GAIN],
+    )
+    direct, integral, pole = blocks[INTEGRATOR_DIRECT] + blocks[LAG_DIRECT], blocks[INTEGRATOR_GAIN], blocks[LAG_POLE]
     law, (x, p, v) = (control[0], control[1], control[2], control[3]), (state[0], state[1], state[2])
     pressed, sensor_peak, contact_peak = wall.stiffness * p + wall.damping * v, found[SENSOR_PEAK], found[CONTACT_PEAK]
     sensor_tick, contact_tick, last_unsettled = -1, -1, -1
@@ -228,7 +226,7 @@ def step_three_states(
             sensor_peak, sensor_tick, threshold = -sensed, k, max(threshold, -0.5 * SETTLED * sensed)
         if touching and pressed > contact_peak:
             contact_peak, contact_tick = pressed, k
-            _keep(crest, x, p, v, newer, held, k)
+            keep_three_states(crest, x, p, v, newer, held, k)
         last_unsettled = k if abs(e) >= threshold else last_unsettled
         pressed, law, x, p, v = pressing, law_after, x_after, p_after, v_after
         head, k = (head - 1) & last, k + 1

@@ -4,7 +4,7 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..compiled import compiled, inlined
-from .kernel_types import APART, IN_CONTACT, PLACE, PRESSED, SPEED, Crossing, HeldInputs, Inputs, Wall
+from .kernel_types import APART, IN_CONTACT, PLACE, PRESSED, SPEED, HeldInputs, Wall
 
 # Substeps between the ticks per radian of the fastest oscillation of a contact.
 SUBSTEPS_PER_RADIAN = 2.0
@@ -12,13 +12,6 @@ MOST_SUBSTEPS = 64
 
 _TAYLOR_TERMS = 14
 _BISECTIONS = 44
-_SWITCHES_PER_SAMPLE = 8
-_SERIES_TERMS = 18
-# Shares of the force below which a term, or what a crest may still hide, is rounding.
-_NEGLIGIBLE, _FLAT = 1e-18, 1e-16
-_SLOPE_STEPS = 7
-# The first two coefficients of a power series.
-_VALUE, _SLOPE = 0, 1
 # Below this (ωτ)² the power series of cosine and sine are exact to rounding in four terms.
 _NEARLY_CRITICAL = 1e-3
 
@@ -128,7 +121,7 @@ def apply_impact(state: FloatArray, surface_state: FloatArray, wall: Wall, touch
 
 
 @compiled
-def _moved(
+def moved_within(
     flow: FloatArray,
     state: FloatArray,
     surface_state: FloatArray,
@@ -147,7 +140,7 @@ def _moved(
 
 
 @compiled
-def _switch_moment(
+def switch_moment(
     flow: FloatArray,
     state: FloatArray,
     surface_state: FloatArray,
@@ -161,180 +154,9 @@ def _switch_moment(
     low, high = 0.0, duration
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
-        trial, swung = _moved(flow, state, surface_state, wall, held, touching, middle)
+        trial, swung = moved_within(flow, state, surface_state, wall, held, touching, middle)
         if is_in_contact(trial, swung, wall, outputs, held, touching) == touching:
             low = middle
         else:
             high = middle
     return high
-
-
-@compiled
-def switch_within(
-    flow: FloatArray,
-    state: FloatArray,
-    surface_state: FloatArray,
-    wall: Wall,
-    outputs: FloatArray,
-    inputs: Inputs,
-    fraction: float,
-    touching: bool,
-    substeps: int,
-) -> Crossing:
-    """Advance `state` over one sample in which the contact begins or ends, locating each event by bisection.
-
-    The sample is crossed in `substeps`, so that a contact that ends and begins again within it is seen;
-    `surface_state` is advanced as well.
-    """
-    impulse, best, moment, switches = 0.0, 0.0, 0.0, 0
-    for part in range(2):
-        at, stop = (0.0, fraction) if part == 0 else (fraction, 1.0)
-        held = HeldInputs(inputs.older if part == 0 else inputs.newer, inputs.push)
-        while at < stop:
-            torn = touching and wall.mass > 0.0 and contact_force(state, outputs, held) < 0.0
-            if torn and switches < _SWITCHES_PER_SAMPLE:
-                apply_impact(state, surface_state, wall, touching)
-                touching, switches = False, switches + 1
-            piece = min(stop - at, 1.0 / substeps)
-            end, swung = _moved(flow, state, surface_state, wall, held, touching, piece)
-            # Whatever the limit, nothing passes through the environment.
-            switched = is_in_contact(end, swung, wall, outputs, held, touching) != touching
-            if switched and touching and switches >= _SWITCHES_PER_SAMPLE:
-                switched = False
-            if switched:
-                piece = _switch_moment(flow, state, surface_state, wall, outputs, held, touching, piece)
-                end, swung = _moved(flow, state, surface_state, wall, held, touching, piece)
-            if touching:
-                value, where = largest_force(flow[IN_CONTACT], outputs, held, state, piece)
-                if value > best:
-                    best, moment = value, at + where
-            state[:], surface_state[:] = end, swung
-            at += piece
-            if switched:
-                impulse = max(impulse, apply_impact(state, surface_state, wall, touching))
-                touching = not touching
-                switches += 1
-    return Crossing(touching, impulse, best, moment)
-
-
-@compiled
-def largest_in_sample(
-    flow: FloatArray,
-    outputs: FloatArray,
-    inputs: Inputs,
-    state: FloatArray,
-    fraction: float,
-) -> tuple[float, float]:
-    """Return the largest F_e with its moment over a sample without switch."""
-    n = len(state)
-    if fraction == 0.0:
-        return largest_force(flow, outputs, HeldInputs(inputs.newer, inputs.push), state, 1.0)
-    best, moment = largest_force(flow, outputs, HeldInputs(inputs.older, inputs.push), state, fraction)
-    drive = flow[:, n] * inputs.older + flow[:, n + 1] * inputs.push
-    middle = advance(flow[:, :n].copy(), drive, state, fraction)
-    value, where = largest_force(flow, outputs, HeldInputs(inputs.newer, inputs.push), middle, 1.0 - fraction)
-    return (value, fraction + where) if value > best else (best, moment)
-
-
-@compiled
-def contact_force_rate(flow: FloatArray, outputs: FloatArray, inputs: HeldInputs, state: FloatArray) -> float:
-    """Return dF_e/dτ of a payload that stays on the environment."""
-    n, total = len(state), 0.0
-    for i in range(n):
-        rate = flow[i, n] * inputs.command + flow[i, n + 1] * inputs.push
-        for j in range(n):
-            rate += flow[i, j] * state[j]
-        total += outputs[PRESSED, i] * rate
-    return total
-
-
-@compiled
-def largest_force(
-    flow: FloatArray,
-    outputs: FloatArray,
-    inputs: HeldInputs,
-    state: FloatArray,
-    duration: float,
-) -> tuple[float, float]:
-    """Return the largest F_e over [0, duration] with its moment: a power series in pieces, maximised in each."""
-    n, size = len(state), 0.0
-    for i in range(n):
-        size = max(size, np.sum(np.abs(flow[i, :n])))
-    pieces = max(1, int(np.ceil(size * duration)))
-    step = duration / pieces
-    best, moment, weight = contact_force(state, outputs, inputs), 0.0, np.sum(np.abs(outputs[PRESSED, :n]))
-    current, term, next_term, series = state.copy(), np.empty(n), np.empty(n), np.empty(_SERIES_TERMS)
-    for piece in range(pieces):
-        count = 1
-        series[_VALUE] = contact_force(current, outputs, inputs)
-        for i in range(n):
-            total = flow[i, n] * inputs.command + flow[i, n + 1] * inputs.push
-            for j in range(n):
-                total += flow[i, j] * current[j]
-            term[i] = total * step
-        for order in range(1, _SERIES_TERMS):
-            series[order], longest = 0.0, 0.0
-            for i in range(n):
-                current[i] += term[i]
-                series[order] += outputs[PRESSED, i] * term[i]
-                longest = max(longest, abs(term[i]))
-            count = order + 1
-            # The terms shrink from here on: each is at most `step` · `size` / order of the one before.
-            if longest * weight < _NEGLIGIBLE * abs(series[_VALUE]):
-                break
-            for i in range(n):
-                total = 0.0
-                for j in range(n):
-                    total += flow[i, j] * term[j]
-                next_term[i] = total * (step / (order + 1.0))
-            for i in range(n):
-                term[i] = next_term[i]
-        value, where = _largest_of_series(series[:count])
-        if value > best:
-            best, moment = value, (piece + where) * step
-    return best, moment
-
-
-@compiled
-def _largest_of_series(series: FloatArray) -> tuple[float, float]:
-    """Return the largest value of a smooth power series on [0, 1]: where its slope turns from up to down, else an end.
-
-    A piece is short against the fastest oscillation (its argument is below one), so the slope turns once at most.
-    """
-    start, stop = series[_VALUE], _sum_series(series, 1.0)
-    best, where = (start, 0.0) if start >= stop else (stop, 1.0)
-    low, high = 0.0, 1.0
-    if series[_SLOPE] > 0.0 and _slope_of_series(series, 1.0) < 0.0:
-        left, right = series[_SLOPE], _slope_of_series(series, 1.0)
-        for _ in range(_SLOPE_STEPS):
-            middle = low + (high - low) * min(0.95, max(0.05, left / (left - right)))
-            slope = _slope_of_series(series, middle)
-            if slope > 0.0:
-                low, left = middle, slope
-            else:
-                high, right = middle, slope
-            # The value at the crest is off by less than slope times width.
-            if abs(slope) * (high - low) < _FLAT * abs(best):
-                low = high = middle
-                break
-        middle = 0.5 * (low + high)
-        value = _sum_series(series, middle)
-        if value > best:
-            best, where = value, middle
-    return best, where
-
-
-@compiled
-def _sum_series(series: FloatArray, at: float) -> float:
-    total = 0.0
-    for j in range(len(series) - 1, -1, -1):
-        total = total * at + series[j]
-    return total
-
-
-@compiled
-def _slope_of_series(series: FloatArray, at: float) -> float:
-    total = 0.0
-    for j in range(len(series) - 1, 0, -1):
-        total = total * at + j * series[j]
-    return total

@@ -12,11 +12,10 @@ from .events import (
     advance_surface,
     apply_impact,
     contact_force,
-    contact_force_rate,
     is_in_contact,
-    largest_in_sample,
+    moved_within,
     substeps_apart,
-    switch_within,
+    switch_moment,
 )
 from .kernel_types import (
     APART,
@@ -37,21 +36,22 @@ from .kernel_types import (
     SWITCHES,
     TOUCHING,
     Contact,
+    Crossing,
     Delay,
     Forces,
     HeldInputs,
     Inputs,
     Moment,
+    RunResults,
     Start,
     TickRange,
     Traces,
+    Wall,
 )
+from .peaks import is_kept, keep_peak, largest_force, largest_in_sample, may_hide_peak, may_pass, search_around
 
 _FIRST_LOOK = 96
-# Looks are half a radian of the fastest oscillation apart: they miss at most 3 % of its amplitude (which the force may
-# exceed only in part), and a parabola through three of them 0.15 %.
-_MISSED_BETWEEN_LOOKS = 0.2
-_MISSED_BY_PARABOLA = 3e-3
+_SWITCHES_PER_SAMPLE = 8
 
 
 @compiled
@@ -70,9 +70,10 @@ def run_contact(
     """
     now, flags = first_moment(start, plant, found)
     total, crest = len(traces.sensed), np.full((2, len(now.state) + 3), -1.0)
+    results = RunResults(traces, found, crest)
     done, look = 0, min(_FIRST_LOOK, total) if until_settled else total
     while True:
-        done = walk(plant, blocks, now, flags, forces, TickRange(done, look, total), traces, found, crest)
+        done = walk(plant, blocks, now, flags, forces, TickRange(done, look, total), results)
         touching, anchored = flags[TOUCHING] == 1, plant.wall.stiffness > 0.0
         if done == total or _settled(traces.sensed, done, forces, touching, anchored, found[SENSOR_PEAK]):
             break
@@ -107,28 +108,22 @@ def walk(
     flags: NDArray[np.int64],
     forces: Forces,
     span: TickRange,
-    traces: Traces,
-    found: FloatArray,
-    crest: FloatArray,
+    results: RunResults,
 ) -> int:
     """Step over the ticks of `span` and return the tick that was reached: its aim or one behind it.
 
     Between stretches in which nothing switches lie the samples that are crossed one by one.
     """
-    (done, aim, end), plain, rows = span, _is_plain(plant), plant.rows
+    (done, aim, end), plain = span, _is_plain(plant)
     while done < aim:
         if plain:
-            step, part = plant.step[IN_CONTACT if flags[TOUCHING] == 1 else APART], TickRange(done, aim, end)
+            part = TickRange(done, aim, end)
             if len(now.state) == 3:
-                done, aim = step_three_states(
-                    step, rows, plant.delay, plant.wall, blocks, now, flags, forces, part, traces, found, crest
-                )
+                done, aim = step_three_states(plant, blocks, now, flags, forces, part, results)
             else:
-                done, aim = step_without_events(
-                    step, rows, plant.delay, plant.wall, blocks, now, flags, forces, part, traces, found, crest
-                )
+                done, aim = step_without_events(plant, blocks, now, flags, forces, part, results)
         if done < aim:
-            _step(plant, blocks, now, flags, forces, done, traces, found)
+            _step(plant, blocks, now, flags, forces, done, results.traces, results.found)
             done += 1
     return done
 
@@ -157,7 +152,7 @@ def _step(
     traces.sensed[k], traces.pressed[k] = sensed, max(0.0, pressed) if touching else 0.0
     if -sensed > found[SENSOR_PEAK]:
         found[SENSOR_PEAK], found[SENSOR_TICK] = -sensed, k
-    _note(found, k, (traces.pressed[k], 0.0))
+    keep_peak(found, k, (traces.pressed[k], 0.0))
     following, swung = np.empty(n), surface.copy()
     for i in range(n):
         total = step[mode, i, n] * newer + step[mode, i, n + 1] * older
@@ -176,18 +171,66 @@ def _step(
     alone = low > 0.0 and (wall.mass == 0.0 or pressed >= 0.0) if touching else apart == 1
     if stays == touching and alone:
         high = max(high, contact_force(following, rows, after))
-        if touching and max(pressed, high) >= (1.0 - _MISSED_BETWEEN_LOOKS) * found[CONTACT_PEAK]:
-            _note(found, k, largest_in_sample(flow[IN_CONTACT], rows, inputs, state, delay.fraction))
+        if touching and may_hide_peak(max(pressed, high), found[CONTACT_PEAK]):
+            keep_peak(found, k, largest_in_sample(flow[IN_CONTACT], rows, inputs, state, delay.fraction))
         state[:], surface[:] = following, swung
     else:
         parts = max(len(inside) + 1, apart)
         crossed = switch_within(flow, state, surface, wall, rows, inputs, delay.fraction, touching, parts)
-        _note(found, k, (crossed.largest, crossed.moment))
+        keep_peak(found, k, (crossed.largest, crossed.moment))
         found[IMPULSE], flags[TOUCHING] = max(found[IMPULSE], crossed.impulse), 1 if crossed.touching else 0
         flags[SWITCHES] += 1
     if delay.chain > 0:
         flags[HEAD] = (flags[HEAD] - 1) & (len(past) - 1)
         past[flags[HEAD]] = command
+
+
+@compiled
+def switch_within(
+    flow: FloatArray,
+    state: FloatArray,
+    surface_state: FloatArray,
+    wall: Wall,
+    outputs: FloatArray,
+    inputs: Inputs,
+    fraction: float,
+    touching: bool,
+    substeps: int,
+) -> Crossing:
+    """Advance `state` over one sample in which the contact begins or ends, locating each event by bisection.
+
+    The sample is crossed in `substeps`, so that a contact that ends and begins again within it is seen;
+    `surface_state` is advanced as well.
+    """
+    impulse, best, moment, switches = 0.0, 0.0, 0.0, 0
+    for part in range(2):
+        at, stop = (0.0, fraction) if part == 0 else (fraction, 1.0)
+        held = HeldInputs(inputs.older if part == 0 else inputs.newer, inputs.push)
+        while at < stop:
+            torn = touching and wall.mass > 0.0 and contact_force(state, outputs, held) < 0.0
+            if torn and switches < _SWITCHES_PER_SAMPLE:
+                apply_impact(state, surface_state, wall, touching)
+                touching, switches = False, switches + 1
+            piece = min(stop - at, 1.0 / substeps)
+            end, swung = moved_within(flow, state, surface_state, wall, held, touching, piece)
+            # Whatever the limit, nothing passes through the environment.
+            switched = is_in_contact(end, swung, wall, outputs, held, touching) != touching
+            if switched and touching and switches >= _SWITCHES_PER_SAMPLE:
+                switched = False
+            if switched:
+                piece = switch_moment(flow, state, surface_state, wall, outputs, held, touching, piece)
+                end, swung = moved_within(flow, state, surface_state, wall, held, touching, piece)
+            if touching:
+                value, where = largest_force(flow[IN_CONTACT], outputs, held, state, piece)
+                if value > best:
+                    best, moment = value, at + where
+            state[:], surface_state[:] = end, swung
+            at += piece
+            if switched:
+                impulse = max(impulse, apply_impact(state, surface_state, wall, touching))
+                touching = not touching
+                switches += 1
+    return Crossing(touching, impulse, best, moment)
 
 
 @compiled
@@ -200,14 +243,6 @@ def _between(inside: FloatArray, state: FloatArray, inputs: Inputs) -> tuple[flo
             value += inside[j, i] * state[i]
         low, high = min(low, value), max(high, value)
     return low, high
-
-
-@compiled
-def _note(found: FloatArray, k: int, largest: tuple[float, float]) -> None:
-    """Keep a contact force and its moment in sample k if it is the largest so far."""
-    force, moment = largest
-    if force > found[CONTACT_PEAK]:
-        found[CONTACT_PEAK], found[CONTACT_TIME] = force, k + moment
 
 
 @compiled
@@ -286,49 +321,19 @@ def _refine_peak(
     `crest` is what the stretches kept of the ticks before the largest. Where another tick is asked for, the run is
     repeated up to it; a sample with a switch has been searched when it was crossed.
     """
-    pressed, at, n = traces.pressed, count, len(start.state)
-    # No force presses less than 0, so the crest of a parabola is at most a quarter above its middle point.
-    floor = found[CONTACT_PEAK] / (1.25 * (1.0 + _MISSED_BY_PARABOLA))
+    pressed, at = traces.pressed, count
     for tick in range(1, count - 1):
-        if pressed[tick] <= floor:
+        if not may_pass(pressed, tick, found[CONTACT_PEAK]):
             continue
-        bend = 2.0 * pressed[tick] - pressed[tick - 1] - pressed[tick + 1]
-        if pressed[tick] < pressed[tick - 1] or pressed[tick] < pressed[tick + 1] or bend <= 0.0:
-            continue
-        top = pressed[tick] + (pressed[tick + 1] - pressed[tick - 1]) ** 2 / (8.0 * bend)
-        if (1.0 + _MISSED_BY_PARABOLA) * top <= found[CONTACT_PEAK]:
-            continue
-        if crest[tick & 1, n + 2] != tick or crest[1 - tick & 1, n + 2] != tick - 1:
+        if not is_kept(crest, tick):
             if at >= tick:
-                ignored, at = np.zeros(FOUND), 0
-                now, flags = first_moment(start, plant, ignored)
-            walk(plant, blocks, now, flags, forces, TickRange(at, tick - 1, tick - 1), traces, ignored, crest)
+                ignored, at = RunResults(traces, np.zeros(FOUND), crest), 0
+                now, flags = first_moment(start, plant, ignored.found)
+            walk(plant, blocks, now, flags, forces, TickRange(at, tick - 1, tick - 1), ignored)
             # With nothing before them to be compared with, both ticks are kept.
-            ignored[CONTACT_PEAK], at = -1.0, tick + 1
-            walk(plant, blocks, now, flags, forces, TickRange(tick - 1, at, at), traces, ignored, crest)
-        _search_around(plant, tick, forces.push, crest, found)
-
-
-@compiled
-def _search_around(plant: Contact, tick: int, push: float, crest: FloatArray, found: FloatArray) -> None:
-    """Search the force of the samples before and behind a tick, as far as they were kept.
-
-    Without a step of the command inside the samples the slopes at the tick tell in which of them it is largest. A
-    payload that leaves in the sample behind has passed the largest force before.
-    """
-    flow, rows, fraction, n = plant.flow[IN_CONTACT], plant.rows, plant.delay.fraction, crest.shape[1] - 3
-    behind, before = crest[tick & 1], crest[1 - tick & 1]
-    whole, state = fraction == 0.0, behind[:n]
-    if before[n + 2] == tick - 1:
-        falls = contact_force_rate(flow, rows, HeldInputs(before[n], push), state) < 0.0
-        if not whole or behind[n + 2] != tick or falls:
-            inputs = Inputs(before[n + 1], before[n], push)
-            _note(found, tick - 1, largest_in_sample(flow, rows, inputs, before[:n], fraction))
-    if behind[n + 2] == tick and not (
-        whole and contact_force_rate(flow, rows, HeldInputs(behind[n], push), state) <= 0.0
-    ):
-        inputs = Inputs(behind[n + 1], behind[n], push)
-        _note(found, tick, largest_in_sample(flow, rows, inputs, state, fraction))
+            ignored.found[CONTACT_PEAK], at = -1.0, tick + 1
+            walk(plant, blocks, now, flags, forces, TickRange(tick - 1, at, at), ignored)
+        search_around(plant, tick, forces.push, crest, found)
 
 
 @compiled

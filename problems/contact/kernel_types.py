@@ -102,6 +102,17 @@ class Traces(NamedTuple):
     pressed: FloatArray
 
 
+class RunResults(NamedTuple):
+    """What a run writes: the traces, the peaks (FOUND,), and the states of the ticks beside the largest force.
+
+    Row k mod 2 of `crest` (2, n + 3) is what `peaks.keep_state` writes of tick k.
+    """
+
+    traces: Traces
+    found: FloatArray
+    crest: FloatArray
+
+
 class TickRange(NamedTuple):
     """The first tick of a walk, the tick that it aims at, and the last one that the aim may be moved to."""
 

@@ -72,16 +72,20 @@ def on_curve(monkeypatch: pytest.MonkeyPatch) -> Callable[..., tuple[Compliance,
             peak = curve(stiffness)
             if peak < 0.0:
                 raise InfeasibleError("nothing", missed=-peak)
-            evaluation = SimpleNamespace(
-                objective_n=peak, peak_n=peak, soft_cost_n={}, peaks=[SimpleNamespace(peak_contact_force_n=peak)]
+            return SimpleNamespace(
+                evaluation=evaluation_of(peak), problem=problem, at=stiffness, begun_at=neighbour and neighbour.at
             )
-            return SimpleNamespace(evaluation=evaluation, at=stiffness, begun_at=neighbour and neighbour.at)
 
         monkeypatch.setattr(module, "solve_design", solve)
         problem = design_problem(requirements=Requirements(max_peak_force_n=limit))
         return choose_compliance(problem, ComplianceSpec(bounds=bounds)), asked
 
     return choose
+
+
+def evaluation_of(peak: float) -> SimpleNamespace:
+    peaks = [SimpleNamespace(peak_contact_force_n=peak)]
+    return SimpleNamespace(cost=peak, objective_cost=peak, soft_cost_n={}, peaks=peaks)
 
 
 def valley(best: float) -> Curve:
@@ -96,7 +100,7 @@ def is_told_for(told: float, edge: float) -> bool:
 @pytest.mark.parametrize("best", [2.6e4, 7.3e4, 4.1e5])
 def test_a_valley_between_the_bounds_is_found(on_curve: Any, best: float) -> None:
     found, asked = on_curve(valley(best))
-    least = found.chosen.objective_n
+    least = found.chosen.cost
     assert 40.0 <= least < 40.1
     assert is_told_for(found.nearly_as_good.stiffness_n_per_m, best * math.exp(math.sqrt((1.01 * least - 40.0) / 10.0)))
     assert (found.active_bound, found.stiffest.stiffness_n_per_m) == (None, BOUNDS[1])
@@ -143,7 +147,7 @@ def test_a_window_narrower_than_the_grid_is_found(on_curve: Any) -> None:
     """Something is missed below 1.1e5 N/m, and the same something above 1.25e5 N/m, less the nearer."""
     found, _ = on_curve(lambda stiffness: 50.0 if 1.1e5 <= stiffness <= 1.25e5 else -abs(math.log(stiffness / 1.17e5)))
     assert 1.1e5 <= found.chosen.stiffness_n_per_m <= 1.25e5
-    assert found.chosen.objective_n == 50.0
+    assert found.chosen.cost == 50.0
 
 
 def test_where_nothing_is_stable_the_grid_is_all_that_is_tried(on_curve: Any) -> None:
@@ -163,13 +167,11 @@ def test_every_search_begins_at_the_nearest_result(on_curve: Any) -> None:
 
 def test_what_a_short_search_misses_a_whole_one_may_find(monkeypatch: pytest.MonkeyPatch) -> None:
     """Begun at a neighbour a search looks around less, so it does not decide that there is nothing."""
-    peaks = (SimpleNamespace(peak_contact_force_n=40.0),)
-    evaluation = SimpleNamespace(objective_n=40.0, peak_n=40.0, soft_cost_n={}, peaks=peaks)
 
     def solve(_: DesignProblem, *, neighbour: Any, **__: int) -> Any:
         if neighbour is not None:
             raise InfeasibleError("nothing near", missed=0.1)
-        return SimpleNamespace(evaluation=evaluation)
+        return SimpleNamespace(evaluation=evaluation_of(40.0))
 
     monkeypatch.setattr(module, "solve_design", solve)
     found = choose_compliance(design_problem(), ComplianceSpec(bounds=BOUNDS))

@@ -12,7 +12,7 @@ import problems.contact.transient
 from problems.arrays import FloatArray
 from problems.contact.event_free_steps import step_three_states, step_without_events
 from problems.contact.kernel import run_contact, steady_start
-from problems.contact.kernel_types import FLAGS, FOUND, Contact, Forces, Moment, Start, TickRange, Traces
+from problems.contact.kernel_types import FLAGS, FOUND, Contact, Forces, Moment, RunResults, Start, TickRange, Traces
 from problems.contact.transient import build_sampled_contact
 from problems.model.controller import AdmittanceController, controller_blocks, needed_states
 from problems.model.plant import Environment, Plant
@@ -62,15 +62,13 @@ def walk(
     function: object, plant: Contact, blocks: FloatArray, start: Start, span: tuple[int, int], *, touching: bool = True
 ) -> tuple[int, Moment, list[int], FloatArray, FloatArray]:
     """Run one of the two stretches and return tick, moment, flags, traces and peaks."""
-    step, _, rows, _, delay, wall = plant
     now = Moment(start.state.copy(), start.past.copy(), start.control.copy(), np.zeros(2))
     flags, traces, found = np.array([0, int(touching), 0]), np.zeros((2, SAMPLES)), np.zeros(FOUND)
     assert len(flags) == FLAGS
-    mode = step[0 if touching else 1]
     both, forces = Traces(traces[0], traces[1]), Forces(30.0, 3.0)
     crest, ends = np.full((2, len(now.state) + 3), -1.0), TickRange(*span, span[1])
     tick, aim = function(  # type: ignore[operator]
-        mode, rows, delay, wall, blocks, now, flags, forces, ends, both, found, crest
+        plant, blocks, now, flags, forces, ends, RunResults(both, found, crest)
     )
     assert aim == span[1]
     return tick, now, flags.tolist(), traces, found
@@ -166,16 +164,14 @@ def test_sample_by_sample_with_care_is_the_same_walk(plant: Plant, name: str, mo
 def test_a_stretch_can_be_cut_anywhere(parts: tuple[int, ...]) -> None:
     """Tick by tick or all at once: the same numbers to the last digit."""
     arguments, blocks, start = started(paper_plant(stiffness=1e5), stable("lead"), 0.01)
-    step, _, rows, _, delay, wall = arguments
     for function in (step_without_events, step_three_states):
         _, whole, _, traces, found = walk(function, arguments, blocks, start, (0, SAMPLES))
         now = Moment(start.state.copy(), start.past.copy(), start.control.copy(), np.zeros(2))
         flags, pieces, peak = np.array([0, 1, 0]), np.zeros((2, SAMPLES)), np.zeros(FOUND)
         crest, forces = np.full((2, len(now.state) + 3), -1.0), Forces(30.0, 3.0)
         for span in itertools.pairwise(parts):
-            both = Traces(pieces[0], pieces[1])
-            ends = TickRange(*span, span[1])
-            reached = function(step[0], rows, delay, wall, blocks, now, flags, forces, ends, both, peak, crest)
+            results = RunResults(Traces(pieces[0], pieces[1]), peak, crest)
+            reached = function(arguments, blocks, now, flags, forces, TickRange(*span, span[1]), results)
             assert reached == (span[1], span[1])
         np.testing.assert_array_equal(pieces, traces)
         np.testing.assert_array_equal(peak, found)

@@ -16,12 +16,11 @@ from problems.contact.events import (
     apply_impact,
     contact_force,
     is_in_contact,
-    largest_force,
-    largest_in_sample,
     substeps_apart,
-    switch_within,
 )
+from problems.contact.kernel import switch_within
 from problems.contact.kernel_types import HeldInputs, Inputs, Wall
+from problems.contact.peaks import largest_force, largest_in_sample
 from problems.contact.transient import SampledContact, build_sampled_contact
 from problems.model.plant import Plant, build_plant_matrices
 from problems.model.sampled import build_sampled_plant
