@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from autotune.errors import UsageError
 
 from .ros_yaml import NAME_OPTIONS, Tree, check_keys, check_names, update_rate_hz
-from .target import ExportRequest, ExportTarget, Rendered, TargetOption, begins_with
+from .target import ExportTarget, TargetOption, begins_with, render_translation
 
 if TYPE_CHECKING:
     from autotune.formats.controller import ControllerFile
@@ -171,14 +171,10 @@ def translate(
     return translate_controller(source, options.joints, build_axes, build_file, progress)
 
 
-def _render(request: ExportRequest) -> Rendered:
-    return translate(request.source, FziOptions(**request.options), request.progress).rendered()
-
-
 FZI_CARTESIAN = ExportTarget(
     name="fzi_cartesian",
     summary="parameters of FZI's Cartesian force controller.",
-    render=_render,
+    render=render_translation(translate, FziOptions),
     is_own=begins_with(rb"# Written by autotune \S+ for cartesian_controllers "),
     options=(
         *NAME_OPTIONS,

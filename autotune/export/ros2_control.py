@@ -14,7 +14,7 @@ from autotune.errors import UsageError
 from problems.frozen import FrozenDict
 
 from .ros_yaml import NAME_OPTIONS, Tree, check_keys, check_names, update_rate_hz
-from .target import ExportRequest, ExportTarget, Rendered, TargetOption, begins_with
+from .target import ExportTarget, TargetOption, begins_with, render_translation
 
 if TYPE_CHECKING:
     from autotune.formats.controller import ControllerFile
@@ -290,14 +290,10 @@ def translate(
     return translate_controller(source, options.joints, build_axes, build_file, progress)
 
 
-def _render(request: ExportRequest) -> Rendered:
-    return translate(request.source, Ros2Options(**request.options), request.progress).rendered()
-
-
 ROS2_CONTROL = ExportTarget(
     name="ros2_control",
     summary="parameters of the admittance controller of ros2_controllers.",
-    render=_render,
+    render=render_translation(translate, Ros2Options),
     is_own=begins_with(rb"# Written by autotune \S+ for ros2_controllers "),
     options=(
         TargetOption(

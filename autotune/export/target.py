@@ -4,12 +4,17 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+
+from problems.progress import Progress
 
 if TYPE_CHECKING:
     from autotune.formats.controller import ControllerFile
 
 # `autotune export --help` reads the table of targets, so a target imports what it needs in the functions that need it.
+
+Options = TypeVar("Options")
+"""The options of a target as one value."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,6 +54,20 @@ class Rendered:
     texts: tuple[str, ...]
     lines: tuple[str, ...] = ()
     tree: Mapping[str, Any] = field(default_factory=dict)
+
+
+class Renderable(Protocol):
+    """What another program runs, as the texts of its files."""
+
+    def rendered(self) -> Rendered:
+        """Return the texts."""
+
+
+def render_translation(
+    translate: Callable[["ControllerFile", Options, Progress | None], Renderable], options: Callable[..., Options]
+) -> Callable[[ExportRequest], Rendered]:
+    """Return how a target renders that writes another program's parameters: translated, certified, as text."""
+    return lambda request: translate(request.source, options(**request.options), request.progress).rendered()
 
 
 def begins_with(pattern: bytes) -> Callable[[Path], bool]:
