@@ -125,7 +125,8 @@ def _continuous(family: Family, values: Mapping[str, Any]) -> tuple[Any, Any, An
     # Dampings act on speeds, and the rest on e or, divided by the mass, below.
     for each in PARAMETERS.values():
         if each.kind == "damping":
-            parameters[each.place] = values[each.name]
+            # Two dampings at one place act together.
+            parameters[each.place] = parameters[each.place] + values[each.name]
     parameters[PARAMETERS[MASS].place] = as_series(1)
     top, bottom = _robot(family, values)
     write_plant(a, b, push, position, force, contact, direct, top, bottom, parameters, h)

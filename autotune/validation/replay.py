@@ -141,8 +141,8 @@ class _Stepper:
             [hold(side.a, side.b, share / _SUBSTEPS) for share in (late, _SUBSTEPS - late)] for side in (near, far)
         ]
         self.c_force, self.c_position, self.d_force = near.c_force, near.c_position, near.d_force
-        self.stiffness = plant.environment.stiffness_n_per_m
-        self.damping = plant.environment.damping_n_s_per_m / sample_time_s
+        self.stiffness, damping, _ = plant.environment.coefficients
+        self.damping = damping / sample_time_s
 
     def wall_force(self, state: FloatArray) -> float:
         """Return the force on the environment of a payload behind the wall."""

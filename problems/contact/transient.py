@@ -129,13 +129,9 @@ def _kernel_arguments(contact: SampledPlant, free: SampledPlant) -> Contact:
 
 def contact_wall(contact: SampledPlant) -> Wall:
     """Return the environment of a sampled plant in units of its period."""
-    environment, h, payload = contact.plant.environment, contact.sample_time_s, contact.plant.payload.mass_kg
-    return Wall(
-        stiffness=environment.stiffness_n_per_m,
-        damping=environment.damping_n_s_per_m / h,
-        mass=environment.mass_kg / h**2,
-        share=payload / (payload + environment.mass_kg),
-    )
+    stiffness, damping, mass = contact.plant.environment.coefficients
+    h, payload = contact.sample_time_s, contact.plant.payload.mass_kg
+    return Wall(stiffness=stiffness, damping=damping / h, mass=mass / h**2, share=payload / (payload + mass))
 
 
 def _ramp(free: SampledPlant) -> FloatArray:

@@ -76,8 +76,8 @@ def plant_blocks(
     robot = s * plant.robot.position_response(omega) * np.exp(-s * hold_s)
     coupling = plant.coupling.stiffness_n_per_m / s + plant.coupling.damping_n_s_per_m
     payload = 1.0 / (plant.payload.mass_kg * s + plant.payload.drag_n_s_per_m)
-    surface = plant.environment
-    environment = surface.mass_kg * s + surface.damping_n_s_per_m + surface.stiffness_n_per_m / s
+    stiffness, damping, mass = plant.environment.coefficients
+    environment = mass * s + damping + stiffness / s
     touched = 1.0 + payload * environment
     return PlantBlocks(
         frequency_rad_per_s=omega,

@@ -53,9 +53,14 @@ class Environment:
         object.__setattr__(self, "mass_kg", non_negative("mass_kg", self.mass_kg))
 
     @property
+    def coefficients(self) -> tuple[float, float, float]:
+        """K_e, B_e, M_e: E(s) s in ascending powers of s, which is all that the equations take of it."""
+        return self.stiffness_n_per_m, self.damping_n_s_per_m, self.mass_kg
+
+    @property
     def is_free_space(self) -> bool:
         """Whether nothing is touched."""
-        return self.stiffness_n_per_m == 0.0 and self.damping_n_s_per_m == 0.0 and self.mass_kg == 0.0
+        return self.coefficients == (0.0, 0.0, 0.0)
 
     @property
     def is_anchored(self) -> bool:
@@ -140,9 +145,7 @@ class Plant:
                 self.coupling.damping_n_s_per_m,
                 self.payload.mass_kg,
                 self.payload.drag_n_s_per_m,
-                self.environment.stiffness_n_per_m,
-                self.environment.damping_n_s_per_m,
-                self.environment.mass_kg,
+                *self.environment.coefficients,
                 *([time_constant] if time_constant > 0.0 else []),
             ]
         )

@@ -138,10 +138,10 @@ def _block(name: str, numerator: Any, denominator: Any, source: str, target: str
 
 
 def _environment(environment: Environment) -> Any:
-    numerator, denominator = [environment.mass_kg, environment.damping_n_s_per_m], [1.0]
+    stiffness, damping, mass = environment.coefficients
     if environment.is_anchored:
-        numerator, denominator = [*numerator, environment.stiffness_n_per_m], [1.0, 0.0]
-    return _block("environment", numerator, denominator, "v_p", "F_e")
+        return _block("environment", [mass, damping, stiffness], [1.0, 0.0], "v_p", "F_e")
+    return _block("environment", [mass, damping], [1.0], "v_p", "F_e")
 
 
 def _cut_at_force(cut: CutLoop, sampled: SampledPlant, controller: AdmittanceController) -> Matrices:
