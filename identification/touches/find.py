@@ -116,7 +116,7 @@ def _without_force(axes: tuple[AxisSignals, ...]) -> BoolArray:
 def _on_axis(axis: AxisSignals, free: BoolArray, *, is_contact: bool) -> AxisTouches:
     touches: list[FoundTouch] = []
     led: list[Span] = []
-    speed = _speed(axis)
+    speed = axis.speed_m_s()
     for sign in _deeper_side(axis) if is_contact else (-1, 1):
         pressing = -sign * axis.force_n
         longest = round(CONTACT.longest_bounce_s / axis.period_s)
@@ -151,14 +151,6 @@ def _presses(pressing: FloatArray, level: float, longest: int, swing: int) -> It
         inside = np.flatnonzero(touched[span.slice])
         if inside.size and float(np.max(pressing[span.slice])) > smallest:
             yield Span(start=span.start + int(inside[0]), stop=span.start + int(inside[-1]) + 1)
-
-
-def _speed(axis: AxisSignals) -> FloatArray:
-    """Return how fast the flange is along the axis, over about 0.1 s (n,)."""
-    half = max(1, round(0.5 * _APPROACH_S / axis.period_s))
-    last = len(axis.time_s) - 1
-    before, after = np.maximum(np.arange(last + 1) - half, 0), np.minimum(np.arange(last + 1) + half, last)
-    return np.asarray((axis.travel_m[after] - axis.travel_m[before]) / (axis.time_s[after] - axis.time_s[before]))
 
 
 def _parts(span: Span, speed: FloatArray, period_s: float) -> Iterator[tuple[Span, bool]]:
@@ -294,7 +286,7 @@ def describe_touch(
 
 def _hold(axis: AxisSignals, pressing: FloatArray, span: Span) -> Span | None:
     """Return the longest rest of 0.4 s or more under force."""
-    still = np.asarray((np.abs(_speed(axis)[span.slice]) < _STILL_M_S) & (pressing[span.slice] > axis.level_n))
+    still = np.asarray((np.abs(axis.speed_m_s()[span.slice]) < _STILL_M_S) & (pressing[span.slice] > axis.level_n))
     found = spans_of(without_short(still, max(1, round(_SHORTEST_STILL_S / axis.period_s))))
     if not found:
         return None

@@ -8,9 +8,9 @@ import numpy as np
 from ..result import ContactPhase, LogPhase, PhaseKind, Touch, TouchCause
 from ..signals.segments import without_short
 from .find import AxisTouches
+from .signals import mean_speed
 
 _MOVING_M_S = 1e-3
-_STEP_S = 0.1
 _SHORTEST_S = 0.2
 
 
@@ -23,10 +23,8 @@ def build_phases(found: Sequence[AxisTouches], touches: Sequence[Touch]) -> tupl
     if not found:
         return ()
     time, period = found[0].signals.time_s, found[0].signals.period_s
-    step, last = max(1, round(_STEP_S / period / 2.0)), len(time) - 1
-    before, after = np.maximum(np.arange(last + 1) - step, 0), np.minimum(np.arange(last + 1) + step, last)
     travel = np.column_stack([np.nan_to_num(each.signals.travel_m) for each in found])
-    speed = np.linalg.norm(travel[after] - travel[before], axis=1) / (time[after] - time[before])
+    speed = np.linalg.norm(mean_speed(travel, time), axis=1)
     pressed = np.any([np.abs(each.signals.force_n) > each.signals.level_n for each in found], axis=0)
     shortest = max(1, round(_SHORTEST_S / period))
     number = np.zeros(len(time), dtype=np.int64)

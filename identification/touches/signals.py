@@ -13,6 +13,7 @@ from ..signals.recording import AXES, GainsSignal, PoseSignal, Recording, StampA
 
 _NEAR_ZERO_SHARE = 0.05
 _NOISES = 6.0
+_SPEED_S = 0.1
 _MOVING_M_S, _CONSTANT_N = 2e-3, 1.0
 _DRAG_FACTOR, _DRAG_SCATTER = 1.25, 0.2
 _TO_DEVIATION = float(1.4826 / np.sqrt(2.0))
@@ -38,6 +39,18 @@ class AxisSignals:
     mass_kg: FloatArray
     damping_n_s_per_m: FloatArray
     desired_n: FloatArray
+
+    def speed_m_s(self) -> FloatArray:
+        """Return how fast the flange is along the axis, over about 0.1 s (n,)."""
+        return mean_speed(self.travel_m, self.time_s)
+
+
+def mean_speed(travel: FloatArray, time: FloatArray) -> FloatArray:
+    """Return the mean velocity of travel (n,) or (n, k) over 0.1 s around each of the times (n,)."""
+    half = max(1, round(0.5 * _SPEED_S / float(np.median(np.diff(time)))))
+    at, last = np.arange(len(time)), len(time) - 1
+    before, after = np.maximum(at - half, 0), np.minimum(at + half, last)
+    return np.asarray(((travel[after] - travel[before]).T / (time[after] - time[before])).T)
 
 
 def axis_signals(recording: Recording) -> tuple[AxisSignals, ...]:
@@ -93,7 +106,7 @@ def _level(recording: Recording, force: FloatArray, noise: float, drag: float) -
 
 def _drag(force: FloatArray, travel: FloatArray, time: FloatArray) -> float:
     """Return what a level must leave to the drag: the force that opposes all motion alike, and a quarter of it."""
-    speed = np.gradient(travel, time)
+    speed = mean_speed(travel, time)
     moving = np.abs(speed) > _MOVING_M_S
     if not np.any(moving):
         return 0.0
@@ -107,7 +120,7 @@ def _offset(force: FloatArray, travel: FloatArray, time: FloatArray) -> float:
     """Return 0 where a twentieth of the samples is near it, else the force that is constant in motion, else 0."""
     if np.mean(np.abs(force) <= CONTACT.smallest_n) >= _NEAR_ZERO_SHARE:
         return 0.0
-    moving = np.abs(np.gradient(travel, time)) > _MOVING_M_S
+    moving = np.abs(mean_speed(travel, time)) > _MOVING_M_S
     if not np.any(moving):
         return 0.0
     middle = float(np.median(force[moving]))

@@ -106,6 +106,24 @@ def test_a_wall_is_met_as_it_is(stiffness: float, at_m: float, offset: float) ->
     assert abs(secant.value - stiffness) < 2.0 * secant.std
 
 
+@pytest.mark.parametrize("bias_n", [0.0, -3.0, 6.0])
+def test_noise_and_a_bias_make_no_touch_and_hide_none(bias_n: float) -> None:
+    """An external wrench that is estimated from joint torques: 0.4 N of noise on a bias, and 20 µm on the pose."""
+    rng = np.random.default_rng(7)
+    clean = recorded(Program(force_n=wall(1e4, 0.03)))
+    n = len(clean.wrench.stamp_ns)
+    noisy = logged(
+        clean.pose.position_m[:, 2] + 2e-5 * rng.standard_normal(n),
+        clean.wrench.force_n[:, 2] + bias_n + 0.4 * rng.standard_normal(n),
+        1e-3,
+        DESIRED_N,
+    )
+    (touch,) = identify_touches(noisy).timeline.touches
+    assert touch.cause is TouchCause.WALL
+    assert touch.approach_speed == pytest.approx(DESIRED_N / DAMPING_N_S_PER_M, rel=0.03)
+    assert touch.held_force == pytest.approx(DESIRED_N, rel=0.1)
+
+
 def test_drag_on_the_way_is_no_touch() -> None:
     """Drag of 300 N·s/m takes 5.6 N of the 15 N: the approach is slower, and the force before it is not zero."""
     stop = wall(2e4, 0.03)
