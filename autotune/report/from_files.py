@@ -19,6 +19,7 @@ from autotune.validation.verify import verify
 from identification.errors import LogError
 from identification.evidence import Evidence
 from identification.logs import LogSummary
+from identification.logs.containers.formats import sha256_of
 from identification.logs.opened import digests
 from problems.progress import Progress, no_progress
 
@@ -144,11 +145,19 @@ def _identified_page(plant: IdentifiedFile, logs: tuple[Path, ...]) -> Page:
     evidence: tuple[Evidence, ...] = ()
     summaries: tuple[LogSummary, ...] = ()
     if logs:
+        _check_urdf(plant)
         options = IdentifyOptions.from_tree(plant.provenance.get("options", {}), _cell_of(plant))
         options = replace(options, allow_partial=True)
         evidence = identify_log(logs, options, processes=count_processors(), with_evidence=True).evidence
         summaries = summaries_of(logs, options, evidence)
     return build_identify_page(plant.result, plant.provenance, evidence, summaries)
+
+
+def _check_urdf(plant: IdentifiedFile) -> None:
+    """Raise LogError where the URDF that was used is not the same any more."""
+    said: Mapping[str, Any] | None = plant.provenance.get("urdf")
+    if said is not None and sha256_of(Path(said["path"])) != said["sha256"]:
+        raise LogError(f"{said['path']} is not the URDF that {plant.path} was identified with: it was changed.")
 
 
 def _cell_of(plant: IdentifiedFile) -> CellFile | None:

@@ -76,6 +76,9 @@ def inspect_log(
         findings += open_questions(infos, declared, logs.name)
         seen = logs.findings()
         ends = (logs.start_ns, logs.end_ns)
+        if not span.is_whole:
+            held = [each.log_ns for each in series.values() if each.log_ns.size]
+            ends = (min((int(each[0]) for each in held), default=0), max((int(each[-1]) for each in held), default=0))
         container = logs.parts[0].survey.container
     if Role.WRENCH in choices and Role.POSE in choices:
         if reading is None:

@@ -100,6 +100,7 @@ def test_inspect_summarises_the_part(log: Path) -> None:
     counts = {channel.topic: channel.count for channel in summary.channels}
     assert counts["/ft/wrench"] == 101
     assert counts["/robot/pose"] == 51
+    assert summary.end_ns - summary.start_ns == pytest.approx(0.2e9, abs=1e6)  # each channel is recorded a little later
     assert "part-read" in [finding.code for finding in summary.findings]
 
 
