@@ -145,7 +145,7 @@ def optimize(
     References
     ----------
     Haninger, Radke, Vick and Krüger: the admittance law with lead K_l and feedback damping B_fb. The loop is the exact
-    sampled one (MODEL.md, "What runs in the cell").
+    sampled one (docs/method.md, "The loop").
 
     Examples
     --------

@@ -216,7 +216,7 @@ class Design(Shown):
         -------
         problems.model.python_control.ControlObjects
             Continuous blocks `robot`, `coupling`, `payload` … and the exact sampled loops `at_force`, `at_command` and
-            `closed_loop` as state spaces with named signals (MODEL.md, "Continuous blocks").
+            `closed_loop` as state spaces with named signals (docs/method.md, "The loop").
 
         """
         from problems.model.python_control import to_control  # noqa: PLC0415 - python-control takes seconds to import

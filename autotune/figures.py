@@ -21,7 +21,7 @@ _POINTS = 700
 def bode_chart(design: "AxisDesign") -> Chart:
     """Draw gain and phase of the open loop, cut at the force, for the ends of the domain and its worst plant.
 
-    L is that of the exact sampled loop (MODEL.md, "Continuous blocks"), to half the sampling rate.
+    L is that of the exact sampled loop (docs/method.md, "The loop"), to half the sampling rate.
     """
     worst = design.worst_plant() or design.corners()[-1]
     cases: list[tuple[str, Role, Any]] = [

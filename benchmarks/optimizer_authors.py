@@ -1,6 +1,6 @@
 """The formulation of the paper's authors: a continuous loop, Padé's delay, Routh's table, H2 norms, one start of IPOPT.
 
-Written from the equations (MODEL.md, "Continuous blocks"), after the public design notebook of the authors, which asks
+Written from the equations (docs/method.md, "The loop"), after the public design notebook of the authors, which asks
 for Routh's first column to be positive at a few stiffnesses and lets IPOPT maximise the H2 norm of the admittance. The
 payload, which that notebook does not have, is in the loop here. Polynomials are ascending lists of coefficients of
 σ = s/ω_0.
@@ -24,7 +24,7 @@ Polynomial = list[Any]
 
 _RATE = 100.0
 _PADE_ORDER = 4
-# The hold delays by half a sample on average (MODEL.md, "What runs in the cell").
+# The hold delays by half a sample on average (docs/method.md, "The loop").
 _HOLD_SAMPLES = 0.5
 _LEAST_OF_ROUTH = 1e-6
 _BAND_POINTS = 20

@@ -28,7 +28,7 @@ _BAND_POINTS = 20
 # Forces count in units of this many newtons, so that all of IPOPT's variables are near one.
 _FORCE_UNIT_N = 100.0
 _HIGHEST, _HIGHEST_AT_START = 100.0, 3.0
-# The middle of what the paper tried on the robot (MODEL.md, "Symbols"): where an engineer would begin.
+# The middle of what the paper tried on the robot (docs/method.md, "The loop"): where an engineer would begin.
 PAPER_DESIGN = (15.0, 1400.0, 0.0125, 0.00375)
 
 

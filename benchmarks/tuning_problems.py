@@ -16,7 +16,7 @@ PERIOD_S = 8e-4
 def paper_cell(
     stiffness: tuple[float, float] = STIFFNESS_N_PER_M, mass: tuple[float, float] = MASS_KG
 ) -> DesignProblem:
-    """The paper's 16 kg cell over ranges of surface and payload (MODEL.md, "Symbols")."""
+    """The paper's 16 kg cell over ranges of surface and payload (docs/method.md, "The loop")."""
     return DesignProblem(
         plants=PlantSet.of(
             RobotModel.from_bandwidth(bandwidth_rad_per_s=20.0, delay_s=3.0 * PERIOD_S),

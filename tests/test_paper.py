@@ -170,7 +170,7 @@ def test_an_unstable_loop_has_neither_peak_nor_margin() -> None:
     table = _tables("bode")["bode-contact"]
     place = {title: i for i, title in enumerate(table.header)}
     unstable = [row for row in table.rows if row[place["sampled"]] == "unstable"]
-    # MODEL.md, erratum 4: standard control with the printed numbers.
+    # docs/method.md, erratum 4: standard control with the printed numbers.
     assert STANDARD in [row[0] for row in unstable]
     for row in unstable:
         assert row[place["peak, sampled [dB]"]] == row[place["modulus margin"]] == page.NONE
@@ -229,7 +229,7 @@ def test_the_fitted_robot_is_a_minimum_and_uses_four_rows_only() -> None:
 
 
 def test_the_readings_of_the_printed_numbers() -> None:
-    # MODEL.md, errata 2 and 6.
+    # docs/method.md, errata 2 and 6.
     readings = [FEEDBACK_S, FEEDBACK_PER_SAMPLE_S, EXPERIMENT_FEEDBACK_S, EXPERIMENT_FEEDBACK_PER_SAMPLE_S]
     assert readings == pytest.approx([2e-5 * 1e3, 2e-5 * 1250.0, 7.5e-6 * 1e3, 7.5e-6 * 1250.0])
     assert 1.0 / (1.0 / in_series(32.3e3, 3e5) + 1.0 / 3e5) == pytest.approx(32.3e3)

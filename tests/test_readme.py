@@ -45,7 +45,7 @@ def test_the_examples_of_the_python_page_run(repository: Path, tmp_path: Path) -
     assert "robot.delay" in _printed(written, tmp_path, repository)
     told = re.fullmatch(r"modulus margin (0\.\d{3}), peak (\d+\.\d) N\n", _printed(below, tmp_path, repository))
     assert told is not None
-    # MODEL.md, erratum 4: K_l = 0 is unstable here; with lead the loop is stable, so both are numbers in these ranges.
+    # docs/method.md, erratum 4: K_l = 0 is unstable here; with lead the loop is stable, so both are numbers here.
     assert 0.0 < float(told[1]) < 1.0
     assert float(told[2]) > 30.0  # the peak is above the force that drives the approach
 

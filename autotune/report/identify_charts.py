@@ -307,7 +307,7 @@ def _robot_response(estimate: AxisEstimate, frequency: FloatArray, period_s: flo
 
 
 def _coupling_response(estimate: AxisEstimate, frequency: FloatArray) -> ComplexArray | None:
-    """Return F/x of a payload on its spring, MODEL.md: −(M_p s² + B_p s)(B_s s + K_s)/(M_p s² + (B_p + B_s)s + K_s)."""
+    """Return F/x of a payload on its spring: −(M_p s² + B_p s)(B_s s + K_s)/(M_p s² + (B_p + B_s)s + K_s)."""
     if estimate.covariance is None:
         return None
     values = dict(zip(estimate.covariance.names, estimate.covariance.values, strict=True))

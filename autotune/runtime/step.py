@@ -129,7 +129,7 @@ def step(
     `desired_S` (6,) is F^d, positive presses along the axis. `tick` is the caller's count of the periods, one more in
     each (a counter of 32 bits may begin again at 0); without it periods that are left out are not noticed. Per axis,
     with F out of gravity compensation and deadband, u = F^d + F + P̂ O_a x and x^d = A(1 + C_ff) u − C_fb x in their
-    Tustin form (MODEL.md, "Continuous blocks"); x is how far the sensor frame went along, or turned about, its own axis
+    Tustin form (docs/method.md, "The loop"); x is how far the sensor frame went along, or turned about, its own axis
     since the start.
 
     The first `limits.rest_samples` readings move nothing: their mean must be that of a robot at rest which nothing

@@ -1,6 +1,6 @@
 """The paper's example in SI units: plant, controllers, and the colour each controller has in every picture.
 
-Values and units: MODEL.md, "Symbols" and "Errata".
+Values and units: docs/method.md, "The loop" and "Errata".
 """
 
 from dataclasses import replace
@@ -22,12 +22,12 @@ COUPLING_N_PER_M = 3e5
 PAYLOAD_KG = 16.0
 DRAG_N_S_PER_M = 630.0
 LEAD_S = 0.02
-# The printed 2e-5 and 7.5e-6, read as s·m/mm (MODEL.md, erratum 2), and the other reading of the first.
+# The printed 2e-5 and 7.5e-6, read as s·m/mm (docs/method.md, erratum 2), and the other reading of the first.
 FEEDBACK_S = feedback_damping_from_paper_mm(2e-5)
 FEEDBACK_PER_SAMPLE_S = feedback_damping_from_paper_per_sample(2e-5, SAMPLE_TIME_S)
 EXPERIMENT_FEEDBACK_S = feedback_damping_from_paper_mm(7.5e-6)
 EXPERIMENT_FEEDBACK_PER_SAMPLE_S = feedback_damping_from_paper_per_sample(7.5e-6, SAMPLE_TIME_S)
-# Stiffness of the compliant table, read as the secant of force over robot displacement (MODEL.md, erratum 6).
+# Stiffness of the compliant table, read as the secant of force over robot displacement (docs/method.md, erratum 6).
 TABLE_N_PER_M = 32.3e3
 
 STANDARD, LEAD, FEEDBACK, LEAD_FEEDBACK = "standard", "lead", "feedback", "lead + feedback"
@@ -50,7 +50,7 @@ COLOURS = {
 
 
 def printed_robot(delay_s: float = DELAY_S) -> RobotModel:
-    """Return the robot as the paper prints it; the common factor goes (MODEL.md, erratum 1), 20/(s + 20) stays."""
+    """Return the robot as the paper prints it; docs/method.md, erratum 1: 20/(s + 20) stays."""
     return RobotModel(numerator=np.array([100.0, 400.0]), denominator=np.array([5.0, 120.0, 400.0]), delay_s=delay_s)
 
 
@@ -91,5 +91,5 @@ def example_controllers(mass_kg: float = 10.0, damping_n_s_per_m: float = 1000.0
 
 
 def in_series(secant_n_per_m: float, coupling_n_per_m: float) -> float:
-    """Return the environment behind a coupling whose series stiffness is the secant (MODEL.md, erratum 6)."""
+    """Return the environment behind a coupling whose series stiffness is the secant (docs/method.md, erratum 6)."""
     return 1.0 / (1.0 / secant_n_per_m - 1.0 / coupling_n_per_m)

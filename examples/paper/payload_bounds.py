@@ -1,6 +1,6 @@
 """Stable bounds of K_l and B_a over the payload's natural frequency and damping ratio.
 
-K_s stays; M_p = K_s/ω², B_p = 2ζ sqrt(M_p K_s) (ω printed upside down, MODEL.md, erratum 3).
+K_s stays; M_p = K_s/ω², B_p = 2ζ sqrt(M_p K_s) (ω printed upside down, docs/method.md, erratum 3).
 Usage: python examples/paper/payload_bounds.py [FOLDER]
 """
 

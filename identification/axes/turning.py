@@ -19,7 +19,7 @@ from .straight import AxisMotion
 AXIS_NAMES = ("rx", "ry", "rz")
 
 LEVER_M = 0.2
-"""Where an angle is counted as a path: the deadbands of MODEL.md, 5 N and 1 N·m, are one at this distance."""
+"""Where an angle is counted as a path: the deadbands of the paper, 5 N and 1 N·m, are one at this distance."""
 
 _TURNING_RAD_S = 0.015
 _ABOUT_ONE_AXIS = 0.97

@@ -38,7 +38,7 @@ _BEGUN, _TOUCHED, _JOINED, _ROUNDED = 0.4, 0.55, 0.72, 0.8
 
 
 def identify_joint(data: JointData, progress: ProgressSlice | None = None) -> JointFit:
-    """Fit force and pose of all usable spans together (MODEL.md, "Continuous blocks", exact under the held command).
+    """Fit force and pose of all usable spans together (docs/method.md, "The loop", exact under the held command).
 
     The likelihood is that of the pose given the command times that of the force given both: the flange's path is the
     robot's exact answer to the command plus what Wiener's filter keeps of the rest, and what remains of the force is

@@ -1,4 +1,4 @@
-"""The parameters of one axis, and its equations of motion over one sample (MODEL.md, "Continuous blocks").
+"""The parameters of one axis, and its equations of motion over one sample (docs/method.md, "The loop").
 
 The steps take complex parameters, too: a tiny imaginary part h of one makes the imaginary part of every entry h times
 its derivative, exact to rounding, since nothing is subtracted (Al-Mohy and Higham 2010 on the matrix exponential).

@@ -52,7 +52,7 @@ class CouplingFit:
 def felt_impedance(parameters: FloatArray, s: ComplexArray) -> ComplexArray:
     """Return X → F of a passive payload, −s Ē = −C_s (M s² + B_p s)/(M s² + B_p s + C_s s), C_s s = B_s s + K_s.
 
-    MODEL.md, "what the flange feels", with E = 0; `parameters` are K_s, B_s, B_p, M_p.
+    docs/method.md, "The loop", with E = 0; `parameters` are K_s, B_s, B_p, M_p.
     """
     stiffness, damping, drag, mass = parameters
     coupling = damping * s + stiffness

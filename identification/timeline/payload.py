@@ -45,7 +45,7 @@ class PayloadMotion:
 def observe_payload(of: AxisContacts, period_s: float) -> PayloadMotion:
     """See the payload through the coupling, x_p = x + (F − B_s/K_s dF/dt)/K_s, and F_e = −F − B_p v_p − M_p a_p.
 
-    Below 60 Hz or two resonances (MODEL.md, "Continuous blocks"); positive forces press towards +axis.
+    Below 60 Hz or two resonances (docs/method.md, "The loop"); positive forces press towards +axis.
     """
     stiffness, damping, drag, mass = of.coupling
     resonance = float(np.sqrt(stiffness / mass)) / (2.0 * np.pi)

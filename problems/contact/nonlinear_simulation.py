@@ -1,4 +1,4 @@
-"""The full simulation beside the exact transient (MODEL.md, "The contact transient"): `full_effects` included.
+"""The full simulation beside the exact transient (docs/method.md, "Contact"): `full_effects` included.
 
 One axis; rotational axes use the same equations, as in `plant`.
 """

@@ -1,4 +1,4 @@
-"""What the linear loop leaves out: sensor, limits on the command, collision response, variable damping (MODEL.md)."""
+"""What the linear loop leaves out: sensor, limits on the command, collision response, variable damping."""
 
 from dataclasses import dataclass
 from enum import StrEnum

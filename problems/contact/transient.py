@@ -1,4 +1,4 @@
-"""The contact transient: approach in free space, impact, unilateral contact (MODEL.md, "The contact transient")."""
+"""The contact transient: approach in free space, impact, unilateral contact (docs/method.md, "Contact")."""
 
 import math
 from dataclasses import dataclass

@@ -142,7 +142,7 @@ class DesignProblem:
     def controller(self, design: Sequence[float] | FloatArray) -> AdmittanceController:
         """Return the controller of a design vector, the values of `variables`.
 
-        Feedback damping too small to be a value in seconds is none at all (MODEL.md, erratum 2).
+        Feedback damping too small to be a value in seconds is none at all (docs/method.md, erratum 2).
         """
         mass, damping, lead, feedback = (float(value) for value in design[: len(VARIABLES)])
         further: dict[str, Any] = {"velocity_filter_rad_per_s": self.velocity_filter_rad_per_s}

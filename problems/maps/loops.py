@@ -52,7 +52,7 @@ def designs_around(controller: AdmittanceController, varied: dict[str, FloatArra
     """Return the controllers that differ from one by values (m,) of each of the parameters in `varied`.
 
     The ranges are the caller's to check. A feedback damping too small to be a value in seconds is none at all
-    (MODEL.md, erratum 2), so that a range may begin at 0.
+    (docs/method.md, erratum 2), so that a range may begin at 0.
     """
     count = max((len(values) for values in varied.values()), default=1)
     parameters = np.tile(controller.parameters(), (count, 1))

@@ -19,7 +19,7 @@ Part = Literal["controller", "plant"]
 
 @dataclass(frozen=True, kw_only=True)
 class MapParameter:
-    """A number of the loop: `symbol` as in MODEL.md, `unit` on a translational axis and on a rotational one."""
+    """A number of the loop: `symbol` as in docs/method.md, `unit` on a translational axis and on a rotational one."""
 
     name: str
     symbol: str
@@ -176,7 +176,7 @@ def check_together(names: Collection[str]) -> None:
 def controller_at(controller: AdmittanceController, values: Mapping[str, float]) -> AdmittanceController:
     """Return the controller with the parameters of `values` that belong to it.
 
-    A feedback damping too small to be a value in seconds is none at all (MODEL.md, erratum 2), so that a range may
+    A feedback damping too small to be a value in seconds is none at all (docs/method.md, erratum 2), so a range may
     begin at 0.
     """
     changed: dict[str, Any] = {field: values[name] for name, field in CONTROLLER_FIELDS.items() if name in values}

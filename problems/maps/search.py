@@ -1,4 +1,4 @@
-"""The stable set of a controller parameter, all its intervals, along another parameter (MODEL.md, Errata 5 and 7)."""
+"""The stable set of a controller parameter, all its intervals, along another (docs/method.md, errata 5 and 7)."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

@@ -17,7 +17,7 @@ from .plant import Plant
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlantBlocks:
-    """R, C_s, P, E and Ē of MODEL.md, "Continuous blocks", and the wrench's filter, shapes as `frequency_rad_per_s`.
+    """R, C_s, P, E and Ē of docs/method.md, "The loop", and the wrench's filter, shapes as `frequency_rad_per_s`.
 
     `wrench` F_m/F [-] lies between the coupling force and the controller, `robot` R [1/s] from command to velocity,
     `coupling` C_s [N·s/m], `payload` P [m/(N·s)], `environment` E [N·s/m] (0 in free space), `felt_impedance` Ē
@@ -35,7 +35,7 @@ class PlantBlocks:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ControllerBlocks:
-    """A, C_ff, C_fb and O_a of MODEL.md, "Continuous blocks", shapes as `frequency_rad_per_s`.
+    """A, C_ff, C_fb and O_a of docs/method.md, "The loop", shapes as `frequency_rad_per_s`.
 
     `admittance` A [m/N], `lead` C_ff [-], `feedback` C_fb [-], `acceleration` O_a [1/s²], whether P̂ uses it or not.
     """
@@ -111,7 +111,7 @@ def continuous_loop(
     *,
     half_sample_of_s: float | None = None,
 ) -> ContinuousLoop:
-    """Evaluate the loop at both break points (MODEL.md, "Continuous blocks").
+    """Evaluate the loop at both break points (docs/method.md, "The loop").
 
     G = A(1 + C_ff)R/D with D = 1 − A(1 + C_ff)R·P̂·O_a/s + R·C_fb/s, and 1 + L_x = D (1 + L).
     """

@@ -1,4 +1,4 @@
-"""The controller's difference equation in plain arithmetic, needing no library (MODEL.md, "Continuous blocks").
+"""The controller's difference equation in plain arithmetic, needing no library (docs/method.md, "The loop").
 
 `problems.model.controller`, `problems.model.response` and `problems.contact.nonlinear_kernel` compile these functions
 into their kernels; the runtime calls them as they are, on a machine that has no compiler. `blocks` is anything that

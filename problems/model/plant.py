@@ -1,4 +1,4 @@
-"""The continuous plant of one axis: robot, coupling, payload and environment (MODEL.md, "Continuous blocks").
+"""The continuous plant of one axis: robot, coupling, payload and environment (docs/method.md, "The loop").
 
 Rotational axes use the same equations: read m as rad, N as N·m and kg as kg·m² in every name below.
 """
@@ -213,7 +213,7 @@ def write_plant(
     """Fill zeroed arrays with the equations of motion of one axis, delay left out; `direct` gets (d_F, d_e, p_e).
 
     x = r(s) x^d; F = K_s (x_p − x) + B_s (v_p − v); F_e = M_e dv_p/dt + B_e v_p + K_e x_p, the wall at x_p = 0;
-    M_p dv_p/dt = −F − B_p v_p − F_e + f (MODEL.md, "Continuous blocks", with its signs). With an eighth parameter τ the
+    M_p dv_p/dt = −F − B_p v_p − F_e + f (docs/method.md, "The loop", with its signs). With an eighth parameter τ the
     measured force is that behind the filter, τ dF_m/dt = F − F_m, one state more. `numerator` (n,) and `denominator`
     (n + 1,) hold ascending powers of s, the latter monic; `parameters` as in `Plant.parameters`.
     """

@@ -15,7 +15,7 @@ Part = Literal["environment", "payload", "coupling", "robot", "wrench_filter"]
 
 @dataclass(frozen=True, kw_only=True)
 class PlantParameter:
-    """A number of the plant: `name` in files and sets, `symbol` as in MODEL.md, and the `part` of a `Plant` it is of.
+    """A number of the plant: `name` in files and sets, `symbol`, and the `part` of a `Plant` it is of.
 
     `place` is where `Plant.parameters` adds it, None of what is not in them. With `may_vary` it may be uncertain, above
     0 unless it `may_be_zero`; a proof covers the range of one that `is_provable`.

@@ -76,7 +76,7 @@ class LoopResponse:
 
 
 def loop_response(sampled: SampledPlant, controller: Controller, frequency_rad_per_s: FloatArray) -> LoopResponse:
-    """Break the sampled loop at the force signal, L, and at the position command, L_x (MODEL.md, "Continuous blocks").
+    """Break the sampled loop at the force signal, L, and at the position command, L_x (docs/method.md, "The loop").
 
     1 + L_x = (1 + (C_fb − A(1 + C_ff) P̂ O_a) X/X^d)(1 + L), as in the continuous form.
     """
@@ -102,7 +102,7 @@ def loop_at(plant: PlantResponse, controller: Controller, sample_time_s: float) 
 
 
 def rendered_admittance(plant: PlantResponse, controller: Controller, sample_time_s: float) -> ComplexArray:
-    """Return G = V/F [m/s/N] of the sampled controller and robot (MODEL.md, "F → V").
+    """Return G = V/F [m/s/N] of the sampled controller and robot (docs/method.md, "The loop").
 
     The robot ignores F, so the payload does not enter G; V is the derivative of the position below the Nyquist rate.
     F is the coupling's force: what filters the wrench is part of G.

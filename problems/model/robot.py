@@ -1,4 +1,4 @@
-"""The position-controlled robot r(s) e^(-s T_d) (MODEL.md, "Symbols"), its bandwidth and its variations."""
+"""The position-controlled robot r(s) e^(-s T_d) (docs/method.md, "The loop"), its bandwidth and its variations."""
 
 import math
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ class RobotModel:
     """Closed position loop X/X^d = r(s) e^(-s T_d) with r(0) = 1.
 
     `numerator` and `denominator` hold descending powers of s [rad/s]; `delay_s` is T_d without the hold.
-    Common factors are removed on construction (MODEL.md, erratum 1): the paper's printed example
+    Common factors are removed on construction (docs/method.md, erratum 1): the paper's printed example
     (100 s + 400)/(5 s² + 120 s + 400) becomes 20/(s + 20).
 
     Raises ParameterError for an unstable, not strictly proper or wrongly normalised r(s).

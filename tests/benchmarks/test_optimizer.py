@@ -19,7 +19,7 @@ from problems.contact.transient import transient_from
 from problems.design.evaluation import build_scenarios
 
 # What is asked of the cell leaves little room: the first meets it, by 0.3 %; the second does not; the third is unstable
-# (MODEL.md, erratum 4).
+# (docs/method.md, erratum 4).
 GENTLE, LIGHT, UNSTABLE = (
     np.array([5.0, 1017.0, 0.02005, 0.0294]),
     np.array([5.0, 700.0, 0.02, 0.03]),
@@ -64,7 +64,7 @@ def test_the_authors_loop_has_the_peaks_of_the_sampled_one() -> None:
         below, above = np.array(closed, dtype=float)[::-1], np.array(error, dtype=float)[::-1]
         _, y = impulse((above / below[0], below / below[0]), T=np.linspace(0.0, 60.0, 6001))
         run = transient_from(pair, problem.controller(GENTLE), problem.approach)
-        # The force at rest is the approach's; half a sample for the hold is good to a percent (MODEL.md).
+        # The force at rest is the approach's; half a sample for the hold is good to a percent (docs/method.md).
         assert np.max(y) + 30.0 == pytest.approx(run.peak_contact_force_n, rel=0.01)
 
 

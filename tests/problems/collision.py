@@ -27,7 +27,7 @@ class Collision:
 class Encounter:
     """The payload (SI state y = (robot, x_p, v_p)) on and off an environment, by a Runge–Kutta solver with events.
 
-    Straight from MODEL.md; off the payload the environment goes its own way: with its mass on spring and damper,
+    Straight from docs/method.md; off the payload the environment goes its own way: with its mass on spring and damper,
     without mass with its damper alone.
     """
 

@@ -14,7 +14,7 @@ from problems.model.sampled import SampledLoop, SampledPlant
 
 
 def rendered_impedance(plant: Plant, s: ComplexArray) -> ComplexArray:
-    """Return Ē = C_s (1 + P E)/(1 + P E + P C_s), MODEL.md "Continuous blocks"."""
+    """Return Ē = C_s (1 + P E)/(1 + P E + P C_s), docs/method.md, "The loop"."""
     coupling = plant.coupling.stiffness_n_per_m / s + plant.coupling.damping_n_s_per_m
     payload, wall = payload_admittance(plant, s), environment_impedance(plant, s)
     return np.asarray(coupling * (1.0 + payload * wall) / (1.0 + payload * wall + payload * coupling))

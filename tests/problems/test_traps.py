@@ -226,7 +226,7 @@ def test_the_integrator_is_taken_out_whole_and_alone() -> None:
             assert np.prod(z - whole) == pytest.approx((z - 1.0) * np.prod(z - rest), rel=1e-9)
 
 
-# Trap: the stable set is not a half-line, not one interval, and not held by its corners (MODEL.md, Errata 4, 5, 7).
+# Trap: the stable set is not a half-line, not one interval, and not held by its corners (errata 4, 5, 7).
 
 
 def stable_leads(drag: float, leads: FloatArray) -> FloatArray:

@@ -14,7 +14,7 @@ _ADMITTANCE = AdmittanceRequirement()
 
 
 class Admittance(RequirementObjective):
-    """The least free-space admittance min |G(j2πf)| over the band of the problem's target (MODEL.md)."""
+    """The least free-space admittance min |G(j2πf)| over the band of the problem's target (docs/method.md)."""
 
     name: ClassVar[str] = "admittance"
     title: ClassVar[str] = "least free-space admittance"
@@ -31,7 +31,7 @@ class Admittance(RequirementObjective):
 class HandForce(Objective):
     """The largest force of a hand on the payload per speed of the payload, max |F_h/V_p| over the same band.
 
-    Slowly led it is B_a + B_p (MODEL.md, "the steady hand force per speed"); towards the end of the band what
+    Slowly led it is B_a + B_p (docs/method.md, "The loop"); towards the end of the band what
     accelerates M_a joins. In the closed sampled loop, in free space, for every payload mass.
     """
 

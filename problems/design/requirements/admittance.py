@@ -23,7 +23,7 @@ _AROUND_A_DIP = np.linspace(-2.0, 2.0, 17)
 
 @dataclass(frozen=True, kw_only=True)
 class AdmittanceTarget:
-    """|G(j2πf)| ≥ `min_m_s_per_n` for f in `band_hz` (MODEL.md, "Free-space admittance target")."""
+    """|G(j2πf)| ≥ `min_m_s_per_n` for f in `band_hz` (docs/method.md, "The loop")."""
 
     # Made anew, so that files say these numbers also where they are the usual ones.
     min_m_s_per_n: float = field(default_factory=lambda: 7e-4)

@@ -89,7 +89,7 @@ def test_random_designs_pass_with_slack_and_never_against_a_sweep() -> None:
 
 
 def gap(drag: float) -> tuple[Family, AdmittanceController]:
-    """Light damping: stable against soft and against stiff walls, and not in between (MODEL.md, erratum 5)."""
+    """Light damping: stable against soft and against stiff walls, and not in between (docs/method.md, erratum 5)."""
     plant = replace(
         paper_plant(stiffness=1e5, drag=drag, robot=one_pole(bandwidth_rad_per_s=24.0)),
         coupling=Coupling(stiffness_n_per_m=2.1e5, damping_n_s_per_m=0.0),

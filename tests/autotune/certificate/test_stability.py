@@ -182,7 +182,7 @@ def test_the_cells_that_are_proved_are_counted(modulus: float | None, monkeypatc
 
 
 def test_nothing_is_proved_when_a_corner_is_unstable() -> None:
-    """MODEL.md, erratum 4: the printed design is unstable at 5e5 N/m; here it is only the stiff end that is."""
+    """docs/method.md, erratum 4: the printed design is unstable at 5e5 N/m; here it is only the stiff end that is."""
     law = admittance(10.0, 1000.0, 0.0)
     plants = uncertain(mass=(16.0, 16.0), stiffness=(1e3, 5e5))
     assert radius_at(plants, law, 16.0, 1e3) < 1.0 <= radius_at(plants, law, 16.0, 5e5)
@@ -190,7 +190,7 @@ def test_nothing_is_proved_when_a_corner_is_unstable() -> None:
 
 
 def gap(drag: float) -> tuple[PlantSet, AdmittanceController]:
-    """Light damping: stable against soft and against stiff walls, and not in between (MODEL.md, erratum 5)."""
+    """Light damping: stable against soft and against stiff walls, and not in between (docs/method.md, erratum 5)."""
     plants = uncertain(
         robot=one_pole(bandwidth_rad_per_s=24.0), coupling=2.1e5, drag=drag, mass=(16.0, 16.0), stiffness=(1e5, 3e6)
     )

@@ -182,7 +182,7 @@ def test_what_cannot_be_met_is_named_with_its_number(requirements: Requirements,
 
 @pytest.mark.usefixtures("small")
 def test_no_stable_design_within_the_bounds_is_said_so() -> None:
-    """The printed example against a stiff wall (MODEL.md, erratum 4), with no room to leave it."""
+    """The printed example against a stiff wall (docs/method.md, erratum 4), with no room to leave it."""
     printed: Mapping[str, tuple[float, float]] = {
         "mass": (10.0, 10.0), "damping": (300.0, 400.0), "lead_s": (0.0, 0.0), "feedback_damping_s": (0.0, 0.0)
     }  # fmt: skip
@@ -215,7 +215,7 @@ def test_a_design_is_rounded_to_six_digits_but_not_out_of_its_bounds() -> None:
     third = 1000.0 / 3.0
     problem = design_problem(bounds={"damping": (third, 1000.0)})
     rounded = presentable(problem, np.array([12.3456789, third, 0.01234567891, 5e-5]))
-    # B_fb below 1e-4 s is none at all (MODEL.md, erratum 2).
+    # B_fb below 1e-4 s is none at all (docs/method.md, erratum 2).
     np.testing.assert_array_equal(rounded, [12.3457, third, 0.0123457, 0.0])
 
 

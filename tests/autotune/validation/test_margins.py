@@ -95,7 +95,7 @@ def test_the_worst_plant_of_a_sweep_is_told() -> None:
 
 
 def test_an_unstable_plant_shows_as_a_radius_above_one() -> None:
-    """MODEL.md, erratum 4: the printed example is unstable; its margins mean nothing, so the radius must be asked."""
+    """docs/method.md, erratum 4: the printed example is unstable; its margins mean nothing, the radius does."""
     these, law = uncertain(mass=(16.0, 16.0), stiffness=(5e5, 5e5)), admittance(10.0, 1000.0, 0.0)
     swept = sweep_margins(these, law, PERIOD_S, stiffness=1, mass=1)
     assert swept.largest_radius == pytest.approx(radius_at(these, law, 16.0, 5e5), abs=1e-9)

@@ -96,7 +96,7 @@ def test_the_response_is_the_continuous_one_with_half_a_sample_more(
     held = np.exp(-0.5 * s * PERIOD_S)
     expected = held / (1.0 / payload_admittance(plant, s) + spring / (1.0 + spring * admittance_g))
     found = hand_admittance(sampled_of(plant), controller, s.imag)
-    # MODEL.md, "What runs in the cell": within about 1 %.
+    # docs/method.md, "The loop": within about 1 %.
     np.testing.assert_allclose(found, expected, rtol=0.01)
 
 

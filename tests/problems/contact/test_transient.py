@@ -261,7 +261,7 @@ def test_the_wall_never_pulls(plant: Plant, controller: AdmittanceController) ->
 
 
 def test_stiff_contacts_peak_early_and_soft_ones_late() -> None:
-    """MODEL.md, "The contact transient": about 20 ms, and 0.4 s and more at K_e = 2e4."""
+    """docs/method.md, "Contact": about 20 ms, and 0.4 s and more at K_e = 2e4."""
     soft, stiff = (simulate_contact(pair_of(paper_plant(stiffness=k)), QUIET, PRESS) for k in (2e4, 5e5))
     assert stiff.time_of_peak_s < 0.05
     assert soft.time_of_peak_s > 0.4

@@ -149,7 +149,7 @@ def test_what_is_not_asked_stays_open() -> None:
 
 
 def test_an_unstable_pair_has_no_numbers_and_the_others_keep_theirs() -> None:
-    """MODEL.md, erratum 4: the printed example is unstable in contact."""
+    """docs/method.md, erratum 4: the printed example is unstable in contact."""
     pairs, approach = [pair_of(3.0, 3e4), pair_of(3.0, 5e5)], Approach(force_n=30.0)
     designs = [admittance(mass=10.0, lead=0.0), admittance(damping=3000.0, lead=0.02)]
     found = build_batch(pairs).evaluate(designs, approach)

@@ -227,7 +227,7 @@ def test_an_unstable_design_has_neither_peaks_nor_requirements() -> None:
 
 
 def test_one_unstable_scenario_makes_the_design_unstable() -> None:
-    """Stable on the soft wall, unstable on the stiff one (MODEL.md, erratum 4)."""
+    """Stable on the soft wall, unstable on the stiff one (docs/method.md, erratum 4)."""
     design = (10.0, 1000.0, 0.0, 0.0)
     soft = prepared(environment_stiffness_n_per_m=(2e4, 2e4), payload_mass_kg=(16.0, 16.0))
     both = prepared(environment_stiffness_n_per_m=(2e4, 5e5), payload_mass_kg=(16.0, 16.0))

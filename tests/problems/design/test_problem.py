@@ -164,7 +164,7 @@ def test_a_design_vector_is_a_controller_in_the_order_of_the_variables() -> None
 
 @pytest.mark.parametrize(("asked", "found"), [(0.0, 0.0), (9.9e-5, 0.0), (1e-4, 1e-4)])
 def test_feedback_damping_too_small_to_be_seconds_is_none(asked: float, found: float) -> None:
-    """MODEL.md, erratum 2."""
+    """docs/method.md, erratum 2."""
     assert paper_problem().controller([13.0, 1000.0, 0.02, asked]).feedback_damping_s == found
 
 

@@ -68,7 +68,7 @@ def test_the_intervals_are_those_of_a_dense_sweep_of_eigenvalues(
 
 
 def test_the_limits_of_the_lead_in_free_space_hang_on_the_payloads_damping() -> None:
-    """MODEL.md, erratum 7, whose figures have one or two digits: half a unit of the last one."""
+    """docs/method.md, erratum 7, whose figures have one or two digits: half a unit of the last one."""
     design = admittance(10.0, 1000.0)
     (well_damped,) = intervals_of(paper_plant(stiffness=0.0, drag=630.0), design, WIDE_LEAD, "free_space")
     assert well_damped.lower_is_bound

@@ -27,7 +27,7 @@ def at(plant: Plant, controller: AdmittanceController, *omega: float) -> Continu
 @LAW
 @given(whole_plants(), whole_controllers(), FREQUENCIES)
 def test_the_loops_solve_the_equations_of_motion(plant: Plant, controller: AdmittanceController, omega: float) -> None:
-    """Every signal as an unknown of one linear system, each equation as MODEL.md states it; no block diagram."""
+    """Every signal as an unknown of one linear system, each equation as docs/method.md states it; no block diagram."""
     s, c = 1j * omega, controller
     robot = np.polyval(plant.robot.numerator, s) / np.polyval(plant.robot.denominator, s)
     k_s, b_s, m_p, b_p, k_e, b_e, m_e = plant.parameters()

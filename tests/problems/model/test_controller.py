@@ -53,7 +53,7 @@ def point(controller: AdmittanceController, h: float, s: complex) -> complex:
 def test_the_blocks_are_the_continuous_form_at_the_substituted_point(
     controller: AdmittanceController, h: float, size: float, angle: float
 ) -> None:
-    """A(1 + C_ff) and C_fb − A(1 + C_ff) P̂ O_a as MODEL.md writes them, for all three rules, at complex s."""
+    """A(1 + C_ff) and C_fb − A(1 + C_ff) P̂ O_a as docs/method.md writes them, for all three rules, at complex s."""
     c, s = controller, complex(size * np.exp(1j * angle))
     m, b, corner, second = c.mass_kg, c.damping_n_s_per_m, c.velocity_filter_rad_per_s, c.acceleration_filter_rad_per_s
     acceleration = s * s if c.compensation == "ideal" else corner * second * s * s / ((s + second) * (s + corner))
@@ -231,7 +231,7 @@ def test_an_integrator_is_summed_by_the_trapezoidal_or_a_rectangular_rule(
 
 @pytest.mark.parametrize("printed", [2e-5, 7.5e-6])
 def test_the_printed_feedback_damping_is_refused_with_an_explanation(printed: float) -> None:
-    """MODEL.md, erratum 2."""
+    """docs/method.md, erratum 2."""
     with pytest.raises(ParameterError, match="feedback_damping_from_paper_mm"):
         admittance(feedback=printed)
 

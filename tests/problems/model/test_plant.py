@@ -43,7 +43,7 @@ def respond(m: PlantMatrices, s: complex, *, push: bool = False) -> ComplexArray
 @LAW
 @given(any_plants(), between(0.05, 4000.0))
 def test_the_matrices_are_the_transfer_functions(plant: Plant, omega: float) -> None:
-    """x = r x^d, F = −Ē V, V_p = −F P/(1 + P E) and F_e = E V_p, MODEL.md "Continuous blocks"."""
+    """x = r x^d, F = −Ē V, V_p = −F P/(1 + P E) and F_e = E V_p, docs/method.md, "The loop"."""
     s = np.array([1j * omega])
     payload, wall = payload_admittance(plant, s)[0], environment_impedance(plant, s)[0]
     position = robot_gain(plant, s)[0]

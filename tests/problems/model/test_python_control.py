@@ -260,12 +260,12 @@ def test_the_robot_keeps_its_own_delay() -> None:
     robot = RobotModel(numerator=np.array([100.0, 400.0]), denominator=np.array([5.0, 120.0, 400.0]), delay_s=2.4e-3)
     objects = objects_of(paper_plant(robot=robot), admittance())
     assert objects.delay_s == 2.4e-3
-    # MODEL.md, erratum 1: 20/(s + 20).
+    # docs/method.md, erratum 1: 20/(s + 20).
     np.testing.assert_allclose(control.poles(objects.robot), [-20.0], rtol=1e-9)
 
 
 def test_an_unstable_loop_is_told_by_both_forms() -> None:
-    """MODEL.md, erratum 4."""
+    """docs/method.md, erratum 4."""
     printed = admittance(mass=10.0, lead=0.0)
     sampled = build_sampled_plant(paper_plant(), PERIOD_S)
     radius = float(np.max(np.abs(control.poles(to_control(sampled, printed).closed_loop))))

@@ -132,7 +132,7 @@ def _ripple(plant: Plant) -> float:
 def test_the_sampled_loop_is_the_continuous_one_with_half_a_sample_more(
     controller: AdmittanceController, hertz: float
 ) -> None:
-    """MODEL.md, "What runs in the cell": at T_d + h/2 the continuous form is within about 1 %."""
+    """docs/method.md, "The loop": at T_d + h/2 the continuous form is within about 1 %."""
     s = np.array([2j * np.pi * hertz])
     plant, c = paper_plant(), controller
     lag = np.exp(-s * (DELAY_S + 0.5 * PERIOD_S))

@@ -18,7 +18,7 @@ def robot(numerator: list[float], denominator: list[float], delay_s: float = 0.0
 
 
 def test_the_printed_example_loses_its_common_factor() -> None:
-    """MODEL.md, erratum 1: (100 s + 400)/(5 s² + 120 s + 400) = 20/(s + 20)."""
+    """docs/method.md, erratum 1: (100 s + 400)/(5 s² + 120 s + 400) = 20/(s + 20)."""
     printed = robot([100.0, 400.0], [5.0, 120.0, 400.0], 2.4e-3)
     assert printed.order == 1
     np.testing.assert_allclose(printed.numerator, [20.0], rtol=ROUNDING)

@@ -275,14 +275,14 @@ def test_in_contact_all_eigenvalues_count() -> None:
 
 
 def test_the_printed_example_is_unstable_in_contact() -> None:
-    """MODEL.md, erratum 4."""
+    """docs/method.md, erratum 4."""
     printed = admittance(mass=10.0, damping=1000.0, lead=0.0)
     assert spectral_radius(loop_of(paper_plant(), printed)) > 1.001
     assert spectral_radius(loop_of(paper_plant(), admittance(mass=10.0, damping=1000.0, lead=0.02))) < 1.0
 
 
 def test_the_uncancelled_robot_would_hide_the_true_radius() -> None:
-    """MODEL.md, erratum 1: with the pole at s = −4 left in, every good design had the radius exp(−4 h)."""
+    """docs/method.md, erratum 1: with the pole at s = −4 left in, every good design had the radius exp(−4 h)."""
     hidden = math.exp(-4.0 * PERIOD_S)
     assert spectral_radius(loop_of(paper_plant(), admittance(damping=3000.0, lead=0.02))) < hidden - 1e-3
 
@@ -293,7 +293,7 @@ def free_space_radius(lead: float, drag: float) -> float:
 
 
 def test_in_free_space_too_much_lead_is_unstable_at_the_payload_resonance() -> None:
-    """MODEL.md, erratum 7: at B_p = 630 from about K_l = 0.047, at 33 Hz."""
+    """docs/method.md, erratum 7: at B_p = 630 from about K_l = 0.047, at 33 Hz."""
     low, high = 0.03, 0.06
     for _ in range(30):
         middle = 0.5 * (low + high)
@@ -310,13 +310,13 @@ def test_in_free_space_too_much_lead_is_unstable_at_the_payload_resonance() -> N
     ("lead", "stable"), [(0.0, False), (0.005, False), (0.0065, True), (0.02, True), (0.0325, True), (0.0345, False)]
 )
 def test_with_less_drag_only_an_interval_of_lead_is_stable(lead: float, stable: bool) -> None:
-    """MODEL.md, errata 5 and 7: at B_p = 300 only about 0.006 to 0.033."""
+    """docs/method.md, errata 5 and 7: at B_p = 300 only about 0.006 to 0.033."""
     assert (free_space_radius(lead, 300.0) < 1.0) is stable
 
 
 @pytest.mark.parametrize("lead", np.linspace(0.0, 0.06, 13))
 def test_with_little_drag_nothing_is_stable(lead: float) -> None:
-    """MODEL.md, erratum 7: B_p = 100."""
+    """docs/method.md, erratum 7: B_p = 100."""
     assert free_space_radius(lead, 100.0) > 1.0
 
 

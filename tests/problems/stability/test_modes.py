@@ -100,7 +100,7 @@ def test_what_grows_has_a_negative_damping_ratio() -> None:
 
 def test_the_onset_of_instability_is_the_papers_payload_mode() -> None:
     sampled = build_sampled_plant(paper_plant(stiffness=0.0), PERIOD_S)
-    # MODEL.md, erratum 7: at B_p = 630 instability begins near K_l = 0.047, at 33 Hz.
+    # docs/method.md, erratum 7: at B_p = 630 instability begins near K_l = 0.047, at 33 Hz.
     before = analyse_modes(build_loop(sampled, admittance(mass=10.0, damping=1000.0, lead=0.0455)))
     after = analyse_modes(build_loop(sampled, admittance(mass=10.0, damping=1000.0, lead=0.0475)))
     assert before.is_stable
