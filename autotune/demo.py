@@ -40,13 +40,13 @@ class MadeHere:
     def __init__(self, folder: Path, names: Sequence[str]) -> None:
         self.path = folder / LIST
         self._digests = self._former()
-        standing = [folder / name for name in names if (folder / name).exists()]
-        for path in standing:
+        existing = [folder / name for name in names if (folder / name).exists()]
+        for path in existing:
             if not path.is_file() or self._digests.get(path.name) != _digest(path):
                 raise UsageError(
                     f"{path} exists and is not what a demo made there, so it is not replaced; name another folder."
                 )
-        self.replaced = tuple(f"{path} (sha256 {short(self._digests[path.name])})" for path in standing)
+        self.replaced = tuple(f"{path} (sha256 {short(self._digests[path.name])})" for path in existing)
 
     def add(self, path: Path) -> None:
         """Note a file that was just written; raises as `write_atomic`."""

@@ -82,8 +82,8 @@ class Design(Shown):
         return max(each.peak_contact_force_n for p in self.controller.predicted.values() for each in p.scenarios)
 
     def _headline(self) -> str:
-        told = "; ".join(_gains_text(name, gains) for name, gains in self.gains.items())
-        return f"Design, {self.controller.status.value}: {told}"
+        listed = "; ".join(_gains_text(name, gains) for name, gains in self.gains.items())
+        return f"Design, {self.controller.status.value}: {listed}"
 
     def _tables(self) -> Iterator[ResultTable]:
         rows = tuple(

@@ -13,7 +13,7 @@ class InfeasibleError(AutotuneError):
     """No controller within the bounds meets the requirements.
 
     `relaxations` are the single requirements that would be enough to ease, and by how much: name, asked, possible.
-    `bare` is the message without what some design misses, for where the relaxations are told instead. `missed` is the
+    `bare` is the message without what some design misses, for where the relaxations are listed instead. `missed` is the
     share of a requirement that the closest design found misses, infinite where nothing was found to be stable.
     """
 

@@ -31,16 +31,16 @@ def with_deviation(value: float | None, std: float | None, scale: float = 1.0) -
     """
     if value is None:
         return "-", "-"
-    told, spread = value * scale, 0.0 if std is None else std * scale
+    scaled, spread = value * scale, 0.0 if std is None else std * scale
     if not 0.0 < spread < math.inf:
-        return f"{told:.4f}", "-" if std is None else "0"
+        return f"{scaled:.4f}", "-" if std is None else "0"
     decimals = _decimals(spread)
-    larger = max(abs(told), spread)
+    larger = max(abs(scaled), spread)
     if decimals <= _MOST_DECIMALS or larger >= _SMALL:
-        return _plain(told, decimals), _plain(spread, decimals)
+        return _plain(scaled, decimals), _plain(spread, decimals)
     power = math.floor(math.log10(larger))
     decimals += power
-    texts = [f"{_plain(each * 10.0**-power, decimals)}e{power:+03d}" for each in (told, spread)]
+    texts = [f"{_plain(each * 10.0**-power, decimals)}e{power:+03d}" for each in (scaled, spread)]
     return texts[0], texts[1]
 
 
@@ -62,7 +62,7 @@ def _plain(value: float, decimals: int) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class ParameterRow:
-    """One parameter in the unit in which it is told; texts, empty where there is nothing to say."""
+    """One parameter in the unit in which it is shown; texts, empty where there is nothing to say."""
 
     name: str
     value: str
@@ -114,19 +114,19 @@ def axis_rows(name: str, axis: AxisEstimate) -> Iterator[ParameterRow]:
 def _surface_rows(name: str, surface: EnvironmentEstimate) -> Iterator[ParameterRow]:
     units = axis_units(name)
     scale, stiffness = units.shown_stiffness
-    told = f"{name}: {surface.name}, {surface.contacts} contact{'' if surface.contacts == 1 else 's'}"
-    yield _row(f"{told}: K_e", surface.stiffness_n_per_m, stiffness, scale)
-    yield _row(f"{told}: secant", surface.secant_stiffness_n_per_m, stiffness, scale)
+    label = f"{name}: {surface.name}, {surface.contacts} contact{'' if surface.contacts == 1 else 's'}"
+    yield _row(f"{label}: K_e", surface.stiffness_n_per_m, stiffness, scale)
+    yield _row(f"{label}: secant", surface.secant_stiffness_n_per_m, stiffness, scale)
     if surface.relaxed_stiffness_n_per_m is not None:
-        yield _row(f"{told}: held", surface.relaxed_stiffness_n_per_m, stiffness, scale)
+        yield _row(f"{label}: held", surface.relaxed_stiffness_n_per_m, stiffness, scale)
     if surface.impact_n_s_per_m is not None:
-        yield _row(f"{told}: blow per speed", surface.impact_n_s_per_m, units.damping)
-    yield _row(f"{told}: B_e", surface.damping_n_s_per_m, units.damping)
-    yield _row(f"{told}: M_e", surface.mass_kg, units.mass)
+        yield _row(f"{label}: blow per speed", surface.impact_n_s_per_m, units.damping)
+    yield _row(f"{label}: B_e", surface.damping_n_s_per_m, units.damping)
+    yield _row(f"{label}: M_e", surface.mass_kg, units.mass)
     lowest, highest = min(surface.peak_force_n, default=None), max(surface.peak_force_n, default=None)
     if lowest is not None and highest is not None:
         peaks = f"{highest:.1f}" if lowest == highest else f"{lowest:.1f} to {highest:.1f}"
-        yield ParameterRow(name=f"{told}: peak", value=peaks, unit=units.force)
+        yield ParameterRow(name=f"{label}: peak", value=peaks, unit=units.force)
 
 
 TOUCH_COLUMNS = ("touch", "cause", "from [s]", "speed", "peak", "may be", "unit", "held", "bounces", "surface")

@@ -32,12 +32,12 @@ def active_tree(found: "Optimized") -> dict[str, Any]:
         name: [
             {
                 "name": a.name,
-                price_key(standing.objective, rotational=name in ROTATIONAL_AXES): a.price,
+                price_key(report.objective, rotational=name in ROTATIONAL_AXES): a.price,
                 **({"soft": True} if a.soft else {}),
             }
-            for a in standing.active
+            for a in report.active
         ]
-        for name, standing in found.optimality_reports.items()
+        for name, report in found.optimality_reports.items()
     }
 
 
@@ -46,37 +46,37 @@ def active_lines(found: "Optimized", name: str) -> list[str]:
     from autotune.formats.units import ROTATIONAL_AXES, axis_units
     from problems.design.objectives import PeakObjective
 
-    standing, problem, is_rotational = (
+    report, problem, is_rotational = (
         found.optimality_reports[name],
         found.searches[name].problem,
         name in ROTATIONAL_AXES,
     )
     if not isinstance(problem.objective, PeakObjective):
-        return [*_objective_lines(standing, problem, turning=is_rotational)]
+        return [*_objective_lines(report, problem, turning=is_rotational)]
     units = axis_units(name)
-    lines = [_active_line(entry, problem, units) for entry in standing.active]
-    if not standing.active:
+    lines = [_active_line(entry, problem, units) for entry in report.active]
+    if not report.active:
         lines.append(f"no requirement is active: the peak is the approach {units.force_name} itself")
-    return [*lines, *_optimality_lines(standing, units.force, (".2f", ".3f"), bool(problem.requirements.soft_n))]
+    return [*lines, *_optimality_lines(report, units.force, (".2f", ".3f"), bool(problem.requirements.soft_n))]
 
 
-def _objective_lines(standing: "OptimalityReport", problem: "DesignProblem", *, turning: bool) -> Iterator[str]:
+def _objective_lines(report: "OptimalityReport", problem: "DesignProblem", *, turning: bool) -> Iterator[str]:
     """Yield the value of an objective that is no peak force, what holds it back, and how near it is to the best."""
     objective = problem.objective
     unit = objective.unit_on(turning=turning)
     verb = "larger" if objective.direction == "maximize" else "smaller"
-    yield f"objective {objective.name}: {objective.title} {standing.shown(standing.cost, 4):g} {unit}".rstrip()
-    for entry in standing.active:
+    yield f"objective {objective.name}: {objective.title} {report.shown(report.cost, 4):g} {unit}".rstrip()
+    for entry in report.active:
         moved = f"{entry.price:.2g} {unit}".rstrip()
         side, _, variable = entry.name.partition(" bound of ")
         limit = f", {problem.bounds[variable][0 if side == 'lower' else 1]:g}," if variable else ""
         yield f"{entry.name}{limit} is active: easing it by 1 % makes the objective {moved} {verb}"
-    if not standing.active:
+    if not report.active:
         yield "no requirement and no bound is active"
-    yield from _optimality_lines(standing, unit, (".4g", ".2g"), has_wishes=False)
-    if standing.optimality.exact_share < 1.0:
+    yield from _optimality_lines(report, unit, (".4g", ".2g"), has_soft=False)
+    if report.optimality.exact_share < 1.0:
         yield (
-            f"{100.0 * (1.0 - standing.optimality.exact_share):.0f} % of the gradients behind this are central "
+            f"{100.0 * (1.0 - report.optimality.exact_share):.0f} % of the gradients behind this are central "
             "differences, for there is no exact one"
         )
 
@@ -98,29 +98,29 @@ def _active_line(entry: "ActiveConstraint", problem: "DesignProblem", units: "Ax
 
 
 def _optimality_lines(
-    standing: "OptimalityReport", unit: str, digits: tuple[str, str], has_wishes: bool
+    report: "OptimalityReport", unit: str, digits: tuple[str, str], has_soft: bool
 ) -> Iterator[str]:
     """Yield whether the design is feasible, an optimum of its surroundings, and the best that anyone found.
 
-    `digits` are the formats of the value and of a share of it. With wishes, what was minimised is the peak and the
+    `digits` are the formats of the value and of a share of it. With soft requirements, what was minimised is the peak and the
     prices of what is missed.
     """
-    what = f" {unit} of peak and price" if has_wishes else f" {unit}".rstrip()
-    value, best = (float(standing.objective.value(cost)) for cost in (standing.cost, standing.reference.least))
-    word = "least" if standing.objective.direction == "minimize" else "most"
+    what = f" {unit} of peak and price" if has_soft else f" {unit}".rstrip()
+    value, best = (float(report.objective.value(cost)) for cost in (report.cost, report.reference.least))
+    word = "least" if report.objective.direction == "minimize" else "most"
     near = ""
-    if standing.nearest is not None:
-        near = f"; nearest to its limit is {standing.nearest}, {100.0 * standing.ratio:.4f} % of it used up"
-    met = "every requirement is met" if standing.is_feasible else "a requirement is missed"
-    yield f"{met} over {standing.scenario_count} contacts{near}"
-    optimality, slack = standing.optimality, standing.optimality.slack * value
+    if report.nearest is not None:
+        near = f"; nearest to its limit is {report.nearest}, {100.0 * report.ratio:.4f} % of it used up"
+    met = "every requirement is met" if report.is_feasible else "a requirement is missed"
+    yield f"{met} over {report.scenario_count} contacts{near}"
+    optimality, slack = report.optimality, report.optimality.slack * value
     yield (
         f"conditions of an optimum: {optimality.relative_residual:.1e} of the gradient is left over (KKT residual), "
         f"unused slack is worth {slack:{digits[1]}} {unit}".rstrip()
     )
     yield (
-        f"gap {100.0 * standing.gap:.3f} % to a reference: {best:{digits[0]}}{what} is the {word} "
-        f"that was found {_where_it_was_looked(standing.reference)}"
+        f"gap {100.0 * report.gap:.3f} % to a reference: {best:{digits[0]}}{what} is the {word} "
+        f"that was found {_where_it_was_looked(report.reference)}"
     )
 
 
@@ -139,7 +139,7 @@ def compare_tree(old: "ControllerFile", found: Mapping[str, "SideBySide"]) -> di
     from autotune.formats.records import rename_axis_keys
 
     axes = {
-        name: {"started_from_old": both.is_start, "old": _standing_tree(both.old), "new": _standing_tree(both.new)}
+        name: {"started_from_old": both.is_start, "old": _evaluated_tree(both.old), "new": _evaluated_tree(both.new)}
         for name, both in found.items()
     }
     return {
@@ -149,8 +149,8 @@ def compare_tree(old: "ControllerFile", found: Mapping[str, "SideBySide"]) -> di
     }
 
 
-def _standing_tree(standing: "EvaluatedController") -> dict[str, Any]:
-    law, does, at = standing.law, standing.performance, standing.unstable_at
+def _evaluated_tree(evaluated: "EvaluatedController") -> dict[str, Any]:
+    law, does, at = evaluated.law, evaluated.performance, evaluated.unstable_at
     margins = {} if does is None else does.margins
     return {
         "mass": law.mass_kg,
@@ -177,8 +177,8 @@ def compare_lines(old: "ControllerFile", found: Mapping[str, "SideBySide"]) -> I
     for name, both in found.items():
         units = axis_units(name)
         yield from table_lines([("", "old", "new"), *_rows(both, units)], point=(1, 2), indent=f"  {name}  ")
-        for side, standing in (("old", both.old), ("new", both.new)):
-            yield f"  {name}  {side}: {_verdict(standing, units)}"
+        for side, evaluated in (("old", both.old), ("new", both.new)):
+            yield f"  {name}  {side}: {_verdict(evaluated, units)}"
 
 
 def _rows(both: "SideBySide", units: "AxisKind") -> Iterator[tuple[str, str, str]]:
@@ -234,7 +234,7 @@ def print_compliance(name: str, compliance: "Compliance", problem: "DesignProble
         f"axis {name}: build K_e {compliance.chosen.stiffness_n_per_m:g} N/m to ± {tolerance:g} %, certified from "
         f"{low:g} to {high:g} N/m"
     )
-    # Where there are wishes, it is the peak and their price that is least.
+    # Where requirements are soft, it is the peak and their price that is least.
     prices = ("and price [N]",) if problem.requirements.soft_n else ()
     heads = ("K_e [N/mm]", _objective_head(problem.objective), *prices, "")
     rows = [(*_numbers(point, len(prices)), _remark(compliance, point)) for point in compliance.points]

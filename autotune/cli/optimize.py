@@ -150,14 +150,14 @@ def command(
         seen.append(plant)
         existing = None if old is None else read_controller(old)
         spec = ProblemSpec() if problem is None else read_problem(problem)
-        wishes = DesignOptions(
+        options = DesignOptions(
             payload_mass_kg=payload_mass,
             environment_stiffness_n_per_m=environment_stiffness,
             with_unit=fields_with_unit(),
         )
         with output.progress("searching", 1.0) as advance:
             found = optimize(
-                plant, spec, wishes, seed=seed, problem_path=problem, existing=existing, proof=proof,
+                plant, spec, options, seed=seed, problem_path=problem, existing=existing, proof=proof,
                 step=lambda doing: advance(0.0, f"searching {doing}".rstrip()), progress=advance,
             )  # fmt: skip
         fronts.trace(output, found)

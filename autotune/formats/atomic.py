@@ -82,12 +82,12 @@ def _is_running(process: int) -> bool:
 @cache
 def _where() -> str:
     """Return what tells machine, boot and process namespace apart: only inside one does a process number mean one."""
-    told = [platform.node()]
+    names = [platform.node()]
     with suppress(OSError):
-        told.append(Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii"))
+        names.append(Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii"))
     with suppress(OSError):
-        told.append(str(Path("/proc/self/ns/pid").readlink()))
-    return sha256("\n".join(told).encode()).hexdigest()[:8]
+        names.append(str(Path("/proc/self/ns/pid").readlink()))
+    return sha256("\n".join(names).encode()).hexdigest()[:8]
 
 
 _HERE, _EXCHANGE = -100, 2  # AT_FDCWD and RENAME_EXCHANGE of Linux

@@ -89,7 +89,7 @@ def _check_values(document: Document, result: Identified) -> None:
     for name, axis in result.axes.items():
         if axis.covariance is None:
             continue
-        told = dict(zip(axis.covariance.names, axis.covariance.values, strict=True))
+        fitted = dict(zip(axis.covariance.names, axis.covariance.values, strict=True))
         keys = rename_axis_keys(
             name,
             {key: key for key in ("stiffness_n_per_m", "damping_n_s_per_m", "drag_n_s_per_m", "mass_kg")},
@@ -103,11 +103,11 @@ def _check_values(document: Document, result: Identified) -> None:
             ("M_p", axis.mass_kg, (place["mass_kg"],)),
             ("T_d", axis.robot.delay_s, ("robot", "delay_s")),
         ):
-            if estimate is None or estimate.value is None or estimate.status is Status.GIVEN or symbol not in told:
+            if estimate is None or estimate.value is None or estimate.status is Status.GIVEN or symbol not in fitted:
                 continue
-            if abs(estimate.value - told[symbol]) > _ROUNDING * abs(told[symbol]) + 1e-2 * (estimate.std or 0.0):
+            if abs(estimate.value - fitted[symbol]) > _ROUNDING * abs(fitted[symbol]) + 1e-2 * (estimate.std or 0.0):
                 document.refuse(
                     ("axes", name, *where, "value"),
                     f"{estimate.value:g} is not what the covariance of axis {name} holds for {symbol}, "
-                    f"{told[symbol]:g}; a value that was corrected by hand has the status given, and its std.",
+                    f"{fitted[symbol]:g}; a value that was corrected by hand has the status given, and its std.",
                 )

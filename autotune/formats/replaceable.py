@@ -58,7 +58,7 @@ def kind_of(path: Path) -> str | None:
     return None if found is None else found[1].decode()
 
 
-def standing(path: Path | str) -> str:
+def describe_existing(path: Path | str) -> str:
     """Return in a few words which file exists there, with its checksum; "" where nothing would be lost.
 
     A controller or schedule has a checksum of its own, others that of their bytes (sha256).
@@ -83,7 +83,7 @@ def standing(path: Path | str) -> str:
 
 
 def check_kind(path: Path | str, kind: str, *, option: str = "-o", is_own: Callable[[Path], bool] | None = None) -> str:
-    """Return what a file of `kind` will replace, in words as `standing`; "" where nothing would be lost.
+    """Return what a file of `kind` will replace, in words as `describe_existing`; "" where nothing would be lost.
 
     `is_own` decides instead of `kind_of` for kinds that this module does not know, such as exports. Raises UsageError
     where another file exists: only a file of the same kind is replaced.
@@ -92,7 +92,7 @@ def check_kind(path: Path | str, kind: str, *, option: str = "-o", is_own: Calla
     try:
         found = kind_of(path)
         if found == "" or (found == kind if is_own is None else is_own(path)):
-            return standing(path)
+            return describe_existing(path)
     except OSError as error:
         raise UsageError(f"{path} cannot be read: {error.strerror or error}.") from error
     noun = "file of this tool" if found is None and is_own is None else _NOUNS.get(kind, kind)

@@ -48,8 +48,8 @@ def check_format(document: Document, name: str) -> None:
     wanted = f"autotune/{name}"
     found = document.tree.get("format")
     if "format" not in document.tree or found != wanted:
-        told = describe(found) if "format" in document.tree else "no such key"
-        document.refuse(("format",), f"format must be {wanted}, found {told}.")
+        stated = describe(found) if "format" in document.tree else "no such key"
+        document.refuse(("format",), f"format must be {wanted}, found {stated}.")
     if "version" not in document.tree:
         document.refuse(("version",), f"version must be {VERSION}, found no such key.")
     version = document.tree["version"]

@@ -27,7 +27,7 @@ _STIFFNESS = "environment_stiffness_n_per_m"
 class AxisDesign:
     """An axis `name` that runs `law` every `sample_time_s`, and what its certificate says; SI units of the axis.
 
-    `reach` is the region over which the modulus is proved.
+    `regions` are those over which the modulus is proved.
     """
 
     name: str
@@ -38,7 +38,7 @@ class AxisDesign:
     margins: AxisMargins
     asked: Asked
     soft: Mapping[str, SoftRequirement]
-    reach: tuple[ProvenRegion, ...] = ()
+    regions: tuple[ProvenRegion, ...] = ()
 
     @property
     def units(self) -> AxisKind:
@@ -104,7 +104,7 @@ def axis_designs(controller: Controller) -> tuple[AxisDesign, ...]:
             margins=certificate.margins[name],
             asked=certificate.requirements_of(name) or {},
             soft=(certificate.soft or {}).get(name, {}),
-            reach=(certificate.continuous or {}).get(name, ()),
+            regions=(certificate.continuous or {}).get(name, ()),
         )
         for name in controller.axes
         if name in certificate.domain and name in certificate.margins and name in controller.predicted

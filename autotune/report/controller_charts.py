@@ -287,10 +287,10 @@ def stiffness_chart(design: AxisDesign, old: AdmittanceController | None) -> Cha
 
 def _proved(design: AxisDesign, scale: float) -> Iterator[Line]:
     """Yield the modulus that is proved over K_e and M_p, as far as it is."""
-    for reach in design.reach[:1]:
-        ends = scale * np.array(reach.environment_stiffness_n_per_m)
+    for region in design.regions[:1]:
+        ends = scale * np.array(region.environment_stiffness_n_per_m)
         if ends[1] > ends[0]:
-            yield Line(x=ends, y=np.full(2, reach.modulus), label="proved", role="good")
+            yield Line(x=ends, y=np.full(2, region.modulus), label="proved", role="good")
 
 
 def _highest(*cases: Sequence[OverStiffness]) -> float:

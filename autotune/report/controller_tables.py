@@ -129,7 +129,7 @@ def compliance_tables(controller: Controller) -> Iterator[Table]:
     for name, chosen in found.items() if isinstance(found, Mapping) else ():
         has_price = any("objective_n" in entry for entry in chosen["tried"])
         keys = ("peak_force_n", *(("objective_n",) if has_price else ()))
-        heads = ("least worst peak [N]", "and the price of missed wishes [N]")
+        heads = ("least worst peak [N]", "and the price of missed soft requirements [N]")
         yield build_table(
             f"Axis {name}: the compliance to build, to ± {100.0 * chosen['tolerance']:g} %",
             ("K_e [N/mm]", *heads[: len(keys)], ""),
@@ -352,23 +352,23 @@ def _case(case: Mapping[str, Any], units: AxisKind) -> str:
     return ", ".join(parts)
 
 
-def reach_table(design: AxisDesign) -> Table | None:
+def regions_table(design: AxisDesign) -> Table | None:
     """Return how far the modulus is proved at all frequencies, None where the file does not say it."""
-    if not design.reach:
+    if not design.regions:
         return None
     rows: list[tuple[str | TableCell, ...]] = []
-    for reach in design.reach:
-        low, high = reach.environment_stiffness_n_per_m
+    for region in design.regions:
+        low, high = region.environment_stiffness_n_per_m
         rows.append(
             (
-                ", ".join(SYMBOLS.get(name, name) for name in reach.over),
-                f"{reach.modulus:.4g}",
-                f"{100.0 * reach.slack:.3g} %",
-                TableCell(text=f"{100.0 * reach.share:.4g} %", tone="good" if reach.share == 1.0 else "warn"),
+                ", ".join(SYMBOLS.get(name, name) for name in region.over),
+                f"{region.modulus:.4g}",
+                f"{100.0 * region.slack:.3g} %",
+                TableCell(text=f"{100.0 * region.share:.4g} %", tone="good" if region.share == 1.0 else "warn"),
                 f"{stiffness_text(low, design.units)} to {stiffness_text(high, design.units)}",
-                f"{reach.cells:.0f}, {reach.arcs:.0f}",
-                f"{reach.run_time_s:.2f} s",
-                TableCell(text=reach.method, tone="quiet"),
+                f"{region.cells:.0f}, {region.arcs:.0f}",
+                f"{region.run_time_s:.2f} s",
+                TableCell(text=region.method, tone="quiet"),
             )
         )
     return build_table(

@@ -25,7 +25,7 @@ from .controller_tables import (
     law_before,
     prices_of,
     proof_table,
-    reach_table,
+    regions_table,
     requirement_table,
     response_table,
     worst_table,
@@ -217,8 +217,8 @@ def certificate_section(controller: Controller, designs: Sequence[AxisDesign]) -
     """Return what is proved, over which plants, and the worst of them."""
     blocks: list[Block] = [proof_table(controller)]
     for design in designs:
-        reach = reach_table(design)
-        blocks += [] if reach is None else [reach]
+        regions = regions_table(design)
+        blocks += [] if regions is None else [regions]
         blocks += [domain_table(design), worst_table(design)]
     return Section(key="certificate", title="Certificate", blocks=tuple(blocks))
 

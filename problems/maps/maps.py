@@ -157,7 +157,7 @@ def compute_map(
 ) -> MapResult:
     """Compute every point of a map: the memory is that of the result and of one chunk of plants.
 
-    Every distinct plant is sampled once. `progress` is told the share of the work done since the last call.
+    Every distinct plant is sampled once. `progress` receives the share of the work done since the last call.
     """
     plants, controllers = _Varied(request, "plant"), _Varied(request, "controller")
     base = controller_at(request.controller, request.fixed)

@@ -107,7 +107,7 @@ def find_stable_intervals(
 ) -> IntervalResult:
     """Scan and bisect: the memory is that of the result and of one chunk of plants.
 
-    `progress` is told the share of the work done since the last call.
+    `progress` receives the share of the work done since the last call.
     """
     found: dict[str, list[tuple[StableInterval, ...]]] = {name: [] for name in request.cases}
     along = request.along.values()

@@ -7,7 +7,7 @@ import pytest
 
 from autotune.errors import UsageError
 from autotune.formats.controller import write_controller
-from autotune.formats.replaceable import check_kind, kind_of, standing
+from autotune.formats.replaceable import check_kind, kind_of, describe_existing
 from tests.autotune.formats.samples import make_controller
 
 
@@ -35,14 +35,14 @@ def test_the_kind_is_in_the_first_lines(tmp_path: Path) -> None:
 
 def test_what_stands_there_is_told_with_its_checksum(tmp_path: Path) -> None:
     path = tmp_path / "controller.yaml"
-    assert standing(path) == ""
+    assert describe_existing(path) == ""
     digest = write_controller(path, make_controller())
-    assert standing(path) == check_kind(path, "controller") == f"the controller of checksum {digest[:8]}"
+    assert describe_existing(path) == check_kind(path, "controller") == f"the controller of checksum {digest[:8]}"
     path.write_text(path.read_text(encoding="utf-8").replace("mass: 12.5", "mass: 12.4"), encoding="utf-8")
     assert check_kind(path, "controller") == "a controller that is not whole"
     plan = b"format: autotune/plan\n"
     path.write_bytes(plan)
-    assert standing(path) == f"the plan of sha256 {sha256(plan).hexdigest()[:8]}"
+    assert describe_existing(path) == f"the plan of sha256 {sha256(plan).hexdigest()[:8]}"
 
 
 def test_anything_else_is_not_replaced(tmp_path: Path) -> None:
