@@ -7,7 +7,7 @@ import pytest
 
 from autotune.errors import UsageError
 from autotune.formats.controller import write_controller
-from autotune.formats.replaceable import check_kind, kind_of, describe_existing
+from autotune.formats.replaceable import check_kind, describe_existing, kind_of
 from tests.autotune.formats.samples import make_controller
 
 
