@@ -97,13 +97,11 @@ def _active_line(entry: "ActiveConstraint", problem: "DesignProblem", units: "Ax
     return f"{entry.name} holds the peak up: easing it by 1 % saves {saved}, asking 1 % more costs as much"
 
 
-def _optimality_lines(
-    report: "OptimalityReport", unit: str, digits: tuple[str, str], has_soft: bool
-) -> Iterator[str]:
+def _optimality_lines(report: "OptimalityReport", unit: str, digits: tuple[str, str], has_soft: bool) -> Iterator[str]:
     """Yield whether the design is feasible, an optimum of its surroundings, and the best that anyone found.
 
-    `digits` are the formats of the value and of a share of it. With soft requirements, what was minimised is the peak and the
-    prices of what is missed.
+    `digits` are the formats of the value and of a share of it. With soft requirements, what was minimised is the peak
+    and the prices of what is missed.
     """
     what = f" {unit} of peak and price" if has_soft else f" {unit}".rstrip()
     value, best = (float(report.objective.value(cost)) for cost in (report.cost, report.reference.least))
