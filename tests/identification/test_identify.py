@@ -250,6 +250,14 @@ def test_an_axis_of_rotation_is_told_in_its_own_units_beside_the_tensor() -> Non
         assert abs(estimate.value - truth) < 4.4 * estimate.std
     kinds = {phase.kind.value for phase in found.timelines[0].phases}
     assert {"rest", "turning"} <= kinds
+    touches = found.timelines[0].touches
+    assert [(touch.axis, touch.surface) for touch in touches] == [("ry", "ry1")] * 2
+    program = Program.turning(jogging_s=0.0, contact_count=2)
+    for touch in touches:
+        # N·m and rad/s: the torque is held against the surface, and drives the approach.
+        assert touch.held_force == pytest.approx(program.contact_force_n, rel=0.03)
+        asked = program.contact_force_n / (cell.controller.damping_n_s_per_m + cell.drag_n_s_per_m)
+        assert touch.approach_speed == pytest.approx(asked, rel=0.1)
 
 
 def test_the_time_line_names_the_surface_of_each_contact(complete: Identified) -> None:
