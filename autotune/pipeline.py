@@ -162,7 +162,14 @@ def identify_log(
     else:
         done = map_in_processes(work, runs, processes, each=lambda: report(1.0 / len(runs)))
     check_names(given, [axis for run in done for axis in run.named.result.axes])
-    result = combine_identified([run.named for run in done], given)
+    parts = [run.named for run in done]
+    result = combine_identified(parts, given)
+    if len(parts) > 1:
+        from autotune.prediction.left_out_logs import with_left_out_logs  # noqa: PLC0415 - compiles
+
+        gains = options.declared().gains
+        lead_s = None if gains is None else gains.lead
+        result = with_left_out_logs(result, parts, partial(combine_identified, given=given), lead_s)
     result = replace(result, findings=(*result.findings, *advise(result)))
     found = Identification(
         result=result,

@@ -23,6 +23,18 @@ _MOST_DECIMALS = 6
 _SMALL = 1e-3
 
 
+def held_out_lines(name: str, axis: AxisEstimate) -> Iterator[str]:
+    """Yield in a sentence each how well contacts are predicted without themselves, and without their log."""
+    for without, what in (("contact", "from the other contacts"), ("log", "from the other logs")):
+        errors = [math.expm1(each.log_ratio) for each in axis.held_out if each.without == without]
+        if errors:
+            rms = math.sqrt(sum(error**2 for error in errors) / len(errors))
+            yield (
+                f"axis {name}: {len(errors)} {'peak' if len(errors) == 1 else 'peaks'} predicted {what}, RMS error "
+                f"{100.0 * rms:.2g} %, largest {100.0 * max(map(abs, errors)):.2g} %"
+            )
+
+
 def with_deviation(value: float | None, std: float | None, scale: float = 1.0) -> tuple[str, str]:
     """Return `value` and `std`, both times `scale`, as texts with the same decimals: two digits of the deviation.
 

@@ -144,13 +144,16 @@ class _Seen:
 
 def print_identified(result: "Identified", out: Path) -> None:
     """Print the parameters as a table, the findings below."""
-    from autotune.text import TOUCH_COLUMNS, parameter_rows, touch_rows
+    from autotune.text import TOUCH_COLUMNS, held_out_lines, parameter_rows, touch_rows
 
     rows = [
         ("parameter", "value", "± std", "unit", "verdict"),
         *((row.name, row.value, row.std, row.unit, row.verdict) for row in parameter_rows(result)),
     ]
     print_table(rows, left=(0, 3, 4), point=(1, 2), verdict=4)
+    for name, axis in result.axes.items():
+        for line in held_out_lines(name, axis):
+            print_message(line)
     for timeline in result.timelines:
         if timeline.touches:
             print_table([TOUCH_COLUMNS, *touch_rows(timeline)], left=(0, 1, 6, 9), point=(2, 3, 4, 7))

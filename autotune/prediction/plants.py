@@ -133,10 +133,10 @@ def build_plants(
     touched = find_surface(estimates, name, surface)
     label = touched.name if touched is not None else surface.label(name)
     period = sample_time_s if sample_time_s is not None else _number(result.sample_time_s)
+    if touched is not None and _is_blow_only(estimates, touched):
+        return _blow_only(name, touched, period or 0.0, model_error(estimates.held_out), seed)
     if period is None:
         raise EstimateError("The controller's period is not known, and nothing can be computed without it; say it.")
-    if touched is not None and _is_blow_only(estimates, touched):
-        return _blow_only(name, touched, period, model_error(estimates.held_out), seed)
     known = _Known(result, name, estimates, touched, surface, payload_mass)
     nominal = known.plant({}, period)
     if source.domain:

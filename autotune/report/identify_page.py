@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from autotune.charts.chart import Chart
 from autotune.formats.units import axis_units
-from autotune.text import TOUCH_COLUMNS, ParameterRow, parameter_rows, touch_rows
+from autotune.text import TOUCH_COLUMNS, ParameterRow, held_out_lines, parameter_rows, touch_rows
 from identification.errors import LogError
 from identification.evidence import AxisEvidence, Evidence
 from identification.logs import LogSummary, inspect_log
@@ -242,6 +242,7 @@ def _phase_table(result: Identified) -> Table:
 def _axis_section(result: Identified, name: str, axis: AxisEstimate, evidence: Sequence[Evidence]) -> Section:
     units = axis_units(name)
     blocks: list[Block] = [_fit_table(axis.fits)] if axis.fits else []
+    blocks += [Note(text=line, kind="held out") for line in held_out_lines(name, axis)]
     seen = [(each.period_s, each.axes[name]) for each in evidence if name in each.axes]
     # Of several logs the one with most samples is shown; all are in the table above.
     period_s, shown = max(seen, key=lambda pair: sum(len(span.measured) for span in pair[1].spans), default=(0.0, None))
