@@ -24,14 +24,14 @@ _OTHER = frozenset(
 )
 _TRANSLATION_OR_TORQUE = "t"
 _KNOWN = _FORCE | _TORQUE | _WRENCH | _POSITION | _TURN | _VELOCITY | _OTHER | {_TRANSLATION_OR_TORQUE}
-_COMMANDS = COMMAND_WORDS | {"des", "ref", "set", "sp", "soll", "tgt"}
-_MEASURED = frozenset({"actual", "measured", "meas", "act", "ist", "current", "cur", "real"})
+_COMMANDS = COMMAND_WORDS | {"des", "ref", "set", "sp", "soll", "rsol", "tgt"}
+_MEASURED = frozenset({"actual", "measured", "meas", "act", "ist", "rist", "current", "cur", "real"})
 _TIME = frozenset(
-    {"t", "time", "times", "timestamp", "stamp", "zeit", "elapsed", "sec", "secs", "seconds", "millis", "nanos"}
+    {"t", "time", "times", "timestamp", "stamp", "zeit", "elapsed", "sec", "secs", "seconds", "millis", "nanos", "ipoc"}
 )
 _TIME_UNITS: Mapping[str, str] = FrozenDict(
     {"s": "s", "sec": "s", "secs": "s", "seconds": "s", "ms": "ms", "msec": "ms", "millis": "ms", "us": "us"}
-    | {"µs": "us", "ns": "ns", "nsec": "ns", "nanos": "ns"}
+    | {"µs": "us", "ns": "ns", "nsec": "ns", "nanos": "ns", "ipoc": "ms"}
 )
 UNITS: Mapping[str, str] = FrozenDict(
     {

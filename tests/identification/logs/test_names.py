@@ -78,3 +78,16 @@ def test_units_stand_beside_or_below_a_name() -> None:
         assert vector.unit == "mm"
         assert list(found.times.values()) == ["ms"]
         assert found.others == ()
+
+
+def test_what_a_kuka_sends_of_itself_is_measured_and_commanded() -> None:
+    """RIst and RSol are where the robot is and where it is to be, IPOC counts milliseconds."""
+    axes = "XYZABC"
+    found = read_names(["IPOC", *(f"RIst_{axis}" for axis in axes), *(f"RSol_{axis}" for axis in axes)])
+    assert found.times == {"IPOC": "ms"}
+    assert [(v.kind, v.components, v.is_command) for v in found.vectors] == [
+        (Meaning.POSITION, "xyz", False),
+        (Meaning.TURN, "abc", False),
+        (Meaning.POSITION, "xyz", True),
+        (Meaning.TURN, "abc", True),
+    ]
