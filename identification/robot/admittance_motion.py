@@ -11,7 +11,15 @@ from problems.compiled import compiled
 
 from ..errors import EstimateError
 from ..signals.aligned import check_regular, longest_whole, spans_of
-from ..signals.recording import AXES, AppliedDeadband, GainsSignal, PoseSignal, Recording, StampArray
+from ..signals.recording import (
+    AXES,
+    AppliedDeadband,
+    GainsSignal,
+    PoseSignal,
+    Recording,
+    StampArray,
+    WrenchSignal,
+)
 
 _SHORTEST_S, _SHORTEST_TRACE_S = 3.0, 1.0
 _STEP_S = 0.01
@@ -32,8 +40,8 @@ class AdmittanceMotion:
     controller's deadband, every `period_s` from time 0; `lead_s` is K_l, None where it is not known and taken as 0.
     `moved_m_s` (m,) is the mean velocity of the logged point between the stamps `edge_s` (m + 1,); `turning_rad_s`
     (m, 2 or 0) what the tool's turning adds to it for a lever of 1 m (along the axis after next, then the next one);
-    `used` (m,) is false where the robot was not driven by the admittance, and right behind that. `is_trace` marks one
-    contact after a steady approach.
+    `used` (m,) is false where the robot was not driven by the admittance, and right behind that. `approach_m_s` is the
+    steady velocity before a trace of one contact, None of any other log.
     """
 
     axis: str
@@ -45,7 +53,12 @@ class AdmittanceMotion:
     used: BoolArray
     halted_s: float
     lead_s: float | None = None
-    is_trace: bool = False
+    approach_m_s: float | None = None
+
+    @property
+    def is_trace(self) -> bool:
+        """Whether this is one contact after a steady approach, at F^d/B_a."""
+        return self.approach_m_s is not None
 
 
 def admittance_motions(recording: Recording) -> tuple[AdmittanceMotion, ...]:
@@ -91,10 +104,17 @@ def admittance_motions(recording: Recording) -> tuple[AdmittanceMotion, ...]:
             used=~_reach(edge, halted) & (is_trace | (edge[:-1] > edge[0] + _SETTLING_S)),
             halted_s=float(np.sum(np.diff(edge)[halted])),
             lead_s=None if gains.lead_s is None else gains.lead_s[i],
-            is_trace=is_trace,
+            approach_m_s=_approach(recording.desired_force, gains, i) if is_trace else None,
         )
         for i in axes
     )
+
+
+def _approach(desired: WrenchSignal | None, gains: GainsSignal, axis: int) -> float:
+    """Return the steady speed F^d/B_a at the beginning of a log, 0 without a desired force."""
+    if desired is None:
+        return 0.0
+    return float(np.concatenate([desired.force_n[0], desired.torque_n_m[0]])[axis] / gains.damping[0, axis])
 
 
 def _asked(recording: Recording, gains: GainsSignal, start_ns: int, time: FloatArray) -> FloatArray:

@@ -21,7 +21,7 @@ from .admittance_motion import AdmittanceMotion, admittance_motions
 from .log_parts import PartSpread, spread_of_parts
 from .position_loop import find_bandwidth_hz
 
-_SMALLEST_TRAVEL = 5e-3  # m or rad
+_SMALLEST_TRAVEL, _SMALLEST_TRACE_TRAVEL = 5e-3, 1e-3  # m or rad
 _FEWEST_STEPS = 100
 _CONSTANT_SHARE = 1e-9  # rounding of a constant
 _SMALLEST_TURN_RAD_S = 2e-4
@@ -82,7 +82,11 @@ def identify_admittance_robot(motion: AdmittanceMotion) -> AdmittanceRobotFit:
     """
     moved = motion.moved_m_s[motion.used]
     travel = float(np.sum(np.abs(moved) * np.diff(motion.edge_s)[motion.used]))
-    if travel < _SMALLEST_TRAVEL or len(moved) < _FEWEST_STEPS or not np.all(np.isfinite(motion.asked_m_s)):
+    if (
+        travel < (_SMALLEST_TRACE_TRAVEL if motion.is_trace else _SMALLEST_TRAVEL)
+        or len(moved) < _FEWEST_STEPS
+        or not np.all(np.isfinite(motion.asked_m_s))
+    ):
         raise EstimateError(
             f"The tool travels {1e3 * travel:.1f} mm (mrad) in {len(moved)} samples under the admittance with known "
             "gains, too little to identify the robot's response; lead it by hand for 10 s, in quick pushes."
@@ -182,7 +186,7 @@ def _response(motion: AdmittanceMotion, order: int, parameters: FloatArray) -> F
     """
     model = _model(order, parameters)
     discrete = cont2discrete((model.numerator, model.denominator), motion.period_s, method="foh")
-    begin = motion.asked_m_s[0]
+    begin = motion.asked_m_s[0] if motion.approach_m_s is None else motion.approach_m_s
     velocity = begin + lfilter(np.squeeze(discrete[0]), discrete[1], motion.asked_m_s - begin)
     path = CubicSpline(np.arange(len(velocity)) * motion.period_s, velocity).antiderivative()
     late = path(np.maximum(motion.edge_s - model.delay_s, 0.0))
@@ -356,8 +360,9 @@ def _estimate(fit: AdmittanceRobotFit, motion: AdmittanceMotion) -> RobotEstimat
     method = f"output error behind the admittance of the known gains, residual {100.0 * fit.fit_error:.2g} % of speed"
     lag = f"lag at low frequency {1e3 * fit.lag_s:.0f} ± {1e3 * fit.lag_std_s:.0f} ms, poles and delay together"
     assumed = _ASSUMED if motion.lead_s is None else _ASSUMED_OF_KNOWN_LEAD
-    bandwidth = judged(fit.bandwidth_hz, fit.bandwidth_std_hz, method=method, weak=_LOOSEST_SHARE)
-    bandwidth = weak_at_best(bandwidth, assumed)
+    bandwidth = judged(fit.bandwidth_hz, fit.bandwidth_std_hz, method=method, note=assumed, weak=_LOOSEST_SHARE)
+    if bandwidth.status is Status.IDENTIFIED:
+        bandwidth = replace(bandwidth, status=Status.WEAK)
     # A bound may be looser than a value.
     delay = judged(
         fit.model.delay_s,
