@@ -12,8 +12,9 @@ from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from autotune.formats.cell import read_cell
+from identification.errors import EstimateError
 from identification.identify import identify_cell
-from identification.logs import inspect_log, read_recording
+from identification.logs import inspect_log, read_checked_recording, read_recording
 from identification.logs.roles.cell import Cell, PoseSource
 from identification.signals.recording import Recording
 from identification.touches.trace import identify_trace
@@ -117,6 +118,21 @@ def test_what_was_done_before_recording_is_known(recordings: dict[str, Recording
     assert "Gravity is already removed from the force of topic /robot_state" in removed.message
     assert removed.severity == "error"
     assert found.payload.mass_kg.value is None
+
+
+def test_axes_whose_force_never_leaves_the_deadband_crash_nothing(shared_data: Path, cell: Cell) -> None:
+    """Turning about z is asked of nothing throughout; a warning would be an error here."""
+    found = identify_cell(read_recording(shared_data / "nj60" / "acc_rail_slide.bag", cell))
+    assert found.payload.mass_kg.value is None
+
+
+@pytest.mark.parametrize("name", ["acc_rail_slide.bag", "hard_low_1.bag"])
+def test_compensation_that_is_not_declared_is_suspected(shared_data: Path, cell: Cell, name: str) -> None:
+    assert cell.wrench is not None
+    undeclared = replace(cell, wrench=replace(cell.wrench, gravity_compensated=None))
+    recording = read_checked_recording(shared_data / "nj60" / name, undeclared)
+    with pytest.raises(EstimateError, match=r"gravity was taken off before recording, say so with .*compensated: true"):
+        identify_cell(recording)
 
 
 def test_clocks_are_told_to_be_off(shared_data: Path, cell: Cell) -> None:

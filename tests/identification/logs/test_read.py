@@ -250,3 +250,21 @@ def test_an_axis_that_the_sensor_does_not_measure_is_left_out(tmp_path: Path) ->
     assert recording.wrench.measured_axes == ("x", "y", "z", "rx", "ry")
     assert np.isnan(recording.wrench.torque_n_m[:, 2]).all()
     assert np.array_equal(recording.wrench.force_n, wrench.values[:, :3])
+
+
+def test_a_single_pose_that_is_off_is_replaced_and_said_by_inspect_too(tmp_path: Path) -> None:
+    """A tenth of a metre in one of a hundred samples of a robot that moves."""
+    wrench, pose, _ = complete()
+    seconds = (pose.stamp_ns - pose.stamp_ns[0]) * 1e-9
+    smooth = np.zeros_like(pose.values)
+    smooth[:, 0], smooth[:, 6] = 0.05 * np.sin(6.0 * seconds), 1.0
+    spoilt = smooth.copy()
+    spoilt[40, 0] += 0.1
+    path = write_mcap(tmp_path / "run.mcap", [wrench, pose.with_values(spoilt)])
+    recording = read_recording(path)
+    # Half of the acceleration 1.8 m/s² times (4 ms)² is 14 µm.
+    assert np.max(np.abs(recording.pose.position_m - smooth[:, :3])) < 2e-5
+    for findings in (recording.findings, inspect_log(path).findings):
+        (said,) = (each for each in findings if each.code == "pose-spikes")
+        assert "1 sample(s)" in said.message
+        assert "the first 0.160 s after its start" in said.message
