@@ -139,7 +139,7 @@ def commanded_motion(recording: Recording, command: PoseSignal, log: AlignedLog,
     if covered < _COVERED_SHARE * moving:
         raise EstimateError(
             f"Topic `{command.topic}` must cover the {moving:.1f} s in which the tool moves, found {covered:.1f} s; "
-            "record the command with the pose, and check that both header clocks are the same."
+            "record the command with the pose, and check that both count on one clock."
         )
     stamps = command.stamp_ns[inside]
     origin = log.position_B_m[0]

@@ -165,6 +165,12 @@ def _ranges(channel: _Channel) -> Iterator[str]:
 
 def _time(channel: _Channel) -> Entry | None:
     """Guess the time column of a table and its unit, or that each row is a pose at rest."""
+    turns = [vector.paths for vector in channel.named.vectors if vector.kind is Meaning.TURN]
+    leaps = bool(turns) and len(channel.columns[turns[0][0]]) <= _MOST_POSES and _leaps(channel.of(turns[0]))
+    has_force = any(vector.kind in (Meaning.FORCE, Meaning.WRENCH) for vector in channel.named.vectors)
+    if leaps and (has_force or not channel.named.times):
+        evidence = "the orientation leaps from row to row, as no robot turns: each row is taken as the mean of a rest"
+        return Entry(key="table", value={"rows": "poses"}, evidence=evidence)
     for path, named_unit in channel.named.times.items():
         unit = named_unit
         values = channel.columns[path]
@@ -177,14 +183,10 @@ def _time(channel: _Channel) -> Entry | None:
             unit = next(name for name, least in _EPOCH.items() if values[0] > least)
             why = f"counted since 1970 in {unit}"
         else:
-            unit = next((name for name, least in _SHORTEST_STEP.items() if step >= least), "s")
+            unit = "s" if leaps else next((name for name, least in _SHORTEST_STEP.items() if step >= least), "s")
             why = f"rows are {step:.4g} {unit} apart, of s, ms, us and ns the unit of a control loop"
         layout: dict[str, object] = {"time": path, "time_unit": unit}
         return Entry(key="table", value=layout, evidence=f"it always rises; {why}")
-    moving = [vector.paths for vector in channel.named.vectors if vector.kind is Meaning.TURN]
-    if moving and len(channel.columns[moving[0][0]]) <= _MOST_POSES and _leaps(channel.of(moving[0])):
-        evidence = "no column is a time, and the orientation leaps from row to row: each is taken as the mean of a rest"
-        return Entry(key="table", value={"rows": "poses"}, evidence=evidence)
     return None
 
 

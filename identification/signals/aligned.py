@@ -15,6 +15,7 @@ from .recording import PoseSignal, Recording, StampArray, WrenchSignal
 
 _SHORTEST_OVERLAP_S = 2.0
 _FEWEST_SAMPLES = 30
+_LONGEST_POSE_PERIOD_S = 0.5
 _LARGEST_GAP_PERIODS = 12.0
 _FEWEST_BETWEEN_HOLES = 4
 _REGULAR_SHARE = 0.05
@@ -100,10 +101,16 @@ def on_one_clock(recording: Recording) -> AlignedLog:
         raise LogError(
             f"Wrench and pose must cover the same time for at least {_SHORTEST_OVERLAP_S:g} s, found "
             f"{max(0.0, float(stop - start) * 1e-9):.3f} s in common ({wrench.topic}, {pose.topic}); check "
-            "that both header clocks are the same."
+            "that both count on one clock, and of tables the unit of their times (`time_unit`)."
         )
     period = check_regular(wrench.topic, wrench.stamp_ns, keeps_holes=recording.keeps_holes)
     pose_period = check_regular(pose.topic, pose.stamp_ns, keeps_holes=recording.keeps_holes)
+    if pose_period > _LONGEST_POSE_PERIOD_S:
+        raise LogError(
+            f"The pose must be logged as the robot moves, found samples of {pose.topic} {pose_period:.3g} s apart; "
+            "record it at the control rate, check the unit of its times, or, where it is held from one to the next, "
+            "give the mean wrench of each hold with its pose in one row and declare `table: {rows: poses}`."
+        )
     start = wrench.stamp_ns[np.searchsorted(wrench.stamp_ns, start)]
     count = int((stop - start) * 1e-9 / period + 1e-6) + 1
     if count < _FEWEST_SAMPLES:

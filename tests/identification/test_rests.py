@@ -95,8 +95,28 @@ def test_rows_that_do_not_separate_weight_from_bias_are_refused(tmp_path: Path) 
 
 def test_a_few_rows_that_are_said_to_be_samples_are_refused_with_what_to_declare(tmp_path: Path) -> None:
     path = written(tmp_path / "poses.csv", rows(7))
-    with pytest.raises(LogError, match=r"found 7.*`table: \{rows: poses\}`"):
+    with pytest.raises(LogError, match=r"samples of poses\.csv 1 s apart.*`table: \{rows: poses\}`"):
         identified(path, CELL.replace("rows: poses", "sample_rate_hz: 1"))
+
+
+def test_a_pose_that_is_held_from_row_to_row_is_no_motion(tmp_path: Path) -> None:
+    """Seven poses of ten seconds beside a force of 100 Hz: what is between them is not to be interpolated."""
+    table, names = rows(7), "fx,fy,fz,tx,ty,tz"
+    time = np.arange(7000) / 100.0
+    held = np.column_stack([time, table[(time / 10.0).astype(int), 4:]])
+    forces = written(
+        tmp_path / "force.csv",
+        held + np.random.default_rng(1).normal(size=held.shape) * ([0] + [0.1] * 6),
+        f"t,{names}",
+    )
+    turns = written(tmp_path / "pose.csv", np.column_stack([10.0 * np.arange(7), table[:, :4]]), "t,qx,qy,qz,qw")
+    cell = (
+        CELL.replace("{rows: poses}", "{time: t}")
+        .replace("Fx, Fy, Fz", "fx, fy, fz")
+        .replace("Mx, My, Mz", "tx, ty, tz")
+    )
+    with pytest.raises(LogError, match=r"samples of pose\.csv 10 s apart.*`table: \{rows: poses\}`"):
+        identified([forces, turns], cell)
 
 
 def test_inspect_says_what_such_a_table_holds(tmp_path: Path) -> None:

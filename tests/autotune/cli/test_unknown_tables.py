@@ -155,3 +155,14 @@ def test_two_tables_with_clocks_of_their_own(tmp_path: Path, capsys: pytest.Capt
     begun = in_two_edits(tmp_path, capsys, [forces, poses])
     assert "  force.csv: {time: t_us, time_unit: us}" in begun
     assert "  pose.csv: {time: secs, time_unit: s}" in begun
+
+
+@pytest.mark.parametrize("has_time", [True, False])
+def test_a_row_per_pose(tmp_path: Path, capsys: pytest.CaptureFixture[str], run: Run, has_time: bool) -> None:
+    """Means of rests, with the time of each or without: nothing to edit, and no time is made of it."""
+    at = (np.arange(8) * 1.8 * RATE_HZ).astype(int)[:, None] + np.arange(20, 180)
+    means = [each[at].mean(axis=1) for each in (run.force, run.torque)]
+    values = np.column_stack([10.0 * np.arange(8), run.turned[at[:, 80]].as_quat(), *means])
+    names = "time,qx,qy,qz,qw,fx,fy,fz,mx,my,mz"
+    path = columns(tmp_path / "poses.csv", names if has_time else names[5:], values if has_time else values[:, 1:])
+    assert "table: {rows: poses}  # the orientation leaps from row to row" in in_two_edits(tmp_path, capsys, [path])

@@ -91,7 +91,7 @@ def test_stamps_that_jitter_are_put_on_a_uniform_clock() -> None:
 
 @pytest.mark.parametrize("shift_s", [3.0, 60.0, -60.0])
 def test_channels_that_do_not_overlap_are_refused(shift_s: float) -> None:
-    with pytest.raises(LogError, match=r"Wrench and pose must cover the same time.*\(/ft, /tcp\).*header clocks"):
+    with pytest.raises(LogError, match=r"Wrench and pose must cover the same time.*\(/ft, /tcp\).*count on one clock"):
         align(recording(clock(500.0, 4.0), clock(500.0, 4.0, shift_ns=int(shift_s * 1e9))))
 
 
