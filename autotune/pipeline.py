@@ -167,9 +167,7 @@ def identify_log(
     if len(parts) > 1:
         from autotune.prediction.left_out_logs import with_left_out_logs  # noqa: PLC0415 - compiles
 
-        gains = options.declared().gains
-        lead_s = None if gains is None else gains.lead
-        result = with_left_out_logs(result, parts, partial(combine_identified, given=given), lead_s)
+        result = with_left_out_logs(result, parts, partial(combine_identified, given=given))
     result = replace(result, findings=(*result.findings, *advise(result)))
     found = Identification(
         result=result,

@@ -216,10 +216,12 @@ def compare_with_touches(
                 law=law,
                 mass=law.controller.mass_kg,
                 damping=law.controller.damping_n_s_per_m,
+                lead_s=law.controller.lead_s,
                 desired_force=asked.force,
             )
         law = law_of_gains({"mass": 1.0, "damping": 1.0, **gains})
-        said = {name: float(gains[name]) for name in ("mass", "damping") if name in gains}
+        names = {"mass": "mass", "damping": "damping", "lead": "lead_s"}
+        said = {field: float(gains[name]) for name, field in names.items() if name in gains}
         return Running(law=law, desired_force=asked.force, **said)
 
     surface = asked.touched()

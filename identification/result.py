@@ -74,8 +74,8 @@ class Touch:
     towards +axis. `peak_force` is the largest sample, `peak_interval` what the peak between the samples may be, and
     `rise_samples` how many of them the force took from a tenth of the peak to the peak. `approach_speed` is that of
     the flange right before the onset, towards what is touched, `impulse` ∫F dt of the first blow, `held_force` that of
-    the hold. `is_led` says that a hand led the payload into it. `mass`, `damping` and `desired_force` are M_a, B_a and
-    F^d at the onset. `surface` is the name of what was touched, None until it is known.
+    the hold. `is_led` says that a hand led the payload into it. `mass`, `damping`, `lead_s` and `desired_force` are
+    M_a, B_a, K_l and F^d at the onset. `surface` is the name of what was touched, None until it is known.
     """
 
     axis: str
@@ -96,6 +96,7 @@ class Touch:
     is_led: bool | None = None
     mass: float | None = None
     damping: float | None = None
+    lead_s: float | None = None
     desired_force: float | None = None
 
 

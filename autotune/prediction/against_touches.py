@@ -184,24 +184,31 @@ def compared_row(each: ComparedTouch) -> tuple[str, ...]:
 class Running:
     """What was running in the cell while the log was recorded; None where the log says it, touch by touch.
 
-    `mass` and `damping` are M_a and B_a, `desired_force` F^d; `law` holds the rest (lead, filters, deadband), and all
-    of it where mass and damping are said.
+    `mass`, `damping` and `lead_s` are M_a, B_a and K_l, `desired_force` F^d; `law` holds the rest (filters, deadband).
+    A lead that nobody says is 0.
     """
 
     law: Law
     mass: float | None = None
     damping: float | None = None
+    lead_s: float | None = None
     desired_force: float | None = None
 
     def law_at(self, touch: Touch) -> Law:
         """Return the law at a touch; raises UsageError where neither the log nor anybody says mass and damping."""
         mass = touch.mass if self.mass is None else self.mass
         damping = touch.damping if self.damping is None else self.damping
+        lead_s = touch.lead_s if self.lead_s is None else self.lead_s
         if mass is None or damping is None:
             raise UsageError(
                 "The log does not say with which mass and damping it was recorded; give them (--gains or --controller)."
             )
-        return replace(self.law, controller=replace(self.law.controller, mass_kg=mass, damping_n_s_per_m=damping))
+        return replace(
+            self.law,
+            controller=replace(
+                self.law.controller, mass_kg=mass, damping_n_s_per_m=damping, lead_s=0.0 if lead_s is None else lead_s
+            ),
+        )
 
     def approach_at(self, touch: Touch) -> Approach:
         """Return how a touch began: at its measured speed under F^d, or where one of both is not known by the other."""

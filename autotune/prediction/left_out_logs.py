@@ -18,13 +18,12 @@ def with_left_out_logs(
     result: Identified,
     parts: Sequence[NamedResult],
     combine: Callable[[Sequence[NamedResult]], Identified],
-    lead_s: Sequence[float] | None = None,
 ) -> Identified:
     """Return the result of several logs with the peaks of each log as the others predict them.
 
     Predicted are touches of a wall whose gains and speed or desired force the log holds, on axes with one surface in
-    all logs: another one is not known to be the same. `lead_s` is K_l by axis, x y z rx ry rz; a lead that nobody says
-    counts as part of the robot, as where it was identified.
+    all logs: another one is not known to be the same. A lead that nobody says counts as part of the robot, as where it
+    was identified.
     """
     axes = dict(result.axes)
     for index, part in enumerate(parts if len(parts) > 1 else ()):
@@ -38,19 +37,16 @@ def with_left_out_logs(
                 axis = axes.get(touch.axis)
                 if axis is None or len(axis.environments) != 1:
                     continue
-                found = _predicted(source, touch, part.name, lead_s)
+                found = _predicted(source, touch, part.name)
                 axes[touch.axis] = replace(axis, held_out=(*axis.held_out, *found))
     return replace(result, axes=axes)
 
 
-def _predicted(
-    source: IdentifiedFile, touch: Touch, log: str, lead_s: Sequence[float] | None
-) -> tuple[HeldOutPeak, ...]:
+def _predicted(source: IdentifiedFile, touch: Touch, log: str) -> tuple[HeldOutPeak, ...]:
     """Return the touch beside its prediction, nothing where the others or the log do not tell what it takes."""
     if touch.cause is not TouchCause.WALL or touch.mass is None or touch.damping is None:
         return ()
-    lead = 0.0 if lead_s is None else lead_s[("x", "y", "z", "rx", "ry", "rz").index(touch.axis)]
-    law = AdmittanceController(mass_kg=touch.mass, damping_n_s_per_m=touch.damping, lead_s=lead)
+    law = AdmittanceController(mass_kg=touch.mass, damping_n_s_per_m=touch.damping)
     try:
         running = Running(law=Law(controller=law))
         plants = build_plants(source, Surface(), axis=touch.axis)

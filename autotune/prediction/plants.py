@@ -171,7 +171,6 @@ def _is_blow_only(axis: AxisEstimate, touched: EnvironmentEstimate) -> bool:
 def _blow_only(axis: str, touched: EnvironmentEstimate, period_s: float, error: ModelError, seed: int) -> PlantEnsemble:
     """Return the ensemble of a surface of which the log shows the first blow alone."""
     blow, std = _number(touched.impact_n_s_per_m) or 0.0, _std(touched.impact_n_s_per_m)
-    std = math.hypot(std, (touched.contact_spread or 0.0) * blow)
     unit = qmc.Sobol(1, rng=np.random.default_rng(seed)).random(DRAWS)[:, 0]
     return PlantEnsemble(
         axis=axis,
@@ -364,12 +363,13 @@ def series_plant(
     """
     half = 2.0 * stiffness_n_per_m
     mass = 2.0 * half * (period_s / _SWING) ** 2
-    own = 2.0 * _DAMPED * math.sqrt(2.0 * half * mass)
+    # Each spring with half of the damping: the mass is damped in free motion too, and still moves by half of the way.
+    own = _DAMPED * math.sqrt(2.0 * half * mass)
     # The surface moves by half of the flange's way, and half of its damping's force passes the coupling.
     return replace(
         Plant(
             robot=robot,
-            coupling=Coupling(stiffness_n_per_m=half, damping_n_s_per_m=0.0),
+            coupling=Coupling(stiffness_n_per_m=half, damping_n_s_per_m=own),
             payload=PayloadDynamics(mass_kg=mass, drag_n_s_per_m=0.0),
             environment=Environment(stiffness_n_per_m=half, damping_n_s_per_m=own + 4.0 * damping_n_s_per_m),
         ),
@@ -417,12 +417,7 @@ def _joint(known: _Known) -> tuple[list[str], FloatArray]:
 def _deviations(known: _Known) -> dict[str, float]:
     """Return standard deviations by symbol, that of ω as a share of it."""
     stds = {symbol: _std(each) for symbol, each in known.estimates.items() if each is not None}
-    touched, band = known.touched, known.axis.robot.bandwidth_hz
-    if touched is not None and touched.contact_spread is not None:
-        # Another contact is another draw of what differs from contact to contact.
-        for symbol in ("K_e", "blow"):
-            value = _number(known.estimates.get(symbol)) or 0.0
-            stds[symbol] = math.hypot(stds.get(symbol, 0.0), touched.contact_spread * value)
+    band = known.axis.robot.bandwidth_hz
     stds["omega"] = _std(band) / band.value if band.value else 0.0
     return stds if known.has_payload else {symbol: std for symbol, std in stds.items() if symbol not in _BEHIND}
 

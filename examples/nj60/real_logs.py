@@ -26,7 +26,6 @@ from identification.result import AxisEstimate, Estimate, TouchCause
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
-LEAD_S = 0.02
 # Which trace without the collision response is of which surface; the one with it (_coll) gives the stiffness.
 TRACES = ("flex_jt", "yellow_feet")
 # Repeats of one contact: surface, gains and approach are the same.
@@ -123,10 +122,9 @@ def compared(
     stiffness = None if surface is None else stiffness_of(found[surface])
     if surface is not None and stiffness is None:
         return f"{surface} shows no stiffness"
-    gains = {"lead": LEAD_S} if test.endswith(".csv") else {}
     try:
         asked = ContactRequest(stiffness=stiffness)
-        return [*compare_with_touches(source.file(), [(test, other.result)], gains, None, asked).contacts]
+        return [*compare_with_touches(source.file(), [(test, other.result)], {}, None, asked).contacts]
     except AutotuneError as error:
         return str(error)
 

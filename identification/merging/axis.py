@@ -152,7 +152,7 @@ class AxisRecord:
             for axis in self.axes
         ]
         known = any(each is not None for each in by_log)
-        return self.merge.scalars(f"{what} of surface {name}", by_log) if known else None
+        return self.merge.scalars(f"{what} of surface {name}", by_log, differs_by_contact=True) if known else None
 
     def _secant(self, name: str, logs: Sequence[EnvironmentEstimate]) -> Estimate:
         """Return K_s and K_e in series out of the record, else the mean of what contact traces show of it."""
@@ -160,7 +160,7 @@ class AxisRecord:
         stated = [surface.secant_stiffness_n_per_m for surface in logs]
         if not any(axis.covariance is not None and set(springs) <= set(axis.covariance.names) for axis in self._there):
             by_log = [None if axis is None else _secant_of(axis, name) for axis in self.axes]
-            return self.merge.scalars(f"secant stiffness of surface {name}", by_log)
+            return self.merge.scalars(f"secant stiffness of surface {name}", by_log, differs_by_contact=True)
         part = self.normal.select(springs)
         secant = 1.0 / float(np.sum(1.0 / part.values))
         slope = (secant / part.values) ** 2

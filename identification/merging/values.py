@@ -218,9 +218,12 @@ class Merge:
     names: tuple[str, ...]
     findings: list[Finding]
 
-    def scalars(self, what: str, estimates: Sequence[Estimate | None], *, symbol: str = "") -> Estimate:
+    def scalars(
+        self, what: str, estimates: Sequence[Estimate | None], *, differs_by_contact: bool = False, symbol: str = ""
+    ) -> Estimate:
         """Return the weighted mean of what is known, the first estimate where nothing is.
 
+        What `differs_by_contact` does not average: the deviation, of one more contact, is at least the smallest stated.
         `symbol` says what the logs share of it (`merging.shared_std`).
         """
         stated = [(name, e) for name, e in zip(self.names, estimates, strict=True) if e is not None and is_stated(e)]
@@ -229,6 +232,8 @@ class Merge:
         values = np.array([[e.value] for _, e in stated], dtype=np.float64)
         stds = np.array([[e.std] for _, e in stated], dtype=np.float64)
         mean, std = self._mean(what, [name for name, _ in stated], values, stds, may_change=False, symbol=symbol)
+        if differs_by_contact:
+            std = np.maximum(std, np.min(stds, axis=0))
         combined = Estimate(
             value=float(mean[0]),
             std=float(std[0]),

@@ -9,7 +9,7 @@ from ..result import LogPhase, Touch, TouchCause
 from ..signals.aligned import AlignedLog
 from ..signals.recording import AXES, Recording
 from ..touches.find import describe_touch
-from ..touches.signals import AxisSignals, desired_force_of, gains_of
+from ..touches.signals import AxisSignals, desired_force_of, gains_of, lead_of
 from .contacts import ContactTimes
 from .left_contacts import ObservedAxis
 from .payload import press_sign
@@ -78,4 +78,5 @@ def _signals(recording: Recording, log: AlignedLog, axis: ObservedAxis) -> AxisS
         mass_kg=mass,
         damping_n_s_per_m=damping,
         desired_n=desired_force_of(recording.desired_force, stamps, number),
+        lead_s=lead_of(recording.gains, number),
     )

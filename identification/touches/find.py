@@ -279,6 +279,7 @@ def describe_touch(
         is_led=is_led,
         mass=at(axis.mass_kg),
         damping=at(axis.damping_n_s_per_m),
+        lead_s=axis.lead_s,
         desired_force=at(axis.desired_n),
     )
     return FoundTouch(touch=touch, span=span, peak=peak)

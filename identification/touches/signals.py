@@ -26,7 +26,7 @@ class AxisSignals:
 
     `time_s` (n,) counts from the first sample that wrench and pose share, `period_s` is the usual step. A force is one
     above `level_n`; `noise_n` is the deviation of one sample. `mass_kg`, `damping_n_s_per_m` and `desired_n` (n,) are
-    M_a, B_a and F^d, NaN where they are not known.
+    M_a, B_a and F^d, NaN where they are not known, and `lead_s` is K_l, None where it is not.
     """
 
     axis: str
@@ -39,6 +39,7 @@ class AxisSignals:
     mass_kg: FloatArray
     damping_n_s_per_m: FloatArray
     desired_n: FloatArray
+    lead_s: float | None = None
 
     def speed_m_s(self) -> FloatArray:
         """Return how fast the flange is along the axis, over about 0.1 s (n,)."""
@@ -87,6 +88,7 @@ def axis_signals(recording: Recording) -> tuple[AxisSignals, ...]:
                 mass_kg=mass,
                 damping_n_s_per_m=damping,
                 desired_n=desired_force_of(recording.desired_force, stamps, i),
+                lead_s=lead_of(recording.gains, i),
             )
         )
     return tuple(found)
@@ -145,6 +147,11 @@ def gains_of(gains: GainsSignal | None, stamps: StampArray, axis: int) -> tuple[
         return np.full(len(stamps), np.nan), np.full(len(stamps), np.nan)
     rows = np.maximum(np.searchsorted(gains.stamp_ns, stamps, side="right") - 1, 0)
     return gains.mass[rows, axis], gains.damping[rows, axis]
+
+
+def lead_of(gains: GainsSignal | None, axis: int) -> float | None:
+    """Return K_l [s] of the axis with that number, None where it is not known."""
+    return None if gains is None or gains.lead_s is None else gains.lead_s[axis]
 
 
 def desired_force_of(desired: WrenchSignal | None, stamps: StampArray, axis: int) -> FloatArray:

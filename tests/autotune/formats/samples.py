@@ -392,6 +392,7 @@ def timelines() -> st.SearchStrategy[Timeline]:
         surface=st.none() | TEXTS,
         is_led=st.none() | st.booleans(),
         damping=st.none() | st.floats(0.0, 1e6),
+        lead_s=st.none() | st.floats(0.0, 1.0),
     )
     return st.builds(
         Timeline,

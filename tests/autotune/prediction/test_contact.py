@@ -10,9 +10,10 @@ from autotune.prediction.contact import Law, nominal_contact, peak_interval, sim
 from autotune.prediction.plants import Surface, build_plants, series_plant
 from autotune.prediction.result import predict_contact
 from problems.contact.nonlinearities import Deadband
-from problems.contact.transient import Approach
+from problems.contact.transient import Approach, build_sampled_contact
 from problems.model.controller import AdmittanceController
 from problems.model.robot import RobotModel
+from problems.model.sampled import build_loop, build_sampled_plant, spectral_radius
 from tests.autotune.prediction.pressing import Cell, contact_peak
 
 GAINS = {"mass": 13.0, "damping": 1000.0, "lead": 0.02}
@@ -58,6 +59,23 @@ def test_without_payload_robot_and_spring_are_left(stiffness: float, period_s: f
     cell = Cell(robot=6.3, wall=stiffness, payload=False)
     expected = contact_peak(cell, mass=13.0, damping=1000.0, lead=0.02, force=30.0)
     assert found.peak_sensor_force_n == pytest.approx(expected, rel=0.005 if period_s < 5e-3 else 0.05)
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 1.5e-3])
+@pytest.mark.parametrize("bandwidth_rad_per_s", [4.0, 12.0, 25.0])
+def test_without_payload_free_motion_has_the_modes_of_law_and_robot_alone(
+    bandwidth_rad_per_s: float, delay_s: float
+) -> None:
+    """Nothing feeds back where there is no payload: the slowest mode is the robot's pole or the admittance's."""
+    h = 1e-3
+    robot = RobotModel.from_bandwidth(bandwidth_rad_per_s=bandwidth_rad_per_s, delay_s=delay_s)
+    pair = build_sampled_contact(build_sampled_plant(series_plant(robot, 1.75e4, h), h))
+    admittance = (2.0 * PLAIN.mass_kg / h - PLAIN.damping_n_s_per_m) / (
+        2.0 * PLAIN.mass_kg / h + PLAIN.damping_n_s_per_m
+    )
+    slowest = max(admittance, np.exp(-bandwidth_rad_per_s * h))
+    # The small mass is a gram.
+    assert spectral_radius(build_loop(pair.free, PLAIN)) == pytest.approx(slowest, abs=1e-4)
 
 
 def test_a_range_gives_the_extremes_and_a_stiffness_with_its_deviation_counts() -> None:

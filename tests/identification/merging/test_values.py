@@ -11,6 +11,7 @@ from scipy.optimize import least_squares
 
 from identification.merging.values import (
     WEIGHED_MASS,
+    Merge,
     Normal,
     merge_normals,
     merged_std,
@@ -18,6 +19,7 @@ from identification.merging.values import (
     with_priors,
 )
 from identification.payload.gravity import LOCAL_GRAVITY_STD
+from identification.result import Estimate, Status
 from identification.verdicts import scatter
 from problems.arrays import FloatArray
 from tests.problems.axes import LAW
@@ -158,3 +160,11 @@ def test_springs_that_contradict_each_other_stay_positive() -> None:
     found = merge_normals([one, other], [(), ()]).normal
     assert np.all(found.values > 0.0)
     assert np.all(np.linalg.eigvalsh(found.matrix / np.outer(found.std, found.std)) > 0.0)
+
+
+def test_what_differs_by_contact_does_not_average() -> None:
+    """Noise of four logs halves; what the next contact will be is no better known for it."""
+    logs = [Estimate(value=value, std=2.0, status=Status.WEAK) for value in (19.0, 20.0, 20.0, 21.0)]
+    merge = Merge(names=("a", "b", "c", "d"), findings=[])
+    assert merge.scalars("a surface", logs).std == pytest.approx(1.0)
+    assert merge.scalars("a surface", logs, differs_by_contact=True).std == pytest.approx(2.0)
