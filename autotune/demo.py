@@ -32,9 +32,9 @@ _CHUNK = 2**20
 
 
 class MadeHere:
-    """What a demo made in `folder`, by name and sha256, kept there as `demo.yaml`; `replaced` stood there before.
+    """What a demo made in `folder`, by name and sha256, kept there as `demo.yaml`; `replaced` were there before.
 
-    Raises UsageError where one of `names` stands for a file that is not on that list, or was changed since.
+    Raises UsageError where one of `names` is that of a file that is not on that list, or was changed since.
     """
 
     def __init__(self, folder: Path, names: Sequence[str]) -> None:
@@ -147,7 +147,7 @@ def run_demo(
     """Simulate the default cell, then identify, optimize, validate and export, through the files of a real run.
 
     `step` receives the name of each step as it begins, `progress` the share of the work done since the last call.
-    Files of an earlier demo in the same folder are replaced. Raises UsageError where one of these names stands for
+    Files of an earlier demo in the same folder are replaced. Raises UsageError where one of these names is that of
     anything else: a file of another origin, or one that was changed since (`autotune.demo`).
     """
     begin, report = step or no_progress, progress or no_progress

@@ -27,7 +27,7 @@ def map_in_processes(
 ) -> list[_Result]:
     """Return `work` of every task, in their order, by at most `processes` at a time.
 
-    One process, or one task, is done here. Otherwise `work`, tasks and results are pickled, `work` stands at the top of
+    One process, or one task, is done here. Otherwise `work`, tasks and results are pickled, `work` is at the top of
     a module, and a script that calls this guards its own start (`if __name__ == "__main__"`). What a task raises is
     raised here, of several the first in order; that, or an interrupt, ends all processes at once. `each` is called,
     perhaps from another thread, whenever a task is done.

@@ -11,7 +11,7 @@ from identification.given import Given, axis_keys
 from problems.model.plant_parameters import PARAMETERS
 
 _PER_TURN = 180.0 / math.pi
-# What a unit is in SI; · and * may stand between its parts or be left out.
+# What a unit is in SI; · and * may be between its parts or be left out.
 _UNITS: Mapping[str, Mapping[str, float]] = {
     "stiffness": {"N/m": 1.0, "kN/m": 1e3, "N/mm": 1e3, "MN/m": 1e6, "kN/mm": 1e6, "N/um": 1e6, "N/µm": 1e6},
     "mass": {"kg": 1.0, "g": 1e-3, "t": 1e3},

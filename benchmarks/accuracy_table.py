@@ -131,7 +131,7 @@ def score(row: Row, outcomes: Sequence[Outcome]) -> Score:
 
 
 def all_targets_met(runs: Sequence[Run]) -> bool:
-    """Tell whether nothing is missed, nothing hidden is claimed, and no log was refused that can tell."""
+    """Return whether nothing is missed, nothing hidden is claimed, and no log was refused that can tell."""
     told = [run for run in runs if not run.case]
     scores = [score(row, [o for run in told for o in run.outcomes]) for row in ROWS]
     claims = [claim for case in CASES for claim in wrong_claims(case, runs)]

@@ -175,7 +175,7 @@ def read_mcap(path: Path) -> Columns:
 
 
 def alike(first: Columns, second: Columns) -> bool:
-    """Tell whether all stamps and values are the same, bit for bit."""
+    """Return whether all stamps and values are the same, bit for bit."""
     return all(
         first[topic][0].tolist() == second[topic][0].tolist()
         and first[topic][1].tobytes() == second[topic][1].tobytes()

@@ -56,8 +56,10 @@ def identify_partial(
         if axis in found.axes or axis in led.robots or axis in touched.surfaces
     }
     mass = _moving_mass(axes)
-    told = {finding.code for finding in led.findings}
-    about = [f for f in found.findings if f.code != "no-contact" and (f.code != "no-command" or f.code not in told)]
+    known_codes = {finding.code for finding in led.findings}
+    about = [
+        f for f in found.findings if f.code != "no-contact" and (f.code != "no-command" or f.code not in known_codes)
+    ]
     findings = [_removed(recording, mass), *led.findings, *about, *touched.findings]
     has_wrench = bool(recording.wrench.measured_axes)
     if has_wrench and not any(finding.code == "coupling" for finding in about):

@@ -50,7 +50,7 @@ class _Stamp:
     """What numba's cache compares: numba's own stamp of the kernel's file, and all that is compiled into the kernel.
 
     Without it a change of an equation in another file would leave the kernels that use it as they were. It is
-    computed when the cache is first asked, since a kernel may call functions that stand below it.
+    computed when the cache is first asked, since a kernel may call functions that are defined below it.
     """
 
     def __init__(self, own: object, function: Callable[..., Any]) -> None:

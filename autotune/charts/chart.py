@@ -269,7 +269,7 @@ class Chart:
 
 
 def level_panels(panels: Sequence[Panel]) -> tuple[Panel, ...]:
-    """Return panels that stand beside each other with one scale for y, which holds what any of them shows."""
+    """Return panels beside each other with one scale for y, which holds what any of them shows."""
     values = np.concatenate([each for panel in panels for each in _heights(panel)])
     values = values[np.isfinite(values)]
     low, high = float(np.min(values, initial=0.0)), float(np.max(values, initial=0.0))

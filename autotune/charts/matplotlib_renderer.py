@@ -180,7 +180,7 @@ def add_colour_bar(figure: Figure, panel: Panel, axes: Axes, cax: Axes | None = 
 
 
 def draw_panel(axes: Axes, panel: Panel, *, labels: Labels = "beside") -> None:
-    """Draw one panel on `axes`; with `labels` "above", title and y label stand above the left corner."""
+    """Draw one panel on `axes`; with `labels` "above", title and y label are above the left corner."""
     _draw_ground(axes, panel)
     if panel.ground == "plain" and not any(isinstance(each, Heat) for each in panel.elements):
         axes.grid(visible=True, linewidth=0.4, color=FURNITURE["grid"])

@@ -79,7 +79,7 @@ class Output:
                 sys.stdout.flush()
 
     def note(self, message: str) -> None:
-        """Tell the user something that is not the result."""
+        """Print a message that is not the result."""
         if not self.quiet:
             say(message)
 
@@ -133,7 +133,7 @@ def output_options(
 
 
 def json_text(tree: Mapping[str, Any]) -> str:
-    """Return `tree` as JSON text; read-only mappings, numpy values and paths are written as what they stand for.
+    """Return `tree` as JSON text; read-only mappings, numpy values and paths are written as what they hold.
 
     Raises ValueError on NaN or an infinity and TypeError on a value that has no JSON form.
     """

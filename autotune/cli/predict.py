@@ -64,7 +64,7 @@ def command(output: Output, /, identified: Path, **options: Any) -> None:
     IDENTIFIED is what identify wrote, or a plant.yaml. The interval holds the joint deviations of the parameters, the
     spread between contacts and the error of the model on contacts that took no part. With --log every contact of the
     log is predicted, beside what was measured; gains and desired force are those in the log unless they are said. Exit
-    code 3: a log cannot be used. 4: the plant does not tell what the prediction needs. 5: the loop is unstable, and its
+    code 3: a log cannot be used. 4: the plant lacks what the prediction needs. 5: the loop is unstable, and its
     peak no number.
     """
     from autotune.formats.atomic import check_target

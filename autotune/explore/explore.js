@@ -5,21 +5,21 @@ const explore = (() => {
   const REST_MS = 300;
   const isDark = matchMedia("(prefers-color-scheme: dark)");
 
-  // A slider stands on the logarithm of its number: a screen reader is told the number and its unit, as the title has it.
-  function tellSlider(root) {
+  // A slider holds the logarithm of its number: a screen reader gets the number and its unit, as the title has it.
+  function labelSlider(root) {
     const title = root.querySelector(".bk-slider-title");
     const handle = root.querySelector("[role=slider]");
     const value = title && title.querySelector(".bk-slider-value");
     if (!handle || !value) return;
     const name = title.firstChild.textContent.replace(/:\s*$/, "");
     const unit = (name.match(/\[(.*)\]$/) || ["", ""])[1];
-    const told = { "aria-label": name.replace(/\s*\[.*\]$/, ""), "aria-valuetext": `${value.textContent} ${unit}`.trim() };
-    for (const [key, text] of Object.entries(told)) {
+    const labels = { "aria-label": name.replace(/\s*\[.*\]$/, ""), "aria-valuetext": `${value.textContent} ${unit}`.trim() };
+    for (const [key, text] of Object.entries(labels)) {
       if (handle.getAttribute(key) !== text) handle.setAttribute(key, text);
     }
   }
 
-  function tellSliders() {
+  function labelSliders() {
     const roots = [];
     const walk = node => {
       if (node.shadowRoot) {
@@ -31,8 +31,8 @@ const explore = (() => {
     walk(document.querySelector(".hand"));
     for (const root of roots) {
       const watched = { subtree: true, childList: true, attributeFilter: ["aria-valuetext"] };
-      new MutationObserver(() => tellSlider(root)).observe(root, watched);
-      tellSlider(root);
+      new MutationObserver(() => labelSlider(root)).observe(root, watched);
+      labelSlider(root);
     }
   }
 
@@ -75,7 +75,7 @@ const explore = (() => {
   const waiting = new Map();
   let rest = null;
 
-  // Not told to the server, where it comes from.
+  // Not sent to the server, where it comes from.
   const give = (name, values) => page().get_model_by_name(name).setv(values, { sync: false });
 
   function giveWaiting(key) {
@@ -109,7 +109,7 @@ const explore = (() => {
   }
 
   function begin() {
-    tellSliders();
+    labelSliders();
     watchView();
     dress();
     isDark.addEventListener("change", dress);
@@ -125,7 +125,7 @@ const explore = (() => {
     }
     const status = page().get_model_by_name("status");
     if (status.text.includes("busy")) {
-      const text = '<p class="bad">The server ended before it told of the save: look whether the file is written.</p>';
+      const text = '<p class="bad">The server ended before the save was reported: check whether the file is written.</p>';
       status.setv({ text }, { sync: false });
     }
     document.getElementById("ended").hidden = false;

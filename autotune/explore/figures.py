@@ -222,7 +222,7 @@ class Figures:
         self.lines[plot.name].append(DrawnLine(label=label, colour=COLOURS[role], kind=kind))
 
     def changing(self) -> list[Model]:
-        """Return what changes whenever something is turned."""
+        """Return what changes whenever a slider moves."""
         return [*self.sources.values(), self.colours, self.bar]
 
     def begin(self, problem: DesignProblem, axis: str, begun: View) -> None:

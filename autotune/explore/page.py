@@ -1,4 +1,4 @@
-"""The page: sliders, figures, and what happens when something is turned."""
+"""Build the page: sliders and figures, computed again when a slider moves."""
 
 from functools import lru_cache
 from importlib.resources import files
@@ -26,7 +26,7 @@ _COLUMNS, _ROWS, _FINER = 20, 15, 2
 _RESTS_MS = 350
 _LOGARITHMIC = "return String(Number((10 ** tick).toPrecision(4)));"
 _PLAIN = "return String(Number(tick.toPrecision(4)));"
-_MAP_TOLD = (
+_MAP_CAPTION = (
     "Coloured by its worst peak: a design that meets every requirement on all plants. The plain ground misses one, the "
     "reddish is unstable. Each cell is judged at its middle; the framed one around the star is the present design."
 )
@@ -62,7 +62,7 @@ class ExplorePage:
         self.window: MapWindow | None = None
         self.prepared: tuple[object, PreparedView] | None = None
         self.mapped: object = None
-        self.asked = self.turning = False
+        self.asked = self.is_updating = False
         self.resting: Any = None
         look: dict[str, Any] = {"sizing_mode": "stretch_width", "stylesheets": [InlineStyleSheet(css=_STYLE)]}
         self._build_widgets(look)
@@ -85,7 +85,7 @@ class ExplorePage:
         }
         self.sliders = {name: Slider(start=0.0, end=1.0, value=0.0, step=0.01, name=name, **look) for name in names}
         for slider in self.sliders.values():
-            slider.on_change("value", self._turned)
+            slider.on_change("value", self._slider_moved)
         self.verdict, self.facts = (Div(name=key, **look) for key in ("verdict", "facts"))
         self.back = Button(label="Back to the start", name="back", button_type="default", **look)
         axes: Any = list(self.exploration.axes)
@@ -108,9 +108,9 @@ class ExplorePage:
         pairs = map_pairs(problem)
         self.choice.visible = len(self.exploration.axes) > 1
         titles = [(",".join(pair), " and ".join(self.ranges[name].label for name in pair)) for pair in pairs]
-        self.turning = True
+        self.is_updating = True
         self.over.update(options=titles, value=titles[0][0] if titles else "", visible=len(pairs) > 1)
-        self.turning = False
+        self.is_updating = False
         self.figures.plots["map"].visible = bool(pairs)
         self.saver.note(self.start.note)
         view = compute_view(self._prepare(), self.start.design)
@@ -122,7 +122,7 @@ class ExplorePage:
 
     def _set_ranges(self) -> None:
         """Give every slider its range; one that cannot be moved is not shown."""
-        self.turning = True
+        self.is_updating = True
         for name, slider in self.sliders.items():
             span = self.ranges.get(name)
             slider.visible = span is not None and span.high > span.low
@@ -131,25 +131,25 @@ class ExplorePage:
             low, high = span.ends
             form = CustomJSTickFormatter(code=_LOGARITHMIC if span.logarithmic else _PLAIN)
             slider.update(title=span.title, start=low, end=high, step=(high - low) / STEPS, format=form)
-        self.turning = False
+        self.is_updating = False
 
     def _set_sliders(self) -> None:
         values = {**dict(zip(self.start.problem.variables, self.designs[self.axis], strict=True)), **self._plant()}
-        self.turning = True
+        self.is_updating = True
         for name, value in values.items():
             if self.sliders[name].visible:
                 self.sliders[name].value = self.ranges[name].position(float(value))
-        self.turning = False
+        self.is_updating = False
 
     def _plant(self) -> dict[str, float]:
         return self.plants[self.axis]
 
-    def _turned(self, _name: str, _old: float, _new: float) -> None:
-        if not self.turning:
+    def _slider_moved(self, _name: str, _old: float, _new: float) -> None:
+        if not self.is_updating:
             self._ask()
 
     def _ask(self) -> None:
-        """Compute once for all that was turned meanwhile: no picture is made that nobody will see."""
+        """Compute once for all sliders that moved meanwhile: no picture is made that nobody will see."""
         if not self.asked:
             self.asked = True
             self.document.add_next_tick_callback(self._answer)
@@ -237,7 +237,7 @@ class ExplorePage:
         self._show_axis()
 
     def _map_chosen(self, _name: str, _old: str, _new: str) -> None:
-        if not self.turning:
+        if not self.is_updating:
             self._ask()
 
     def _go_back(self) -> None:
@@ -281,7 +281,7 @@ def _descriptions(exploration: Exploration) -> dict[str, tuple[str, str]]:
         "admittance": ("Free-space admittance", "Magnitude of G over frequency, with the least that is asked."),
         "nyquist": ("Nyquist", "Both open loops around −1, with the circle that the modulus margin asks for."),
         "requirements": ("Requirements", "Required over achieved of each requirement; up to 1 is met."),
-        "map": ("Feasible designs", _MAP_TOLD),
+        "map": ("Feasible designs", _MAP_CAPTION),
     }
 
 

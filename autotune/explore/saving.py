@@ -157,7 +157,7 @@ def save_controller(
 
 
 class Saver:
-    """Save the designs of a page, and never let words about one design stand beside another.
+    """Save the designs of a page, and show beside a design no outcome of another one.
 
     `status` is the outcome of the last save, `held` what the next one replaces.
     """
@@ -177,7 +177,7 @@ class Saver:
         self.button.on_click(self._asked)
 
     def connect(self, sender: Sender) -> None:
-        """Send words through `sender`, as all that changes."""
+        """Send texts through `sender`, like everything that changes."""
         self._sender = sender
 
     def show(self, text: str, of: Designs | None = None) -> None:
@@ -211,7 +211,7 @@ class Saver:
         """Save beside the event loop, so that the connection stays alive; the page waits for the answer."""
         designs, expected = self._snapshot(), self._expected
         try:
-            saved = await _beside(lambda: save_controller(self._exploration, designs, self._target, expected))
+            saved = await _run_in_thread(lambda: save_controller(self._exploration, designs, self._target, expected))
             first = "N·m" if set(designs) <= ROTATIONAL_AXES else "N"
             self.show(saved_line(saved, first), designs)
         except AutotuneError as error:
@@ -223,7 +223,7 @@ class Saver:
         self._sender.send()
 
 
-async def _beside(work: Callable[[], _Result]) -> _Result:
+async def _run_in_thread(work: Callable[[], _Result]) -> _Result:
     """Run `work` in a thread that nobody waits for at the end of the process, and return what it returns."""
     loop = asyncio.get_running_loop()
     future: asyncio.Future[_Result] = loop.create_future()

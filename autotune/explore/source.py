@@ -36,8 +36,8 @@ from problems.progress import Progress, no_progress
 
 _GRID = (3, 2)
 _MOST_TIGHT, _MOST_HARD = 3, 1
-# How far gains about a rotational axis may be led from those of the file.
-_REACH = 10.0
+# Bounds of the gains about a rotational axis, as a factor on those of the file.
+_GAIN_FACTOR = 10.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -194,7 +194,7 @@ def _bounds(law: AdmittanceController, name: str, *, reads_position: bool) -> di
     for key in VARIABLES:
         low, high = DEFAULT_BOUNDS[key]
         if name in ROTATIONAL_AXES and key in {"mass", "damping"}:
-            low, high = values[key] / _REACH, values[key] * _REACH
+            low, high = values[key] / _GAIN_FACTOR, values[key] * _GAIN_FACTOR
         bounds[key] = min(low, values[key]), max(high, values[key])
     if not reads_position:
         bounds["feedback_damping_s"] = (0.0, 0.0)

@@ -78,7 +78,7 @@ typedef struct {
 } $prefix_reading;
 
 /* One period's output: how the commanded pose goes on (m, rad), the same per second, both in the axes of S, and the
- * wrench without weight and bias. Axes that are not tuned stand still. is_started is 0 while the first readings are
+ * wrench without weight and bias. Axes that are not tuned do not move. is_started is 0 while the first readings are
  * held against rest; missing_mass_kg is what the compensation leaves along gravity: of their mean, later of the last
  * ones. */
 typedef struct {
@@ -123,7 +123,7 @@ extern const char $prefix_signed_by[17];
 extern const double $prefix_sample_time_s;
 extern const $prefix_payload $prefix_file_payload;
 
-/* Tell whether the certificate holds for the cell: its period, the mass in `payload`, and the payload's inertia about
+/* Return whether the certificate holds for the cell: its period, the mass in `payload`, and the payload's inertia about
  * rx, ry, rz, of which those that are not tuned are not looked at. */
 int $prefix_check(const $prefix_payload *payload, double sample_time_s, const double inertia_kg_m2[3]);
 

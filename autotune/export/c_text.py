@@ -259,8 +259,8 @@ int $prefix_check(const $prefix_payload *payload, double sample_time_s, const do
     }
     for (k = 0; k < TUNED; ++k) {
         int turns = laws[k].index >= 3;
-        double told = turns ? inertia_kg_m2[laws[k].index - 3] : payload->mass_kg;
-        if (!(laws[k].low <= told && told <= laws[k].high)) {
+        double value = turns ? inertia_kg_m2[laws[k].index - 3] : payload->mass_kg;
+        if (!(laws[k].low <= value && value <= laws[k].high)) {
             return turns ? ${PREFIX}_INERTIA_NOT_CERTIFIED : ${PREFIX}_MASS_NOT_CERTIFIED;
         }
     }

@@ -1,6 +1,6 @@
 """Write a file so that the name is never that of half a file.
 
-Temporary files stand beside the target, named so that a later run knows and sweeps its own that a kill left there.
+Temporary files lie beside the target, named so that a later run knows and sweeps its own that a kill left there.
 """
 
 import ctypes
@@ -37,7 +37,7 @@ def sweep_leftovers(folder: Path) -> None:
 
     That is what bears a name of `temporary_beside` and either is of a process of this machine, boot and process
     namespace that has ended, or a day old. A former folder that was moved aside stays as long as the one that was to
-    take its place stands beside it: a kill between the two steps leaves the former one there only.
+    take its place lies beside it: a kill between the two steps leaves the former one there only.
     """
     with suppress(OSError):
         found = {entry.name: entry for entry in os.scandir(folder) if _NAME.fullmatch(entry.name)}
@@ -81,7 +81,7 @@ def _is_running(process: int) -> bool:
 
 @cache
 def _where() -> str:
-    """Return what tells machine, boot and process namespace apart: only inside one does a process number mean one."""
+    """Return what distinguishes machine, boot and process namespace: only inside one does a process number mean one."""
     names = [platform.node()]
     with suppress(OSError):
         names.append(Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii"))
@@ -94,7 +94,7 @@ _HERE, _EXCHANGE = -100, 2  # AT_FDCWD and RENAME_EXCHANGE of Linux
 
 
 def exchange(one: Path, other: Path) -> bool:
-    """Exchange what stands under two names, so that neither is ever free; False, and nothing done, where it cannot be.
+    """Exchange what is under two names, so that neither is ever free; False, and nothing done, where it cannot be.
 
     Linux 3.15 and its local file systems can (renameat2).
     """
@@ -169,10 +169,10 @@ def write_atomic(path: Path | str, content: str | bytes) -> None:
 
 
 def write_folder_atomic(path: Path | str, files: Mapping[str, str]) -> None:
-    """Write texts by file name into the folder `path`, in place of the folder that stood there.
+    """Write texts by file name into the folder `path`, in place of the folder that was there.
 
-    They go to a temporary folder beside it, are flushed to the disk, and trade places with what stood there in one
-    step where the system can; elsewhere what stood there is moved aside before, deleted after, and comes back if the
+    They go to a temporary folder beside it, are flushed to the disk, and trade places with what was there in one
+    step where the system can; elsewhere what was there is moved aside before, deleted after, and comes back if the
     step fails. So nobody ever sees half of the files under `path`. A symbolic link is followed. Nothing is left behind
     on failure or interruption; what a kill left there is swept first.
 
@@ -198,7 +198,7 @@ def write_folder_atomic(path: Path | str, files: Mapping[str, str]) -> None:
 
 
 def _move_aside(target: Path, new: Path, former: Path) -> None:
-    """Let `new` take the name `target` in two steps; what stood there is `former` then, and back if that fails."""
+    """Let `new` take the name `target` in two steps; what was there is `former` then, and back if that fails."""
     try:
         if target.exists():
             target.rename(former)

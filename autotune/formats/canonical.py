@@ -24,7 +24,7 @@ DEEPEST = 32
 """Levels of lists and mappings that a file may hold."""
 
 Place = tuple[str | int, ...]
-"""Where an entry stands in a tree: keys of mappings and indices of lists, from the top."""
+"""Where an entry is in a tree: keys of mappings and indices of lists, from the top."""
 
 
 def spell(place: Place) -> str:
@@ -80,7 +80,7 @@ def _plain_number(value: Real, name: str) -> int | float:
 
 
 def canonical_bytes(tree: object) -> bytes:
-    r"""Return the one byte sequence that stands for the content of a plain tree.
+    r"""Return the one byte sequence that represents the content of a plain tree.
 
     JSON without white space, with keys sorted by code point and text in ASCII with `\uXXXX` escapes; every number,
     whole or not, is the 16 hexadecimal digits of its big-endian IEEE 754 double. So layout, order of keys, comments,

@@ -42,7 +42,7 @@ def read_cell(path: Path) -> CellFile:
 
 
 def check_cell_text(text: str, path: Path) -> Cell:
-    """Read a text as if it stood in `path`; raises UsageError as `read_cell` does."""
+    """Read a text as if it were in `path`; raises UsageError as `read_cell` does."""
     return _cell(parse_document(text.encode(), path, error=UsageError, exact=False))
 
 
@@ -63,7 +63,7 @@ def _cell(document: Document) -> Cell:
 
 
 def _nearest(violation: Violation) -> str:
-    """Name the key that an unknown one may stand for."""
+    """Name the key that an unknown one may mean."""
     key = str(violation.place[-1]) if violation.place else ""
     if violation.found != f"the key {key}":
         return ""
@@ -124,7 +124,7 @@ _END = """
 
 
 def check_new(path: Path, *, force: bool) -> None:
-    """Raise UsageError if a file stands where a cell.yaml is to begin, unless `force`."""
+    """Raise UsageError if a file exists where a cell.yaml is to begin, unless `force`."""
     if path.exists() and not force:
         raise UsageError(f"{path} exists; name another file, or use --force to replace it.")
 
@@ -145,13 +145,13 @@ def cell_text(summary: LogSummary, guess: CellGuess | None = None) -> str:
     guess = guess or CellGuess()
     lines = [
         f"# Begun by `autotune inspect` from {_plain(summary.path.name)}. Lines without # were found in the log, or",
-        "# guessed where the evidence stands behind them: check those. The others are questions: answer those that",
-        "# matter and take the # away. docs/cell.md tells what they mean.",
+        "# guessed where evidence follows them: check those. The others are questions: answer those that",
+        "# matter and take the # away. docs/cell.md says what they mean.",
         "format: autotune/cell",
         "version: 1",
     ]
     if summary.numbers:
-        lines += ["", "# Numbers whose meaning the log does not tell:"]
+        lines += ["", "# Numbers whose meaning the log does not show:"]
         lines += [f"#   {_plain(found.topic)}: {_plain(found.short)}" for found in summary.numbers]
     for topic, ranges in guess.others.items():
         lines += [f"# Neither names nor values say what these of {_plain(topic)} are:"]

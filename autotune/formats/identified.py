@@ -41,7 +41,7 @@ class IdentifiedFile:
 def identified_tree(result: Identified, provenance: Mapping[str, object]) -> dict[str, Any]:
     """Return the plain tree of `identified.yaml`.
 
-    On rx, ry, rz the keys tell the rotational unit: `stiffness_n_m_per_rad`, `secant_stiffness_n_m_per_rad`,
+    On rx, ry, rz the keys have the rotational unit: `stiffness_n_m_per_rad`, `secant_stiffness_n_m_per_rad`,
     `damping_n_m_s_per_rad`, `drag_n_m_s_per_rad`, `inertia_kg_m2`, `peak_torque_n_m`.
 
     Raises ParameterError: a number is not finite, or an entry contradicts the format (an unidentifiable parameter

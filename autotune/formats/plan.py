@@ -23,7 +23,7 @@ _COMMAND_POINTS = 7
 
 
 def plan_tree(plan: ExperimentPlan, provenance: Mapping[str, object]) -> dict[str, Any]:
-    """Return the plain tree of `plan.yaml`; deviations are null where nothing tells the parameter.
+    """Return the plain tree of `plan.yaml`; deviations are null where nothing determines the parameter.
 
     Raises ParameterError when a number is not finite.
     """

@@ -211,7 +211,7 @@ def _entry_schema(requirement: Requirement[Any], price: str) -> dict[str, Any]:
 
 
 def _intervals(tree: Mapping[str, Any], within: Place = ()) -> list[Place]:
-    """Return where the ranges stand, those of rotational axes included."""
+    """Return where the ranges are, those of rotational axes included."""
     places: list[Place] = [(part, name) for part in ("bounds", "free") for name in tree.get(part, {})]
     if isinstance(tree.get("free", {}).get(_STIFFNESS), Mapping):
         places[places.index(("free", _STIFFNESS))] = ("free", _STIFFNESS, "bounds")
@@ -250,7 +250,7 @@ def _check_approach(document: Document, within: Place) -> None:
 
 
 def _entry(document: Document, place: Place) -> Any:
-    """Return what stands at a place, None where nothing does."""
+    """Return the entry at a place, None where there is none."""
     found: Any = document.tree
     for key in place:
         found = found.get(key) if isinstance(found, Mapping) else None
@@ -262,7 +262,7 @@ def _pair(value: list[float]) -> Interval:
 
 
 def _range_or_origin(value: Any) -> Interval | Origin:
-    """Return [low, high] as an interval, and what stands behind `from` as it is."""
+    """Return [low, high] as an interval, and the word behind `from` as it is."""
     if isinstance(value, Mapping):
         origin: Origin = value["from"]
         return origin

@@ -61,7 +61,7 @@ def check_format(document: Document, name: str) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class Violation:
-    """An entry that the schema does not allow: where it stands, what must hold, what was found."""
+    """An entry that the schema does not allow: where it is, what must hold, what was found."""
 
     place: Place
     must: str
@@ -101,7 +101,7 @@ def violations(tree: Mapping[str, Any], schema: str | Mapping[str, Any]) -> Iter
 
 
 class Breach(Protocol):
-    """A rule of a schema that an entry breaks, as jsonschema tells it."""
+    """A rule of a schema that an entry breaks, as jsonschema reports it."""
 
     @property
     def absolute_path(self) -> Sequence[str | int]:
@@ -121,11 +121,11 @@ class Breach(Protocol):
 
     @property
     def schema(self) -> Mapping[str, Any]:
-        """The part of the schema that the rule stands in."""
+        """The part of the schema that holds the rule."""
 
 
 def explain(problem: Breach) -> Violation:
-    """Return what is wrong in words: where it stands, what must hold, what was found."""
+    """Return what is wrong in words: where it is, what must hold, what was found."""
     place: Place = tuple(problem.absolute_path)
     rule, limit, found = str(problem.validator), problem.validator_value, problem.instance
     if rule == "required":

@@ -178,7 +178,7 @@ class _Reader:
                 event, f"anchors and aliases (&{event.anchor}, *{event.anchor}) are not used here; write it out."
             )
         if not isinstance(event, ScalarEvent | CollectionStartEvent):
-            self.refuse(event, "a value must stand here.")
+            self.refuse(event, "a value must be here.")
         if event.tag is not None:
             self.refuse(event, f"tags ({event.tag}) are not used here; remove it.")
         if len(place) > DEEPEST:
@@ -189,7 +189,7 @@ class _Reader:
         if isinstance(event, SequenceStartEvent):
             return self.sequence(events, place, is_flow=bool(event.flow_style) and not self.is_json)
         if not isinstance(event, ScalarEvent):
-            self.refuse(event, "a value must stand here.")
+            self.refuse(event, "a value must be here.")
         return self.scalar(event)
 
     def mapping(self, events: Iterator[Event], place: Place) -> dict[str, Any]:
@@ -203,7 +203,7 @@ class _Reader:
             if not isinstance(key, str):
                 self.refuse(event, f"a key must be text, found {describe(key)}.")
             if key in tree:
-                self.refuse(event, f"the key {key} stands twice, first in line {self.lines[*place, key]}.")
+                self.refuse(event, f"the key {key} occurs twice, first in line {self.lines[*place, key]}.")
             tree[key] = self.value(next(events), events, (*place, key))
         return tree
 

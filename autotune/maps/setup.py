@@ -43,7 +43,7 @@ _LEAD_S, _SEARCHED_LEAD_S = 0.05, 0.1
 # What a controller must be given; the rest of it is off, or as in the paper, until somebody says otherwise.
 _NEEDED = ("mass", "damping")
 _OF_PLANT = ("payload_mass", "drag", "coupling_stiffness", "coupling_damping", "environment_stiffness")
-# Stands for a value that every point of the map replaces.
+# In place of a value that every point of the map replaces.
 _REPLACED = 1.0
 
 

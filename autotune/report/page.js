@@ -21,9 +21,9 @@
     engine ??= start();
     await engine;
     const text = await read(`${key}-data`);
-    const told = JSON.parse(isDark.matches ? text.replace(/#[0-9a-f]{6}/g, (colour) => onDark[colour] ?? colour) : text);
-    const roots = Object.fromEntries(told.roots.map((root, panel) => [root, `${key}-live-${panel}`]));
-    await window.Bokeh.embed.embed_items({ [key]: told.document }, [{ docid: key, roots, root_ids: told.roots }]);
+    const content = JSON.parse(isDark.matches ? text.replace(/#[0-9a-f]{6}/g, (colour) => onDark[colour] ?? colour) : text);
+    const roots = Object.fromEntries(content.roots.map((root, panel) => [root, `${key}-live-${panel}`]));
+    await window.Bokeh.embed.embed_items({ [key]: content.document }, [{ docid: key, roots, root_ids: content.roots }]);
   };
   for (const button of document.querySelectorAll("button.zoom")) {
     const key = button.dataset.chart;

@@ -40,7 +40,7 @@ def refuse(
 ) -> Page:
     """Return a page that begins with `verdict` in large type and the sentence of `error`, then what `page` shows.
 
-    `facts` stand beside the verdict, `blocks` below the sentence.
+    `facts` are beside the verdict, `blocks` below the sentence.
     """
     sentence = " ".join(str(error).split())
     large = Fact(label="outcome", value=verdict, tone="bad", is_large=True)

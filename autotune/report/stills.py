@@ -34,7 +34,7 @@ _ID, _REFERENCE = re.compile(r' id="([^"]*)"'), re.compile(r'(url\(#|href="#)([^
 
 @dataclass(frozen=True, kw_only=True)
 class Still:
-    """A drawing as an SVG element that can stand within a page, and its own width [pt], where letters have 8 pt.
+    """A drawing as an SVG element that fits into a page, and its own width [pt], where letters have 8 pt.
 
     One that `is_wide` loses more than half of it on a narrow screen, and has the room for larger letters there.
     """
@@ -45,7 +45,7 @@ class Still:
 
 
 def draw_stills(chart: Chart) -> tuple[Still, ...]:
-    """Return the chart as drawings: one per panel where panels stand beside each other, so that a page can wrap them.
+    """Return the chart as drawings: one per panel where panels are beside each other, so that a page can wrap them.
 
     Colours are variables of the page's style sheet, `--draw-…`. The same chart gives the same text.
     """

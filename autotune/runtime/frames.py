@@ -22,7 +22,7 @@ SMALLEST_TRACE = 2.98
 
 
 def is_rotation(R: Nine) -> bool:
-    """Tell whether R is a rotation to `LARGEST_SKEW`: unit columns at right angles, right-handed."""
+    """Return whether R is a rotation to `LARGEST_SKEW`: unit columns at right angles, right-handed."""
     a, b, c = (R[0], R[3], R[6]), (R[1], R[4], R[7]), (R[2], R[5], R[8])
     skew = max(
         abs(_dot(a, a) - 1.0),

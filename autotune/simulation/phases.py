@@ -122,7 +122,7 @@ def _smooth(samples: int) -> FloatArray:
 
 
 def _poses(program: Program, h: float, rng: np.random.Generator) -> Script:
-    """Tilt the tool to well spread orientations and stand still at each; the last move goes back."""
+    """Tilt the tool to well spread orientations and rest at each; the last move goes back."""
     moving, holding = round(program.pose_move_s / h), round(program.pose_hold_s / h)
     directions = 2.399963 * np.arange(program.pose_count)  # the golden angle spreads any number of them
     tilts = program.largest_tilt_rad * (0.45 + 0.55 * rng.random(program.pose_count))
@@ -184,7 +184,7 @@ def _tap(program: Program, h: float) -> Script:
 
 
 def _contact(program: Program, h: float) -> Script:
-    """Press with F^d until the payload rests on the wall, then back off and stand still."""
+    """Press with F^d until the payload rests on the wall, then back off and rest."""
     pressing = round((program.contact_hold_s + 1.8) / h)
     retracting, resting = round(program.retract_s / h), round(program.rest_s / h)
     desired = np.concatenate(

@@ -47,7 +47,7 @@ def load_objectives(names: tuple[str, ...]) -> tuple[AnyObjective, ...]:
 
 
 def load_demands(texts: tuple[str, ...]) -> tuple[Demand, ...]:
-    """Return the demands that `NAME` (a requirement) and `NAME=LIMIT` (an objective with its limit) stand for.
+    """Return the demands that `NAME` (a requirement) and `NAME=LIMIT` (an objective with its limit) mean.
 
     Raises UsageError for an unknown name, a limit that is no positive number, or the same name twice.
     """

@@ -139,7 +139,7 @@ def _settle_all(
 
 
 def _optimality_tree(optimality_reports: Mapping[str, OptimalityReport]) -> dict[str, Any]:
-    """Return how the designs stand, axis by axis."""
+    """Return the optimality of the designs, axis by axis."""
     trees = {
         name: optimality_tree(each, rotational=name in ROTATIONAL_AXES) for name, each in optimality_reports.items()
     }

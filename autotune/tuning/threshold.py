@@ -157,7 +157,7 @@ def _lowest(controller: Controller, straight: Sequence[str], settings: Threshold
         asked = f"{low:g} N" if low == high else f"{low:g} to {high:g} N"
         raise InfeasibleError(
             f"free.collision_threshold_n asks for {asked}, and a threshold must be above {lowest:.4g} N: as the "
-            f"approach begins in free space {free_n:.3g} N stand against the motion, the sensor's noise is "
+            f"approach begins in free space {free_n:.3g} N oppose the motion, the sensor's noise is "
             f"{settings.noise_rms_n:.3g} N RMS ({NOISE_DEVIATIONS:g} deviations count) and the deadband hides "
             f"{deadband:g} N. The response would be spent before the contact; raise the upper bound, or leave the "
             "entry out."

@@ -74,7 +74,7 @@ def find_log_contacts(recording: Recording, controller: Controller, frames: Fram
     _check_gains(recording, controller)
     if recording.command is None:
         raise LogError(
-            "The log must hold the commanded pose, found none: without it nobody can tell whether this controller was "
+            "The log must hold the commanded pose, found none: without it nothing shows whether this controller was "
             "running. Record the position command, or name it with --command-topic."
         )
     log = align(recording)
@@ -167,7 +167,7 @@ def _turns(weighed: _Weighed, controller: Controller) -> list[_Turn]:
     if weighed.gravity is None:
         if names == set(controller.axes):
             raise LogError(
-                f"To compare torques about {', '.join(sorted(names))} the log must tell the payload's weight and its "
+                f"To compare torques about {', '.join(sorted(names))} the log must show the payload's weight and its "
                 "centre; record 6 to 12 tilted poses with the contacts."
             )
         return []
@@ -190,7 +190,7 @@ def _check_weight(force_S_n: FloatArray, motion: MotionSpans, controller: Contro
         raise LogError(
             f"At rest and free the force must be explained by the file's payload of {controller.payload.mass_kg:.4g} "
             f"kg and its bias to {limit:.1f} N, found {found} left; this is another payload, or the sensor was tared. "
-            "Record 6 to 12 tilted poses with the contacts, which tell the weight."
+            "Record 6 to 12 tilted poses with the contacts, which show the weight."
         )
 
 

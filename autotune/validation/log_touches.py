@@ -29,7 +29,7 @@ def compare_touches_of_log(
     """Compare the peak of every touch along the axes of a file with the peaks over its certified plants.
 
     That this controller was running is known only as far as the log holds mass and damping. Raises LogError for a log
-    with other gains, or without a touch along an axis of the file; EstimateError for one that tells nothing; UsageError
+    with other gains, or without a touch along an axis of the file; EstimateError for one that shows nothing; UsageError
     for a file with a collision response.
     """
     refuse_response(controller)

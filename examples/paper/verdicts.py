@@ -30,7 +30,7 @@ class Interval(NamedTuple):
 def continuous_is_stable(
     plant: Plant, controller: AdmittanceController, *, half_sample_of_s: float | None = None
 ) -> bool:
-    """Tell whether the continuous loop is stable, by the turns of 1 + L_x along the imaginary axis (Nyquist).
+    """Return whether the continuous loop is stable, by the turns of 1 + L_x along the imaginary axis (Nyquist).
 
     Its only pole that does not decay is the integrator of a contact. Without zeros on the right its phase rises by a
     quarter turn in contact and by none in free space (where the integrator meets a zero); each pair on the right

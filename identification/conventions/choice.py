@@ -20,7 +20,7 @@ _SIGNIFICANT = 5.0
 class ReadLog:
     """A log under the conventions that its weight agrees with.
 
-    `convention` is the one that replaced the declared ones, None where those stand; log, motion and rests are those of
+    `convention` is the one that replaced the declared ones, None where those hold; log, motion and rests are those of
     `recording`.
     """
 

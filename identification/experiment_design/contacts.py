@@ -103,7 +103,7 @@ def through_coupling(values: PlanValues, stiffness_std_n_per_m: float) -> float:
 
 
 def plant_of(values: PlanValues) -> Plant:
-    """Return the plant in contact that the values stand for."""
+    """Return the plant in contact of the values."""
     return Plant(
         robot=values.robot,
         coupling=Coupling(

@@ -236,9 +236,9 @@ def _off_holes(spans: Sequence[Span], holes: Sequence[Span], period_s: float) ->
 
 
 def _approached(holds: Sequence[Span], holes: Sequence[Span], period_s: float) -> tuple[Span, ...]:
-    """Return the holds before which, as far as an approach may reach, and in which the log has no hole."""
-    reach = round((_SETTLED_S + _LONGEST_APPROACH_S) / period_s)
-    return tuple(s for s in holds if not any(s.start - reach < h.stop and h.start < s.stop for h in holes))
+    """Return the holds before which, as long as an approach may take, and in which the log has no hole."""
+    longest = round((_SETTLED_S + _LONGEST_APPROACH_S) / period_s)
+    return tuple(s for s in holds if not any(s.start - longest < h.stop and h.start < s.stop for h in holes))
 
 
 def _values(coupling: CouplingFit) -> FloatArray:

@@ -1,6 +1,6 @@
 """The robot's steps, and the payload's inside a sample in which it touches or leaves: compiled loops.
 
-Time is counted in samples: velocities are m per sample, B/h and M/h² stand for B and M. What takes complex numbers
+Time is counted in samples: velocities are m per sample, B/h and M/h² replace B and M. What takes complex numbers
 answers with a slope as well: its imaginary part is the slope times that of what came in, if that is tiny.
 """
 
@@ -55,7 +55,7 @@ def run_robot(
     """Return the robot's state at the ticks `first` to `stop` (stop - first, order), `state` being that at `first`.
 
     `step` acts on (state, older, newer command): in sample k the commands older, older − 1 samples ago act one after
-    the other (MODEL.md, "What runs in the cell").
+    the other (docs/method.md, "The loop").
     """
     order = len(state)
     out = np.empty((stop - first, order))
@@ -148,7 +148,7 @@ def pressure(state: Array, ends: Ends, at: complex, body: Body, touching: bool) 
 
 @compiled
 def pressing(state: FloatArray, ends: Ends, at: float, body: Body, touching: bool) -> bool:
-    """Tell whether the payload is on the environment, given whether it was."""
+    """Return whether the payload is on the environment, given whether it was."""
     return bool(pressure(state, ends, at, body, touching).real > 0.0)
 
 

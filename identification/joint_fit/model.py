@@ -34,7 +34,7 @@ ROBOT_NAMES = (
 
 @dataclass(frozen=True, kw_only=True)
 class ParameterLayout:
-    """Where each parameter stands in the vector: coupling, robot (order 0 is none), then the surfaces."""
+    """Where each parameter is in the vector: coupling, robot (order 0 is none), then the surfaces."""
 
     robot_order: int
     surfaces: int
@@ -48,11 +48,11 @@ class ParameterLayout:
 
     @property
     def robot(self) -> slice:
-        """Return where ω, (ζ,) T_d stand."""
+        """Return where ω, (ζ,) T_d are."""
         return slice(4, 4 + (self.robot_order + 1 if self.robot_order else 0))
 
     def surface(self, index: int) -> slice:
-        """Return where K_e, B_e, M_e of a surface stand."""
+        """Return where K_e, B_e, M_e of a surface are."""
         first = self.robot.stop + 3 * index
         return slice(first, first + 3)
 

@@ -14,7 +14,7 @@ _SMOOTHED_BINS = 5
 _CHANCES = 4.5
 _WINDOW_S = 0.2
 _LAGS = 40
-_SPLINE_REACH = 24
+_SPLINE_HALF_WIDTH = 24
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,12 +65,12 @@ class Smoother:
     taps: FloatArray | None
 
     @property
-    def reach(self) -> int:
+    def half_width(self) -> int:
         """How many values on each side a coefficient depends on."""
         return 0 if self.taps is None else len(self.taps) // 2
 
     def spline(self, values: FloatArray, mean: float) -> FloatArray:
-        """Return the B-spline coefficients of the part of `values` that is no noise, `reach` fewer on each side.
+        """Return the B-spline coefficients of the part of `values` that is no noise, `half_width` fewer on each side.
 
         `mean` is that of all values, of which these (n,) may be some.
         """
@@ -99,8 +99,8 @@ def fit_smoother(moving: Sequence[FloatArray], resting: Sequence[FloatArray], pe
     taps *= np.hanning(len(taps) + 2)[1:-1]
     taps = taps / np.sum(taps) if keep[1] > 0.9 else taps  # a slow motion is kept as it is
     # The spline's coefficients c answer to (c_(k−1) + 4 c_k + c_(k+1))/6 = value, whose inverse is √3 (√3 − 2)^|k|.
-    reach = np.abs(np.arange(-_SPLINE_REACH, _SPLINE_REACH + 1))
-    return Smoother(taps=np.convolve(taps, np.sqrt(3.0) * (np.sqrt(3.0) - 2.0) ** reach))
+    distance = np.abs(np.arange(-_SPLINE_HALF_WIDTH, _SPLINE_HALF_WIDTH + 1))
+    return Smoother(taps=np.convolve(taps, np.sqrt(3.0) * (np.sqrt(3.0) - 2.0) ** distance))
 
 
 def _spectrum(spans: Sequence[FloatArray], length: int, period_s: float) -> tuple[FloatArray, float]:

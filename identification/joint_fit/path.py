@@ -131,9 +131,9 @@ class FlangePath:
             return rest
         last = len(self.position_m)
         low, high = max(first - 1, 0), min(stop + 2, last)
-        reach = self.smoother.reach
-        near = slice(max(low - reach, 0), min(high + reach, last))
-        missing = near.start - (low - reach), high + reach - near.stop
+        half_width = self.smoother.half_width
+        near = slice(max(low - half_width, 0), min(high + half_width, last))
+        missing = near.start - (low - half_width), high + half_width - near.stop
         coefficients = self.smoother.spline(np.pad(self.misfit(near), missing, mode="edge"), self.mean_m)
         return _taylor(np.pad(coefficients, (low - (first - 1), stop + 2 - high), mode="edge"))
 

@@ -29,7 +29,7 @@ MECHANICAL_NAMES = ("stiffness_n_per_m", "damping_n_s_per_m", "drag_n_s_per_m", 
 class JointSurface:
     """One surface: the secant, K_s and K_e in series, with its deviation out of the joint covariance, and contacts.
 
-    `first_parameter` is where K_e, B_e, M_e stand in the fit's vector; `onsets` are samples.
+    `first_parameter` is where K_e, B_e, M_e are in the fit's vector; `onsets` are samples.
     """
 
     sign: int

@@ -96,7 +96,7 @@ class Problem:
     """What is fitted: force over `segments`, pose over `pose_spans`, with one whitener per kind of span.
 
     `priors` are (index, value, standard deviation); `fixed` are indices that stay as they are, and with the robot's
-    among them `known_path` is the flange's path; `summary` stands for other spans. No payload is lighter than
+    among them `known_path` is the flange's path; `summary` represents other spans. No payload is lighter than
     `lightest_kg`: next to nothing, its own motion could not be distinguished from rounding. None is heavier than
     `heaviest_kg`.
     """
@@ -270,7 +270,7 @@ def _untimed(values: FloatArray, segment: Segment, path: FlangePath, period_s: f
     """Return the force that is missed if the flange takes its speed half a sample advance_in_time or later, (2, n).
 
     Between the ticks the pose says nothing. A robot that follows a held command jumps in speed at every tick, by up to
-    h (a + ω v); the coupling's damping passes that on. ω stands for 2π·5 Hz, the damping for at least a twentieth of
+    h (a + ω v); the coupling's damping passes that on. ω is taken as 2π·5 Hz, the damping for at least a twentieth of
     the critical one, since it is itself known by this.
     """
     damping = max(float(values[1]), 0.1 * float(np.sqrt(values[0] * values[3])))

@@ -73,7 +73,7 @@ def fit_alone(problem: Problem, point: Point, contact: ContactCandidate) -> Foun
         fits.append(minimise(single, start, _STEPS_ALONE))
         if fits[-1][1] <= _most_of_noise(len(contact.segment)):
             break  # nothing is left that another start could explain
-    # The onset's sample makes a descent creep: the best goes on until it stands.
+    # The onset's sample makes a descent creep: the best goes on until it converges.
     best, _ = minimise(single, min(fits, key=lambda fit: fit[1])[0], _STEPS_POLISH)
     block = linearise(single, best)[0]
     force = problem.signals.force_n[contact.segment.slice]

@@ -221,7 +221,7 @@ def merge_axis(
 
 
 def estimate_of(axis: AxisEstimate, symbol: str) -> Estimate | None:
-    """Return the estimate of a symbol of `Covariance`; ω and ζ stand and fall with the bandwidth."""
+    """Return the estimate of a symbol of `Covariance`; ω and ζ are known where the bandwidth is."""
     name, _, kind = symbol.rpartition(".")
     if not name:
         return {
@@ -251,7 +251,7 @@ def judged_plainly(value: float, std: float) -> Estimate:
 
 
 def _record(axis: AxisEstimate, *, with_robot: bool) -> Normal:
-    """Return all that a log shows of an axis: its covariance, and what stands beside it as independent."""
+    """Return all that a log shows of an axis: its covariance, and what is independent of it."""
     stated = axis.covariance
     names = () if stated is None else stated.names
     alone = {symbol: found for symbol in _symbols(axis) if symbol not in names and (found := _alone(axis, symbol))}
@@ -268,7 +268,7 @@ def _symbols(axis: AxisEstimate) -> tuple[str, ...]:
 
 
 def _alone(axis: AxisEstimate, symbol: str) -> tuple[float, float] | None:
-    """Return value and deviation of what stands in the table only."""
+    """Return value and deviation of what is in the table only."""
     if symbol in ("omega", "zeta"):
         return _poles(axis).get(symbol)
     estimate = estimate_of(axis, symbol)

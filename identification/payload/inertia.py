@@ -335,7 +335,7 @@ def nearest_consistent(parameters: FloatArray, covariance: FloatArray) -> tuple[
     if is_consistent(parameters):
         return parameters, 0.0
     scale = np.sqrt(np.diag(covariance))
-    # Correlations have a condition that a Cholesky factor can stand even where some directions are unknown.
+    # Correlations have a condition that a Cholesky factor allows even where some directions are unknown.
     whitening = np.linalg.inv(np.linalg.cholesky(covariance / np.outer(scale, scale))) / scale
 
     def misfit(free: FloatArray) -> FloatArray:

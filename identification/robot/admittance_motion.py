@@ -24,7 +24,7 @@ from ..signals.recording import (
 _SHORTEST_S, _SHORTEST_TRACE_S = 3.0, 1.0
 _STEP_S = 0.01
 _CLOCK_S = 0.004
-# A robot that stands while the admittance asks for this speed is not driven by it.
+# A robot at rest while the admittance asks for this speed is not driven by it.
 _AT_REST = np.array([1e-3] * 3 + [5e-4] * 3)
 _ASKED = np.array([4e-3] * 3 + [2e-3] * 3)
 _SHORTEST_HALT_S = 0.4
@@ -101,7 +101,7 @@ def admittance_motions(recording: Recording) -> tuple[AdmittanceMotion, ...]:
             edge_s=edge - time[0],
             moved_m_s=moved[:, i],
             turning_rad_s=_turning(moved, i) if turned and i < 3 else np.zeros((len(moved), 0)),
-            used=~_reach(edge, halted) & (is_trace | (edge[:-1] > edge[0] + _SETTLING_S)),
+            used=~_near_halts(edge, halted) & (is_trace | (edge[:-1] > edge[0] + _SETTLING_S)),
             halted_s=float(np.sum(np.diff(edge)[halted])),
             lead_s=None if gains.lead_s is None else gains.lead_s[i],
             approach_m_s=_approach(recording.desired_force, gains, i) if is_trace else None,
@@ -224,7 +224,7 @@ def _halted(edge: FloatArray, moved: FloatArray, asked: FloatArray) -> BoolArray
     return np.asarray(binary_opening(at_rest & pushed, structure=np.ones(shortest)))
 
 
-def _reach(edge: FloatArray, halted: BoolArray) -> BoolArray:
+def _near_halts(edge: FloatArray, halted: BoolArray) -> BoolArray:
     """Return the steps (m,) that a halt touches: those while the robot slows down before it, and those after it."""
     touched = np.zeros(len(halted), dtype=np.bool_)
     for span in spans_of(halted):

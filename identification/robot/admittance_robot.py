@@ -307,7 +307,7 @@ def identify_admittance_robots(recording: Recording) -> AdmittanceRobots:
 
     Nothing is more than weak: the delay holds what the logger put between wrench and pose, r(s) what lead and feedback
     damping the controller had. Axes of which no robot is
-    known are named with the reason; a finding of severity `error` stands where there is none at all.
+    known are named with the reason; there is a finding of severity `error` where there is none at all.
     """
     try:
         motions = admittance_motions(recording)

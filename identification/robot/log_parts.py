@@ -11,12 +11,12 @@ from ..verdicts import scatter
 _PART_S, _MOST_PARTS, _BLOCK_S = 5.0, 12, 1.0
 _FEWEST_BLOCKS = 3
 # A part with less of the motion's energy than this share of the usual says more of what else goes on.
-_TELLING_SHARE = 0.2
+_INFORMATIVE_SHARE = 0.2
 
 
 @dataclass(frozen=True, kw_only=True)
 class PartSpread:
-    """Standard deviations between parts of a log beyond their noise, 0 where there are no two parts that tell."""
+    """Standard deviations between parts of a log beyond their noise, 0 without two parts with enough motion."""
 
     gain: float
     lag_s: float
@@ -36,8 +36,8 @@ def spread_of_parts(moved: FloatArray, predicted: FloatArray, time_s: FloatArray
         zip(np.split(columns, edges), np.split(moved, edges), np.split(np.floor(time_s / _BLOCK_S), edges), strict=True)
     )
     energy = np.array([float(np.sum(rows[:, 0] ** 2)) for rows, _, _ in parts])
-    telling = energy > _TELLING_SHARE * float(np.mean(energy))
-    found = [_fit(*part) for part, tells in zip(parts, telling, strict=True) if tells]
+    is_informative = energy > _INFORMATIVE_SHARE * float(np.mean(energy))
+    found = [_fit(*part) for part, use in zip(parts, is_informative, strict=True) if use]
     known = np.array([each for each in found if each is not None])
     if len(known) < 2:
         return PartSpread(gain=0.0, lag_s=0.0)

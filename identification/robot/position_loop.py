@@ -249,8 +249,8 @@ def _correlation_factor(residual: FloatArray) -> float:
         return 1.0
     correlation = correlation / correlation[0]
     below = np.flatnonzero(correlation < 0.05)
-    reach = int(below[0]) if below.size else len(correlation)
-    return max(1.0, 1.0 + 2.0 * float(np.sum(correlation[1:reach])))
+    cutoff = int(below[0]) if below.size else len(correlation)
+    return max(1.0, 1.0 + 2.0 * float(np.sum(correlation[1:cutoff])))
 
 
 def _described(fit: _Fit, error: float, effective_samples: float) -> RobotFit:

@@ -10,7 +10,7 @@ class ContactRule:
     A hold is a rest (0.4 s or more, `find_motion`) under more force than the weight leaves. It is touched, before and
     after, where the force is above `smallest_n` and `touched_share` of the hold's: what a filter spreads of a press
     over its surroundings grows with the press. `smallest_hold_n` is twice `smallest_n`, so that a hold is a touch
-    too, and a contact without a hold must reach as much (`restless_factor`); six deviations are not noise.
+    too, and a contact without a hold must have as much (`restless_factor`); six deviations are not noise.
     """
 
     smallest_n: float = 2.0

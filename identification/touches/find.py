@@ -79,14 +79,14 @@ def _of_their_own(found: Sequence[AxisTouches]) -> tuple[AxisTouches, ...]:
     for each in found:
         beside = [touch for other in found if other is not each for touch in other.touches]
         hands = [span for other in found for span in other.led]
-        reach = round(_LONGEST_SWING_S / each.signals.period_s)
+        swing = round(_LONGEST_SWING_S / each.signals.period_s)
         touches = [
             one
             for one in each.touches
             if not any(_is_share(one, other) for other in beside)
             and not (
                 one.touch.is_led is None
-                and any(one.span.start < hand.stop + reach and hand.start - reach < one.span.stop for hand in hands)
+                and any(one.span.start < hand.stop + swing and hand.start - swing < one.span.stop for hand in hands)
                 and not _is_sudden(each.signals, one)
             )
         ]
@@ -211,8 +211,8 @@ def _met_free(axis: AxisSignals, onset: int, speed: float, into: FloatArray, dra
 def _met_led(axis: AxisSignals, sign: int, span: Span) -> TouchCause | None:
     """Return the cause of a press after a force along the motion, None where a hand steers."""
     pressing = -sign * axis.force_n
-    reach = max(span.start + 1, int(np.searchsorted(axis.time_s, axis.time_s[span.start] + _TURNED_S)))
-    high = span.start + int(np.argmax(pressing[span.start : reach]))
+    stop = max(span.start + 1, int(np.searchsorted(axis.time_s, axis.time_s[span.start] + _TURNED_S)))
+    high = span.start + int(np.argmax(pressing[span.start : stop]))
     rate, step = _turned_round(axis, sign, high)
     if pressing[high] < _AGAINST_SHARE * step or step < _SMALLEST_STEP_N or rate < _STEERING_N_PER_S:
         return None

@@ -292,8 +292,8 @@ def _undetermined(touches: Sequence[Touch]) -> list[Finding]:
     return [
         Finding.warning(
             "touch-undetermined",
-            f"What was touched at {shown}{more} cannot be told from a hand: a hand led the payload or the force came "
-            "without motion.",
+            f"What was touched at {shown}{more} cannot be distinguished from a hand: a hand led the payload or the force "
+            "came without motion.",
             "Approach under a desired force or a command, hands off.",
         )
     ]
@@ -304,7 +304,7 @@ def no_contact(touched: Touched) -> Finding:
     if touched.timeline.touches:
         return missing(
             "no-contact",
-            "None of the touches of the log can be told from a hand, so no environment is identified.",
+            "None of the touches of the log can be distinguished from a hand, so no environment is identified.",
             "Record contacts that are approached under a desired force or a command, hands off.",
         )
     return missing(

@@ -156,7 +156,7 @@ def follow_bounces(
 
 @compiled
 def _judge_window(peaks: FloatArray, switches: NDArray[np.int64], w: int, touching: bool, rest: float) -> int:
-    """Return SETTLED or BOUNCING if windows 0 to w tell so, else -1; `rest` is the force at rest."""
+    """Return SETTLED or BOUNCING if windows 0 to w show it, else -1; `rest` is the force at rest."""
     if switches[w] == 0 and touching:
         return SETTLED
     if w >= _COMPARED:

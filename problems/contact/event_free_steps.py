@@ -1,6 +1,6 @@
 """The fast part of the contact transient: ticks between which the contact neither begins nor ends.
 
-For plants with a delay and a massless environment. `step_without_events` writes the equations as they stand;
+For plants with a delay and a massless environment. `step_without_events` writes the equations as they are;
 `step_three_states` is the same for the plant with three states (a robot of one pole), kept in scalars, and three
 times as fast.
 """

@@ -40,7 +40,7 @@ def advance(rate: FloatArray, push: FloatArray, state: FloatArray, duration: flo
 def spring_force(wall: Wall, position: float, velocity: float) -> float:
     """Return K_e x_p + B_e v_p of a massless environment, whose damper acts only behind its surface (x_p ≥ 0).
 
-    Above 0 it is F_e, and the payload is in contact; otherwise F_e is 0 (MODEL.md, "The contact transient").
+    Above 0 it is F_e, and the payload is in contact; otherwise F_e is 0 (docs/method.md, "Contact").
     """
     return wall.stiffness * position + (wall.damping * velocity if position >= 0.0 else 0.0)
 
@@ -49,7 +49,7 @@ def spring_force(wall: Wall, position: float, velocity: float) -> float:
 def is_in_contact(
     state: FloatArray, surface_state: FloatArray, wall: Wall, outputs: FloatArray, inputs: HeldInputs, touching: bool
 ) -> bool:
-    """Tell whether the payload is on the environment, given whether it was: the one rule of every contact.
+    """Return whether the payload is on the environment, given whether it was: the one rule of every contact.
 
     A massless environment follows at once, so that it is the sign of its force. One with mass is met where it is,
     and left when F_e = M_e dv_p/dt + B_e v_p + K_e x_p is not above 0.

@@ -96,7 +96,7 @@ def first_moment(start: Start, plant: Contact, found: FloatArray) -> tuple[Momen
 
 @compiled
 def _is_plain(plant: Contact) -> bool:
-    """Tell whether ticks are enough: a delay (else the command acts on the force at once), no mass, not stiff."""
+    """Return whether ticks are enough: a delay (else the command acts on the force at once), no mass, not stiff."""
     return plant.delay.chain > 0 and plant.wall.mass == 0.0 and len(plant.inside) == 0
 
 
@@ -286,7 +286,7 @@ def _outputs(
 
 @compiled
 def _settled(force: FloatArray, count: int, forces: Forces, touching: bool, anchored: bool, largest: float) -> bool:
-    """Tell whether the force has come to rest in the last quarter of the run.
+    """Return whether the force has come to rest in the last quarter of the run.
 
     On an environment with stiffness e = F^d + F must have stayed at 0; elsewhere the force must have been flat, and
     away from such an environment nothing may drive the payload back.

@@ -263,7 +263,7 @@ def runge_kutta(motion: Motion, state: FloatArray, held: float, push: float, ste
     trial[:], change[:] = state, 0.0
     for stage in range(4):
         outside = push - wall_force(motion, trial[n - 2], trial[n - 1])
-        reach, weight = step if stage == 2 else 0.5 * step, step / (6.0 if stage % 3 == 0 else 3.0)
+        advance, weight = step if stage == 2 else 0.5 * step, step / (6.0 if stage % 3 == 0 else 3.0)
         for i in range(n):
             total = flow[i, n] * held + flow[i, n + 1] * outside
             for j in range(n):
@@ -271,7 +271,7 @@ def runge_kutta(motion: Motion, state: FloatArray, held: float, push: float, ste
             rate[i] = total
         for i in range(n):
             change[i] += weight * rate[i]
-            trial[i] = state[i] + reach * rate[i]
+            trial[i] = state[i] + advance * rate[i]
     for i in range(n):
         state[i] += change[i]
 

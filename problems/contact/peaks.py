@@ -32,13 +32,13 @@ def keep_peak(found: FloatArray, k: int, largest: tuple[float, float]) -> None:
 
 @compiled
 def may_hide_peak(seen: float, largest: float) -> bool:
-    """Tell whether a sample may hold a force above the largest one, given the largest that was seen of it."""
+    """Return whether a sample may hold a force above the largest one, given the largest that was seen of it."""
     return seen >= (1.0 - _MISSED_BETWEEN_LOOKS) * largest
 
 
 @compiled
 def may_pass(pressed: FloatArray, tick: int, largest: float) -> bool:
-    """Tell whether the parabola through a tick and its neighbours reaches the largest force."""
+    """Return whether the parabola through a tick and its neighbours reaches the largest force."""
     # No force presses less than 0, so the crest of a parabola is at most a quarter above its middle point.
     if pressed[tick] <= largest / (1.25 * (1.0 + _MISSED_BY_PARABOLA)):
         return False
@@ -65,7 +65,7 @@ def keep_three_states(crest: FloatArray, x: float, p: float, v: float, newer: fl
 
 @compiled
 def is_kept(crest: FloatArray, tick: int) -> bool:
-    """Tell whether a tick and the one before it were kept."""
+    """Return whether a tick and the one before it were kept."""
     n = crest.shape[1] - 3
     return bool(crest[tick & 1, n + 2] == tick and crest[1 - tick & 1, n + 2] == tick - 1)
 
@@ -74,7 +74,7 @@ def is_kept(crest: FloatArray, tick: int) -> bool:
 def search_around(plant: Contact, tick: int, push: float, crest: FloatArray, found: FloatArray) -> None:
     """Search the force of the samples before and behind a tick, as far as they were kept.
 
-    Without a step of the command inside the samples the slopes at the tick tell in which of them it is largest. A
+    Without a step of the command inside the samples the slopes at the tick show in which of them it is largest. A
     payload that leaves in the sample behind has passed the largest force before.
     """
     flow, rows, fraction, n = plant.flow[IN_CONTACT], plant.rows, plant.delay.fraction, crest.shape[1] - 3

@@ -32,7 +32,7 @@ from .kernel_types import (
 )
 
 LONGEST_TRANSIENT_S = 10.0
-# Faster contacts, in radians and e-foldings per sample, would take seconds to follow and tell nothing about a robot.
+# Faster contacts, in radians and e-foldings per sample, would take seconds to follow and say nothing about a robot.
 _FASTEST_SWING = 16.0
 _FASTEST_DECAY = 1000.0
 

@@ -62,7 +62,7 @@ _MARGINS = {
     "delay_margin_s": DELAY_S,
 }
 EVERY_REQUIREMENT = "all requirements"
-"""The goal that stands for all requirements: the worst required/achieved of any."""
+"""The goal that combines all requirements: the worst required/achieved of any."""
 _FAST = (*_MARGINS, "free_space_admittance", "max_peak_force_n")
 _CROSSOVERS = ("gain_margin_db", "phase_margin_deg", "delay_margin_s")
 
@@ -149,7 +149,7 @@ def build_batch(pairs: Sequence[SampledContact]) -> ScenarioBatch:
 
 
 def are_stable(plants: Sequence[SampledPlant], controllers: Sequence[AdmittanceController]) -> BoolArray:
-    """Tell for every controller on every plant, (m, p), whether the sampled loop is stable.
+    """Return for every controller on every plant, (m, p), whether the sampled loop is stable.
 
     Routh's test in w; where rounding could decide it, the eigenvalues of the exact loop do.
     """

@@ -87,7 +87,7 @@ class Structure:
         )
 
     def covers(self, plant: Plant) -> bool:
-        """Tell whether the exponentials of this plant are exact to rounding (one squaring short: to 1e-12)."""
+        """Return whether the exponentials of this plant are exact to rounding (one squaring short: to 1e-12)."""
         return _needed_squarings(plant, self.sample_time_s) <= self.squarings
 
     @property

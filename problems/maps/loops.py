@@ -91,7 +91,7 @@ class PlantLoops:
         return build_sampled_plant(self.plants[index], self.sample_time_s)
 
     def stable(self, designs: Designs) -> BoolArray:
-        """Tell for every controller on every plant, (m, p), whether the loop is stable, as `are_stable` does."""
+        """Return for every controller on every plant, (m, p), whether the loop is stable, as `are_stable` does."""
         out = np.zeros((designs.count, len(self.plants)), dtype=np.bool_)
         for chosen, ideal in designs.alike():
             parameters = designs.parameters[chosen]
@@ -148,7 +148,7 @@ _COLUMNS = {
 class PlantChunk:
     """Plants with their environment (None when only free space is asked), and their distinct free spaces (or None).
 
-    `free_of` (p,) tells for each plant which free space is its own.
+    `free_of` (p,) gives for each plant which free space is its own.
     """
 
     contact: PlantLoops | None
@@ -164,7 +164,7 @@ class PlantChunk:
         )
 
     def stable(self, designs: Designs) -> BoolArray:
-        """Tell for every controller on every plant, (m, p), whether the loop is stable wherever that is asked."""
+        """Return for every controller on every plant, (m, p), whether the loop is stable wherever that is asked."""
         out = np.ones((designs.count, len(self.free_of)), dtype=np.bool_)
         if self.contact is not None:
             out &= self.contact.stable(designs)

@@ -80,7 +80,7 @@ class MapRequest:
     """What is asked: `quantity` over `x` and `y` around a plant (in contact, where contact is asked) and a controller.
 
     `fixed` holds parameters that stay at their value at every point; it differs from a changed plant for the payload
-    frequency and damping ratio, which then determine M_p and B_p everywhere. `where` tells for which loop stability is
+    frequency and damping ratio, which then determine M_p and B_p everywhere. `where` says for which loop stability is
     asked and the smallest margin taken; a peak needs both. `approach` matters for peaks only.
 
     Raises ParameterError for a request that one of its corners cannot meet.

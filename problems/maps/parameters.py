@@ -94,8 +94,8 @@ def _of_plant() -> Iterator[MapParameter]:
 MAP_PARAMETERS: Mapping[str, MapParameter] = FrozenDict(
     {each.name: each for each in (*(_row("controller", row) for row in _OF_CONTROLLER), *_of_plant())}
 )
-"""Every parameter by its name. The payload frequency is ω = sqrt(K_s/M_p) and stands for M_p; its damping ratio
-ζ = B_p/(2 sqrt(M_p K_s)) stands for B_p; the bandwidth is that of a robot with one pole."""
+"""Every parameter by its name. The payload frequency is ω = sqrt(K_s/M_p) and sets M_p; its damping ratio
+ζ = B_p/(2 sqrt(M_p K_s)) sets B_p; the bandwidth is that of a robot with one pole."""
 
 STANDS_FOR: Mapping[str, str] = FrozenDict(
     {"payload_frequency_rad_per_s": "payload_mass", "payload_damping_ratio": "drag"}
@@ -207,7 +207,7 @@ def plant_at(plant: Plant, values: Mapping[str, float]) -> Plant:
 
 
 def has_bandwidth(robot: RobotModel) -> bool:
-    """Whether the robot is one pole, so that one number tells its bandwidth."""
+    """Whether the robot is one pole, so that one number gives its bandwidth."""
     return robot.order == 1
 
 

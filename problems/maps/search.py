@@ -23,7 +23,7 @@ DEFAULT_TOLERANCE = 1e-5
 class StableInterval:
     """The loop is stable from `lower` to `upper`, both included.
 
-    `lower_is_bound` and `upper_is_bound` tell that the search ended there, not stability.
+    `lower_is_bound` and `upper_is_bound` say that the search ended there, not stability.
     """
 
     lower: float
@@ -49,7 +49,7 @@ class IntervalRequest:
 
     The range of `searched` is looked at in its `count` values, then every change of verdict is bisected until it is
     known within `tolerance`, a share of the range (of its logarithm for "log"). What is narrower than the step of the
-    range may be missed. `where` tells which loops must be stable.
+    range may be missed. `where` says which loops must be stable.
     """
 
     plant: Plant

@@ -1,4 +1,4 @@
-"""The admittance controller and its sampled form (MODEL.md, "Continuous blocks" and Errata 2 and 3)."""
+"""The admittance controller and its sampled form (docs/method.md, "The loop", errata 2 and 3)."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -107,7 +107,7 @@ class AdmittanceController:
 
 
 def check_feedback_damping(feedback_damping_s: float) -> float:
-    """Return B_fb [s], refusing values that can only be the paper's printed unit (MODEL.md, erratum 2)."""
+    """Return B_fb [s], refusing values that can only be the paper's printed unit (docs/method.md, erratum 2)."""
     value = non_negative("feedback_damping_s", feedback_damping_s)
     if 0.0 < value < SMALLEST_FEEDBACK_DAMPING_S:
         raise ParameterError(
@@ -120,12 +120,12 @@ def check_feedback_damping(feedback_damping_s: float) -> float:
 
 
 def feedback_damping_from_paper_mm(printed: float) -> float:
-    """Convert a B_fb as the paper prints it to seconds, reading it as s·m/mm: times 1000 (MODEL.md, erratum 2)."""
+    """Convert a B_fb as printed to seconds, reading it as s·m/mm: times 1000 (docs/method.md, erratum 2)."""
     return check_feedback_damping(1000.0 * _printed(printed))
 
 
 def feedback_damping_from_paper_per_sample(printed: float, sample_time_s: float) -> float:
-    """Convert a B_fb as the paper prints it to seconds, reading it as s times h: times 1/h (MODEL.md, erratum 2)."""
+    """Convert a B_fb as printed to seconds, reading it as s times h: times 1/h (docs/method.md, erratum 2)."""
     return check_feedback_damping(_printed(printed) / positive("sample_time_s", sample_time_s))
 
 

@@ -177,8 +177,8 @@ def through_deadband(force: float, width: float, subtractive: bool) -> float:
 
 
 def opposes_motion(force: float, way: float, threshold: float) -> bool:
-    """Tell whether a force F on the flange opposes its way over the last period by more than the threshold [N].
+    """Return whether a force F on the flange opposes its way over the last period by more than the threshold [N].
 
-    The detection of the paper's Algorithm 1: −F sign(v) > threshold. A flange that stands is not opposed.
+    The detection of the paper's Algorithm 1: −F sign(v) > threshold. A flange at rest is not opposed.
     """
     return (way > 0.0 and -force > threshold) or (way < 0.0 and force > threshold)

@@ -156,7 +156,7 @@ class PlantMatrices:
     """ds/dτ = A s + B x^d + p f in the dimensionless time τ = t/`time_scale_s`; rows below act on s, x^d and f.
 
     The state is (robot chain, x_p, `time_scale_s`·v_p): one size for every entry, so that exponentials are exact to
-    rounding; before x_p stands F_m in metres of the coupling where the wrench is filtered (x_p is always the last but
+    rounding; before x_p comes F_m in metres of the coupling where the wrench is filtered (x_p is always the last but
     one). f is an outside force on the payload (a hand), positive towards +x. x = c_x s; the force that is measured,
     F (or F_m), = c_F s + d_F x^d; F_e = c_e s + d_e x^d + p_e f while the payload stays on the environment.
     """
@@ -175,7 +175,7 @@ class PlantMatrices:
 
 @equation
 def _write_contact(a: Any, b: Any, c_contact: Any, direct: Any, k_e: Any, b_e: Any, m_e: Any) -> None:
-    """Write F_e = M_e dv_p/dt + B_e v_p + K_e x_p over the state and the command; x_p and v_p stand last."""
+    """Write F_e = M_e dv_p/dt + B_e v_p + K_e x_p over the state and the command; x_p and v_p are last."""
     n = a.shape[0]
     for i in range(n):
         c_contact[i] = m_e * a[n - 1, i]

@@ -125,7 +125,7 @@ def polynomials_of(system: Any) -> tuple[tuple[float, ...], tuple[float, ...]]:
 def _system(name: str, matrices: Matrices, h: float, inputs: list[str], outputs: list[str]) -> Any:
     """Scale the states by powers of two: methods that mix them by rotations (slycot's) would lose six digits."""
     a, b, c, d = matrices
-    # One more row and column stand for the surroundings, which keep their units.
+    # One more row and column represent the surroundings, which keep their units.
     whole = np.block([[a, np.sum(np.abs(b), axis=1, keepdims=True)], [np.sum(np.abs(c), axis=0), np.zeros(1)]])
     _, (sizes, _) = matrix_balance(whole, permute=False, separate=True)
     scale = sizes[:-1] / sizes[-1]

@@ -118,7 +118,7 @@ def bandwidth_hz(robot: RobotModel) -> float:
 
 
 def has_damping_ratio(robot: RobotModel) -> bool:
-    """Whether r(s) is ω²/(s² + 2ζω s + ω²), so that one number tells its damping."""
+    """Whether r(s) is ω²/(s² + 2ζω s + ω²), so that one number gives its damping."""
     return robot.order == 2 and len(robot.numerator) == 1
 
 

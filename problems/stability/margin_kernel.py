@@ -227,7 +227,7 @@ def _refine_segment(
 
 @compiled
 def _turns_between(one: complex, two: complex) -> bool:
-    """Tell whether 1 + L turns fast from one point to the next, or L where it is not small."""
+    """Return whether 1 + L turns fast from one point to the next, or L where it is not small."""
     if _turns(one, two):
         return True
     first, second = one - 1.0, two - 1.0
@@ -269,7 +269,7 @@ def _smallest(
 
 @compiled
 def _turns(one: complex, two: complex) -> bool:
-    """Tell whether the angle between two points is large."""
+    """Return whether the angle between two points is large."""
     along = one.real * two.real + one.imag * two.imag
     across = one.real * two.imag - one.imag * two.real
     return bool(along <= 0.0 or abs(across) > MAX_TURN * along)

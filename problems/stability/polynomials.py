@@ -159,7 +159,7 @@ def loop_polynomial(
 
 @compiled
 def hurwitz(polynomial: FloatArray, degree: int, first: int) -> int:
-    """Tell whether Σ c_k w^k, k from `first` on (divided by w^first), has all its roots left of the axis.
+    """Return whether Σ c_k w^k, k from `first` on (divided by w^first), has all its roots left of the axis.
 
     Routh's array; STABLE, UNSTABLE, or DOUBTFUL where rounding could decide.
     """

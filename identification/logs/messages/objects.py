@@ -103,7 +103,7 @@ def messages_of(batch: Batch) -> list[bytes]:
 
 
 def strings_block(strings: Sequence[str], message: bytes, encoding: str) -> bytes:
-    """Return the bytes of a list of strings as they stand in a message like `message`, of ROS 1 or CDR."""
+    """Return the bytes of a list of strings as they are in a message like `message`, of ROS 1 or CDR."""
     if encoding == "ros1":
         return struct.pack("<I", len(strings)) + b"".join(
             struct.pack("<I", len(text)) + text for text in (each.encode() for each in strings)

@@ -36,7 +36,7 @@ BOMB = "a: &a [x, x]\nb: &b [*a, *a]\nc: &c [*b, *b]\nd: &d [*c, *c]\n"
 CASES: dict[str, tuple[bytes, int, str]] = {
     "a line deleted": (swapped("    mass: 12.5\n", ""), line_of("  x:\n"), "axes.x.mass must be present"),
     "a digit changed": (swapped("mass: 12.5", "mass: 13.5"), LAST, "the file is altered"),
-    "duplicate keys": (swapped("    mass: 12.5", "    mass: 12.5\n    mass: 13.0"), MASS + 1, "mass stands twice"),
+    "duplicate keys": (swapped("    mass: 12.5", "    mass: 12.5\n    mass: 13.0"), MASS + 1, "mass occurs twice"),
     "2e-5 as text": (swapped("feedback_damping_s: 0.02", 'feedback_damping_s: "2e-2"'), MASS + 3, "the text '2e-2'"),
     "the paper's 2e-5": (
         swapped("feedback_damping_s: 0.02", "feedback_damping_s: 2e-5"),

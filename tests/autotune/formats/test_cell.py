@@ -120,7 +120,7 @@ def test_every_entry_arrives_where_it_belongs() -> None:
         ("sensor: {orientation: [1, 2, 3]}", 3, "4 numbers, as quaternion_xyzw has"),
         ("gravity_direction: [0, 0, 0]", 3, "a direction, not zero"),
         ("table: {time: t, sample_rate_hz: 100}", 3, "left out where a time column is named"),
-        ("version: 1", 3, "the key version stands twice"),
+        ("version: 1", 3, "the key version occurs twice"),
     ],
 )
 def test_what_is_unknown_or_contradictory_is_refused_with_its_line(text: str, line: int, told: str) -> None:

@@ -79,7 +79,7 @@ def test_a_changed_gain_is_told_as_altered() -> None:
 @pytest.mark.parametrize(
     ("old", "new", "reason"),
     [
-        ("mass: 12.5", "mass: 12.5\n    mass: 12.5", "line 10: the key mass stands twice, first in line 9"),
+        ("mass: 12.5", "mass: 12.5\n    mass: 12.5", "line 10: the key mass occurs twice, first in line 9"),
         ("feedback_damping_s: 0.02", "feedback_damping_s: 2e-5", "line 12: axes.x.feedback_damping_s must be 0 or at"),
         ("mass: 12.5", "mass: .nan", "line 9: .nan is not a finite number"),
         ("mass: 12.5", "mass: 12,5", "line 9: axes.x.mass must be a number (with a decimal point, not a comma)"),

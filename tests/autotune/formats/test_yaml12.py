@@ -117,8 +117,8 @@ def test_scalars_mean_what_yaml_1_2_says(text: str, value: object) -> None:
 
 
 REFUSED = {
-    "duplicate key": ("a: 1\nb: 2\na: 3\n", 3, "the key a stands twice, first in line 1"),
-    "duplicate key in a flow mapping": ("a: {b: 1, b: 2}\n", 1, "the key b stands twice"),
+    "duplicate key": ("a: 1\nb: 2\na: 3\n", 3, "the key a occurs twice, first in line 1"),
+    "duplicate key in a flow mapping": ("a: {b: 1, b: 2}\n", 1, "the key b occurs twice"),
     "nan": ("a: 1\nb: .nan\n", 2, "not a finite number"),
     "NaN as JSON dialects have it": ("a: NaN\n", 1, "not a finite number"),
     "infinity": ("a: -.Inf\n", 1, "not a finite number"),

@@ -48,7 +48,7 @@ def test_what_is_smoothed_away_does_not_bias_a_slope() -> None:
     noisy = motion + spread * rng.standard_normal(len(motion))
     resting = [spread * rng.standard_normal(4000) for _ in range(8)]
     smoother = fit_smoother([noisy], resting, 1e-3)
-    c = smoother.spline(np.pad(noisy, smoother.reach), float(np.mean(noisy)))
+    c = smoother.spline(np.pad(noisy, smoother.half_width), float(np.mean(noisy)))
     kept = (np.roll(c, 1) + 4.0 * c + np.roll(c, -1))[500:-500] / 6.0
     force = slope * motion[500:-500]
     raw = noisy[500:-500]
