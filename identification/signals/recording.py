@@ -16,8 +16,8 @@ from ..result import Finding
 StampArray = NDArray[np.int64]
 
 WEIGHT_NEEDS_ORIENTATION = (
-    "without which the weight cannot be separated from the bias: record it, or take it from joint positions (`--urdf`); "
-    "of a wrench whose weight was removed before recording (`gravity_compensated: true`) robot and contacts need none"
+    "without which the weight cannot be separated from the bias: record it, or take it from joint positions (`--urdf`);"
+    " of a wrench whose weight was removed before recording (`gravity_compensated: true`) robot and contacts need none"
 )
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")

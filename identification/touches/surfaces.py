@@ -292,8 +292,8 @@ def _undetermined(touches: Sequence[Touch]) -> list[Finding]:
     return [
         Finding.warning(
             "touch-undetermined",
-            f"What was touched at {shown}{more} cannot be distinguished from a hand: a hand led the payload or the force "
-            "came without motion.",
+            f"What was touched at {shown}{more} cannot be distinguished from a hand: a hand led the payload or the"
+            " force came without motion.",
             "Approach under a desired force or a command, hands off.",
         )
     ]
