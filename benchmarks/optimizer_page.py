@@ -83,7 +83,7 @@ def _problems(records: Sequence[Record]) -> str:
         "evolution, at least [N]",
         "its design [N]",
         "gap [%]",
-        "told gap [%]",
+        "reported gap [%]",
         "unstable",
         "largest required/achieved",
         "peak, denser grid [%]",

@@ -36,10 +36,10 @@ from .verdicts import (
     WEAK_SHARE,
     judged,
     missing,
-    unidentifiable,
     unidentifiable_robot,
     vector,
     weak_at_best,
+    without_coupling,
 )
 
 _OBLIQUE_CONTACT_DEG = 10.0
@@ -191,7 +191,7 @@ def fit_axis(cell: CellSignals, view: AxisView, progress: ProgressSlice) -> Axis
         with_priors = view.in_units(identify_joint(replace(data, priors=view.priors))) if view.priors else None
     except EstimateError as error:
         findings.append(missing("coupling", f"Axis {axis.name}: {error}"))
-        estimate, contradictions = settle_axis(axis.name, _without_coupling(robot, str(error)), None, cell.given)
+        estimate, contradictions = settle_axis(axis.name, without_coupling(robot, str(error)), None, cell.given)
         mass_kg = _USUAL_MASS_KG if cell.gravity is None else cell.gravity.mass_kg
         contacts = AxisContacts(axis=axis, holds=view.holds, coupling=usual_coupling(mass_kg))
         return AxisResult(estimate=estimate, findings=(*findings, *contradictions), contacts=contacts, fit=None)
@@ -288,7 +288,7 @@ def identify_axis_robot(cell: CellSignals, axis: AxisMotion) -> AxisResult:
     findings: list[Finding] = []
     _, robot = _robot(cell, _view(cell, axis, ()), findings)
     contacts = AxisContacts(axis=axis, holds=(), coupling=usual_coupling(_USUAL_MASS_KG))
-    estimate = _without_coupling(robot, "no motion along this axis alone, with the force on it")
+    estimate = without_coupling(robot, "no motion along this axis alone, with the force on it")
     return AxisResult(estimate=estimate, findings=tuple(findings), contacts=contacts, fit=None)
 
 
@@ -309,16 +309,6 @@ def _logged_robot(found: LoggedRobot, period_s: float) -> RobotEstimate:
             weak=WEAK_SHARE if found.is_held else _LOOSEST_DELAY,
         ),
         bandwidth_hz=judged(fit.bandwidth_hz, bandwidth_std, method=method),
-    )
-
-
-def _without_coupling(robot: RobotEstimate, why: str) -> AxisEstimate:
-    nothing = unidentifiable(note=why)
-    return AxisEstimate(
-        coupling=CouplingEstimate(stiffness_n_per_m=nothing, damping_n_s_per_m=nothing),
-        drag_n_s_per_m=nothing,
-        environments=(),
-        robot=robot,
     )
 
 

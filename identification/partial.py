@@ -10,7 +10,6 @@ from .errors import EstimateError
 from .given import Given
 from .result import (
     AxisEstimate,
-    CouplingEstimate,
     EnvironmentEstimate,
     Estimate,
     Finding,
@@ -24,7 +23,14 @@ from .robot.admittance_robot import AdmittanceRobots, identify_admittance_robots
 from .robot.logged_command import TICK_S
 from .signals.recording import AXES, Recording
 from .touches.surfaces import identify_touches, no_contact
-from .verdicts import missing, unidentifiable, unidentifiable_robot, unidentifiable_vector, weak_at_best
+from .verdicts import (
+    missing,
+    unidentifiable,
+    unidentifiable_robot,
+    unidentifiable_vector,
+    weak_at_best,
+    without_coupling,
+)
 
 _REMOVED = "gravity was removed before recording"
 
@@ -154,13 +160,8 @@ def _axis(
     found: AxisEstimate | None, led: RobotEstimate | None, surfaces: tuple[EnvironmentEstimate, ...]
 ) -> AxisEstimate:
     """Join what pose, force and command show of an axis, what the gains show of its robot, and what was touched."""
-    none = unidentifiable(note=_REMOVED)
-    axis = found or AxisEstimate(
-        coupling=CouplingEstimate(stiffness_n_per_m=none, damping_n_s_per_m=none),
-        drag_n_s_per_m=none,
-        environments=(),
-        robot=unidentifiable_robot("neither command nor gains identify the robot on this axis"),
-    )
+    unknown = unidentifiable_robot("neither command nor gains identify the robot on this axis")
+    axis = found or without_coupling(unknown, _REMOVED)
     return replace(
         axis,
         # The joint fit knows a surface alone, a touch the surface in series with the coupling.

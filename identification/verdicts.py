@@ -6,7 +6,7 @@ import numpy as np
 
 from problems.arrays import FloatArray
 
-from .result import Estimate, Finding, RobotEstimate, Status, VectorEstimate
+from .result import AxisEstimate, CouplingEstimate, Estimate, Finding, RobotEstimate, Status, VectorEstimate
 
 IDENTIFIED_SHARE = 0.05
 WEAK_SHARE = 0.2
@@ -79,6 +79,17 @@ def unidentifiable_robot(note: str) -> RobotEstimate:
     """Return a robot about which the log says nothing."""
     vector_of, number = unidentifiable_vector(note), unidentifiable(note=note)
     return RobotEstimate(numerator=vector_of, denominator=vector_of, delay_s=number, bandwidth_hz=number)
+
+
+def without_coupling(robot: RobotEstimate, note: str) -> AxisEstimate:
+    """Return an axis about which the log says nothing but what it shows of the robot."""
+    none = unidentifiable(note=note)
+    return AxisEstimate(
+        coupling=CouplingEstimate(stiffness_n_per_m=none, damping_n_s_per_m=none),
+        drag_n_s_per_m=none,
+        environments=(),
+        robot=robot,
+    )
 
 
 def unidentifiable_vector(note: str) -> VectorEstimate:

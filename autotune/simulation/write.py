@@ -1,6 +1,6 @@
 """Write a simulated run as a ROS 2 MCAP through the official writer library."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
@@ -9,6 +9,7 @@ from mcap_ros2.writer import Writer
 
 from autotune.formats.atomic import sweep_leftovers, temporary_beside
 from identification.signals.recording import PoseSignal, Recording, WrenchSignal
+from problems.arrays import FloatArray
 
 _HEADER = """std_msgs/Header header
 {body}
@@ -84,47 +85,39 @@ def _write(stream: IO[bytes], channels: list[_Channel], progress: Callable[[int]
 
 
 def _channels(recording: Recording) -> list[_Channel]:
-    poses = [recording.pose] + ([recording.command] if recording.command is not None else [])
-    return [_wrench_channel(recording.wrench), *(_pose_channel(pose) for pose in poses)]
-
-
-def _header(stamp: int, frame_id: str) -> dict[str, Any]:
-    return {"stamp": {"sec": stamp // 10**9, "nanosec": stamp % 10**9}, "frame_id": frame_id}
+    return [
+        _wrench_channel(recording.wrench),
+        _pose_channel(recording.pose),
+        *([] if recording.command is None else [_pose_channel(recording.command)]),
+    ]
 
 
 def _wrench_channel(signal: WrenchSignal) -> _Channel:
-    stamps, force, torque = signal.stamp_ns.tolist(), signal.force_n.tolist(), signal.torque_n_m.tolist()
-    return _Channel(
-        topic=signal.topic,
-        schema_name="geometry_msgs/msg/WrenchStamped",
-        schema_text=WRENCH_STAMPED,
-        stamps=stamps,
-        message=lambda i: {
-            "header": _header(stamps[i], signal.frame_id),
-            "wrench": {
-                "force": dict(zip("xyz", force[i], strict=True)),
-                "torque": dict(zip("xyz", torque[i], strict=True)),
-            },
-        },
-    )
+    parts = {"force": ("xyz", signal.force_n), "torque": ("xyz", signal.torque_n_m)}
+    return _stamped_channel(signal, "wrench", WRENCH_STAMPED, parts)
 
 
 def _pose_channel(signal: PoseSignal) -> _Channel:
-    stamps, position, quaternion = (
-        signal.stamp_ns.tolist(),
-        signal.position_m.tolist(),
-        signal.quaternion_xyzw.tolist(),
-    )
+    parts = {"position": ("xyz", signal.position_m), "orientation": ("xyzw", signal.quaternion_xyzw)}
+    return _stamped_channel(signal, "pose", POSE_STAMPED, parts)
+
+
+def _stamped_channel(
+    signal: WrenchSignal | PoseSignal, name: str, schema_text: str, parts: Mapping[str, tuple[str, FloatArray]]
+) -> _Channel:
+    """Return the messages of type `<name>Stamped`, whose entry `name` holds `parts`: components and samples of each."""
+    stamps = signal.stamp_ns.tolist()
+    rows = {part: (components, samples.tolist()) for part, (components, samples) in parts.items()}
+
+    def message(i: int) -> dict[str, Any]:
+        stamp = {"sec": stamps[i] // 10**9, "nanosec": stamps[i] % 10**9}
+        body = {part: dict(zip(components, values[i], strict=True)) for part, (components, values) in rows.items()}
+        return {"header": {"stamp": stamp, "frame_id": signal.frame_id}, name: body}
+
     return _Channel(
         topic=signal.topic,
-        schema_name="geometry_msgs/msg/PoseStamped",
-        schema_text=POSE_STAMPED,
+        schema_name=f"geometry_msgs/msg/{name.capitalize()}Stamped",
+        schema_text=schema_text,
         stamps=stamps,
-        message=lambda i: {
-            "header": _header(stamps[i], signal.frame_id),
-            "pose": {
-                "position": dict(zip("xyz", position[i], strict=True)),
-                "orientation": dict(zip("xyzw", quaternion[i], strict=True)),
-            },
-        },
+        message=message,
     )
