@@ -284,6 +284,8 @@ def _wrench_entries(
         base = "hat" not in words or force.words[0] == "o"
         yield Entry(key="expressed_in", value="base" if base else "sensor", evidence=f"{maker}, by name")
         yield Entry(key="gravity_compensated", value=True, evidence=f"{maker}, by name")
+        if "hat" in words:
+            yield Entry(key="exerted_by", value="sensor", evidence="the robot's force on its surroundings, by name")
 
 
 def _pose_entries(

@@ -9,6 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation, RotationSpline
 
 from autotune.cli.main import main
+from autotune.formats.cell import read_cell
 from autotune.formats.identified import read_identified
 from problems.arrays import FloatArray
 
@@ -139,6 +140,29 @@ def test_a_matrix_and_nanoseconds_since_1970(tmp_path: Path, capsys: pytest.Capt
     begun = in_two_edits(tmp_path, capsys, [path])
     assert "table: {time: timestamp, time_unit: ns}  # it always rises; counted since 1970 in ns" in begun
     assert begun.count("orientation_as: matrix_column_major  # the entries that are 0 throughout") == 2
+
+
+@pytest.mark.parametrize(
+    ("pose", "force", "who"),
+    [("O_T_EE[{}]", "O_F_ext_hat_K[{}]", "sensor"), ("actual_TCP_pose_{}", "actual_TCP_force_{}", None)],
+)
+def test_whose_force_a_robot_logs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], run: Run, pose: str, force: str, who: str | None
+) -> None:
+    """Franka's is the robot's on its surroundings, as of a bag; what a UR's is its manual does not say: a question."""
+    turned = run.turned.as_matrix()
+    matrix = np.concatenate([np.dstack([turned, run.place]), np.tile([[[0.0, 0.0, 0.0, 1.0]]], (len(turned), 1, 1))], 1)
+    is_matrix = pose.startswith("O")
+    placed = matrix.transpose(0, 2, 1).reshape(-1, 16) if is_matrix else np.c_[run.place, run.turned.as_rotvec()]
+    names = ["time", *(pose.format(i) for i in range(placed.shape[1])), *(force.format(i) for i in range(6))]
+    path = columns(tmp_path / "e.csv", ",".join(names), np.c_[run.time, placed, run.force, run.torque][:400])
+    cell = tmp_path / "cell.yaml"
+    assert main(["inspect", str(path), "--write-cell", str(cell), "--quiet"]) == 0, capsys.readouterr().err
+    wrench = read_cell(cell).cell.wrench
+    assert wrench is not None
+    assert (wrench.gravity_compensated, wrench.expressed_in) == (True, "base")
+    assert wrench.exerted_by == who
+    assert ("# exerted_by: " in cell.read_text(encoding="utf-8")) == (who is None)
 
 
 def test_two_tables_with_clocks_of_their_own(tmp_path: Path, capsys: pytest.CaptureFixture[str], run: Run) -> None:
