@@ -33,7 +33,8 @@ from .result import (
     Touch,
     name_surfaces,
 )
-from .robot.admittance_robot import AdmittanceRobots, identify_admittance_robots, with_compensated_force
+from .robot.admittance_motion import with_compensated_force
+from .robot.admittance_robot import AdmittanceRobots, identify_admittance_robots
 from .sensor import describe_sensor
 from .signals.aligned import AlignedLog, align, check_regular, find_gaps
 from .signals.frames import Frames

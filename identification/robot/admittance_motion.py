@@ -1,6 +1,6 @@
 """Motion that an admittance with known gains asks for, beside the motion of the robot, axis by axis."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import binary_opening
@@ -10,7 +10,7 @@ from problems.arrays import BoolArray, FloatArray, IntArray
 from problems.compiled import compiled
 
 from ..errors import EstimateError
-from ..signals.aligned import check_regular, longest_whole, spans_of
+from ..signals.aligned import AlignedLog, check_regular, longest_whole, spans_of
 from ..signals.recording import (
     AXES,
     AppliedDeadband,
@@ -231,3 +231,21 @@ def _near_halts(edge: FloatArray, halted: BoolArray) -> BoolArray:
         before, after = edge[span.start] - _BEFORE_HALT_S, edge[span.stop] + _AFTER_HALT_S
         touched |= (edge[1:] > before) & (edge[:-1] < after)
     return touched
+
+
+def with_compensated_force(recording: Recording, log: AlignedLog, force_S_n: FloatArray) -> Recording:
+    """Return a recording whose wrench is the force that a controller sees behind gravity compensation (n, 3).
+
+    Torques are left out (their compensation is not identified by the force alone), as are the samples in holes.
+    """
+    valid = np.isfinite(force_S_n).all(axis=1)
+    stamps = log.start_ns + np.round(log.time_s * 1e9).astype(np.int64)
+    wrench = replace(
+        recording.wrench,
+        stamp_ns=stamps[valid],
+        force_n=force_S_n[valid],
+        torque_n_m=np.full((int(np.count_nonzero(valid)), 3), np.nan),
+        gravity_compensated=True,
+        measured_axes=("x", "y", "z"),
+    )
+    return replace(recording, wrench=wrench)

@@ -7,18 +7,16 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.optimize import least_squares
 from scipy.signal import cont2discrete, lfilter
-from scipy.special import stdtrit
 
 from problems.arrays import FloatArray
 from problems.model.robot import RobotModel
 
 from ..errors import EstimateError
 from ..result import Finding, RobotEstimate, Status
-from ..signals.aligned import AlignedLog
 from ..signals.recording import Recording
 from ..verdicts import judged, missing, unidentifiable_vector, vector, weak_at_best
 from .admittance_motion import AdmittanceMotion, admittance_motions
-from .log_parts import PartSpread, spread_of_parts
+from .log_parts import PartSpread, coloured_covariance, spread_of_parts
 from .position_loop import find_bandwidth_hz
 
 _SMALLEST_TRAVEL, _SMALLEST_TRACE_TRAVEL = 5e-3, 1e-3  # m or rad
@@ -28,11 +26,11 @@ _SMALLEST_TURN_RAD_S = 2e-4
 _LONGEST_DELAY_S = 0.3
 _DELAY_UNIT_S = 0.01
 _DELAY_STARTS_S = (0.003, 0.03, 0.1)
+_TRACE_STARTS = 3
 _BANDWIDTH_STARTS_RAD_PER_S = (6.0, 20.0, 60.0)
 _SLOWEST_RAD_PER_S, _FASTEST_RAD_PER_S = 0.5, 400.0
 _POOR_FIT, _POOR_TRACE_FIT = 0.2, 0.4
 _RIVAL_RATIO = 1.25
-_BLOCK_S, _FEWEST_BLOCKS = 1.0, 8
 _NUDGE = 1e-5
 # A force that is linear between the samples of the log: measured on simulated robots, this is what it costs.
 _BANDWIDTH_SHARE, _DELAY_SAMPLES = 0.01, 0.05
@@ -96,20 +94,41 @@ def identify_admittance_robot(motion: AdmittanceMotion) -> AdmittanceRobotFit:
             "The wrench asks for no change of speed on this axis (it is constant, or within its deadband), so its "
             "motion shows no response; lead the tool by hand along it, in quick pushes."
         )
+    if motion.is_trace:
+        return _identify_trace(motion)
     turns = bool(np.any(np.sqrt(np.mean(motion.turning_rad_s[motion.used] ** 2, axis=0)) > _SMALLEST_TURN_RAD_S))
     levers = (False, True) if turns else (False,)
     fits = [_fit(motion, order, with_lever=lever) for order in (1, 2) for lever in levers]
     effective = min(fits, key=lambda fit: fit.residual_rms).effective_samples
-    # A contact of a second shows one pole, and how far it is from being one.
-    tried = [fit for fit in fits if fit.order == 1] if motion.is_trace else fits
-    chosen = min(tried, key=lambda fit: fit.criterion(effective))
+    chosen = min(fits, key=lambda fit: fit.criterion(effective))
     error = chosen.residual_rms / max(float(np.std(moved)), 1e-15)
-    _check(chosen, error, _POOR_TRACE_FIT if motion.is_trace else _POOR_FIT)
-    # What no robot explains of a trace is more than noise, and may hide another order whatever it leaves.
-    most = np.inf if motion.is_trace else _RIVAL_RATIO * chosen.residual_rms
-    rivals = [f for f in fits if f is not chosen and len(f.linear) == len(chosen.linear) and f.residual_rms < most]
+    _check(chosen, error, _POOR_FIT)
+    rivals = [fit for fit in fits if len(fit.linear) == len(chosen.linear) and fit.rivals(chosen)]
     between = spread_of_parts(*_without_lever(motion, chosen), motion.edge_s[:-1][motion.used])
     return _described(chosen, rivals, error, motion.period_s, between)
+
+
+def _identify_trace(motion: AdmittanceMotion) -> AdmittanceRobotFit:
+    """Fit the displacement of one contact with a gain of 1: it began at F^d/B_a, and a free gain takes the lag's place.
+
+    What it would be if free is reported, and its robot lies inside the deviations.
+    """
+    fits = [_fit(motion, 1 + k // 2, with_lever=False, with_delay=k % 2 == 1, with_gain=False) for k in range(4)]
+    effective = min(fits, key=lambda fit: fit.residual_rms).effective_samples
+    chosen = min(fits, key=lambda fit: fit.criterion(effective))
+    free = _fit(motion, chosen.order, with_lever=False, with_delay=bool(chosen.parameters[-1] > 0.0))
+    error = chosen.residual_rms / max(float(np.std(_observed(motion, motion.moved_m_s[motion.used]))), 1e-15)
+    _check(chosen, error, _POOR_TRACE_FIT)
+    rivals = [free, *(fit for fit in fits if fit.rivals(chosen))]
+    described = _described(chosen, rivals, error, motion.period_s, PartSpread(gain=0.0, lag_s=0.0))
+    return replace(described, gain=float(free.linear[0]), gain_std=float(np.sqrt(free.covariance[-1, -1])))
+
+
+def _observed(motion: AdmittanceMotion, velocity: FloatArray) -> FloatArray:
+    """Return what is fitted of a velocity (m, …): itself, or the displacement of a trace, whose noise is white."""
+    if not motion.is_trace:
+        return velocity
+    return np.asarray(np.cumsum((velocity.T * np.diff(motion.edge_s)[motion.used]).T, axis=0))
 
 
 def _without_lever(motion: AdmittanceMotion, fit: "_Fit") -> tuple[FloatArray, FloatArray]:
@@ -125,7 +144,8 @@ class _Fit:
     order: int
     parameters: FloatArray  # log ω [rad/s], (ζ,) T in units of 10 ms
     linear: FloatArray  # gain, (two components of the lever [m])
-    covariance: FloatArray  # of both
+    covariance: FloatArray  # of both, 0 of what was fixed
+    free_count: int
     residual_rms: float
     effective_samples: float
 
@@ -144,9 +164,13 @@ class _Fit:
         variance = np.einsum("ik,ij,jk->k", gradients, self.covariance[:count, :count], gradients)
         return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
+    def rivals(self, chosen: "_Fit") -> bool:
+        """Return whether this is another fit, within a quarter of the chosen one."""
+        return self is not chosen and self.residual_rms < _RIVAL_RATIO * chosen.residual_rms
+
     def criterion(self, effective_samples: float) -> float:
         misfit = 2.0 * effective_samples * np.log(max(self.residual_rms, 1e-15))
-        return float(misfit + (len(self.parameters) + len(self.linear)) * np.log(effective_samples))
+        return float(misfit + self.free_count * np.log(effective_samples))
 
 
 def _check(fit: _Fit, error: float, poor: float) -> None:
@@ -189,17 +213,20 @@ def _response(motion: AdmittanceMotion, order: int, parameters: FloatArray) -> F
     begin = motion.asked_m_s[0] if motion.approach_m_s is None else motion.approach_m_s
     velocity = begin + lfilter(np.squeeze(discrete[0]), discrete[1], motion.asked_m_s - begin)
     path = CubicSpline(np.arange(len(velocity)) * motion.period_s, velocity).antiderivative()
-    late = path(np.maximum(motion.edge_s - model.delay_s, 0.0))
+    read_s = motion.edge_s - model.delay_s
+    late = path(np.maximum(read_s, 0.0)) + begin * np.minimum(read_s, 0.0)
     return np.asarray((np.diff(late) / np.diff(motion.edge_s))[motion.used])
 
 
-def _fit(motion: AdmittanceMotion, order: int, *, with_lever: bool) -> _Fit:
-    moved = motion.moved_m_s[motion.used]
+def _fit(
+    motion: AdmittanceMotion, order: int, *, with_lever: bool, with_delay: bool = True, with_gain: bool = True
+) -> _Fit:
+    moved = _observed(motion, motion.moved_m_s[motion.used])
     turning = motion.turning_rad_s[motion.used] if with_lever else np.zeros((len(moved), 0))
 
     def solved(parameters: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        columns = np.column_stack([_response(motion, order, parameters), turning])
-        linear = np.linalg.lstsq(columns, moved, rcond=None)[0]
+        columns = np.column_stack([_observed(motion, _response(motion, order, parameters)), turning])
+        linear = np.linalg.lstsq(columns, moved, rcond=None)[0] if with_gain else np.ones(1)
         return columns @ linear - moved, np.asarray(linear, dtype=np.float64), columns
 
     middle = [] if order == 1 else [0.8]
@@ -210,19 +237,37 @@ def _fit(motion: AdmittanceMotion, order: int, *, with_lever: bool) -> _Fit:
         for omega in _BANDWIDTH_STARTS_RAD_PER_S
         for delay in _DELAY_STARTS_S
     ]
-    scale = float(np.sqrt(np.mean(moved**2))) or 1.0  # so that the tolerances do not depend on the unit
-    best = min(starts, key=lambda start: float(np.sum(solved(start)[0] ** 2)))
-    found = least_squares(
-        lambda p: solved(p)[0] / scale, best, bounds=(low, high), diff_step=1e-4, ftol=1e-7, gtol=None, max_nfev=40
+    scale = float(np.sqrt(np.mean(moved**2))) or 1.0  # tolerances without a unit
+    starts.sort(key=lambda start: float(np.sum(solved(start)[0] ** 2)))
+    # Pole and delay of one contact have several minima.
+    varied = order + with_delay
+    fixed = np.zeros(order + 1 - varied)
+    limits = (low[:varied], high[:varied])
+
+    def misfit(free: FloatArray) -> FloatArray:
+        return solved(np.append(free, fixed))[0] / scale
+
+    found = min(
+        (
+            least_squares(misfit, start[:varied], bounds=limits, diff_step=1e-4, ftol=1e-7, gtol=None, max_nfev=40)
+            for start in starts[: _TRACE_STARTS if motion.is_trace else 1]
+        ),
+        key=lambda each: float(each.cost),
     )
-    residual, linear, columns = solved(found.x)
-    jacobian = np.column_stack([_gradients(motion, order, found.x) * linear[0], columns])
+    parameters = np.append(found.x, fixed)
+    residual, linear, columns = solved(parameters)
+    slopes = _observed(motion, _gradients(motion, order, parameters)) * linear[0]
+    is_free = np.concatenate([np.arange(order + 1) < varied, np.full(len(linear), with_gain)])
+    jacobian = np.column_stack([slopes, columns])[:, is_free]
+    covariance = np.zeros((len(is_free), len(is_free)))
+    covariance[np.ix_(is_free, is_free)] = coloured_covariance(jacobian, residual, motion.edge_s[:-1][motion.used])
     rho = float(np.clip(residual[1:] @ residual[:-1] / max(float(residual @ residual), 1e-300), 0.0, 0.999))
     return _Fit(
         order=order,
-        parameters=found.x,
+        parameters=parameters,
         linear=linear,
-        covariance=_covariance(jacobian, residual, motion.edge_s[:-1][motion.used]),
+        covariance=covariance,
+        free_count=int(np.count_nonzero(is_free)),
         residual_rms=float(np.sqrt(np.mean(residual**2))),
         # What first-order colour leaves of n samples.
         effective_samples=max(len(residual) * (1.0 - rho) / (1.0 + rho), 2.0),
@@ -238,30 +283,6 @@ def _gradients(motion: AdmittanceMotion, order: int, parameters: FloatArray) -> 
         down[i] = max(down[i] - 1e-3, 0.0) if i == len(parameters) - 1 else down[i] - 1e-3
         columns.append((_response(motion, order, up) - _response(motion, order, down)) / (up[i] - down[i]))
     return np.column_stack(columns)
-
-
-def _covariance(jacobian: FloatArray, residual: FloatArray, time: FloatArray) -> FloatArray:
-    """Return H⁻¹ Ω H⁻¹, H = JᵀJ and Ω the scores Jᵀr summed over blocks of a second: true for any colour within it.
-
-    A log below 8 s has eight blocks, and its deviations Student's factor for so few. The larger of this and of a white
-    residual's counts, parameter by parameter.
-    """
-    count = jacobian.shape[1]
-    size = np.linalg.norm(jacobian, axis=0)
-    size[size == 0.0] = 1.0
-    inverse = np.linalg.pinv((jacobian / size).T @ (jacobian / size), rcond=1e-12)
-    scores = jacobian / size * residual[:, None]
-    length_s = min(_BLOCK_S, float(time[-1] - time[0]) / _FEWEST_BLOCKS)
-    starts = np.flatnonzero(np.diff(np.floor((time - time[0]) / length_s), prepend=-1.0))
-    sums = np.add.reduceat(scores, starts, axis=0)
-    blocks = len(sums)
-    freedom = max(blocks - count, 1)
-    coloured = inverse @ (sums.T @ sums) @ inverse * blocks / freedom
-    if blocks <= 2 * _FEWEST_BLOCKS:
-        coloured *= (float(stdtrit(freedom, 0.975)) / 1.96) ** 2
-    white = inverse * float(residual @ residual) / max(len(residual) - count, 1)
-    widening = np.sqrt(np.maximum(np.diag(white) / np.maximum(np.diag(coloured), 1e-300), 1.0))
-    return np.asarray(coloured * np.outer(widening / size, widening / size))
 
 
 def _described(
@@ -306,8 +327,7 @@ def identify_admittance_robots(recording: Recording) -> AdmittanceRobots:
     """Identify r(s) and the total delay of every axis from wrench, gains and pose.
 
     Nothing is more than weak: the delay holds what the logger put between wrench and pose, r(s) what lead and feedback
-    damping the controller had. Axes of which no robot is
-    known are named with the reason; there is a finding of severity `error` where there is none at all.
+    damping the controller had. Axes without a robot are named with the reason, in an `error` where no axis has one.
     """
     try:
         motions = admittance_motions(recording)
@@ -336,24 +356,6 @@ def identify_admittance_robots(recording: Recording) -> AdmittanceRobots:
             )
         )
     return AdmittanceRobots(robots=robots, findings=tuple(findings))
-
-
-def with_compensated_force(recording: Recording, log: AlignedLog, force_S_n: FloatArray) -> Recording:
-    """Return a recording whose wrench is the force that a controller sees behind gravity compensation (n, 3).
-
-    Torques are left out (their compensation is not identified by the force alone), as are the samples in holes.
-    """
-    valid = np.isfinite(force_S_n).all(axis=1)
-    stamps = log.start_ns + np.round(log.time_s * 1e9).astype(np.int64)
-    wrench = replace(
-        recording.wrench,
-        stamp_ns=stamps[valid],
-        force_n=force_S_n[valid],
-        torque_n_m=np.full((int(np.count_nonzero(valid)), 3), np.nan),
-        gravity_compensated=True,
-        measured_axes=("x", "y", "z"),
-    )
-    return replace(recording, wrench=wrench)
 
 
 def _estimate(fit: AdmittanceRobotFit, motion: AdmittanceMotion) -> RobotEstimate:

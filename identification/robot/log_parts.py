@@ -1,8 +1,9 @@
-"""What differs between the parts of one log: the gain and the lag of a predicted velocity."""
+"""What differs between the parts of one log: gain and lag of a predicted velocity, deviations of coloured residuals."""
 
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import stdtrit
 
 from problems.arrays import FloatArray
 
@@ -10,6 +11,7 @@ from ..verdicts import scatter
 
 _PART_S, _MOST_PARTS, _BLOCK_S = 5.0, 12, 1.0
 _FEWEST_BLOCKS = 3
+_FEWEST_OF_ALL = 8
 # A part with less of the motion's energy than this share of the usual says more of what else goes on.
 _INFORMATIVE_SHARE = 0.2
 
@@ -56,3 +58,27 @@ def _fit(columns: FloatArray, moved: FloatArray, block: FloatArray) -> FloatArra
     scores = np.add.reduceat(columns * (moved - columns @ values)[:, None], starts, axis=0)
     spread = inverse @ (scores.T @ scores) @ inverse * len(starts) / max(len(starts) - 2, 1)
     return np.array([values, np.sqrt(np.maximum(np.diag(spread), 0.0))])
+
+
+def coloured_covariance(jacobian: FloatArray, residual: FloatArray, time: FloatArray) -> FloatArray:
+    """Return H⁻¹ Ω H⁻¹, H = JᵀJ and Ω the scores Jᵀr summed over blocks of a second: true for any colour within it.
+
+    A log below 8 s has eight blocks, and its deviations Student's factor for so few. The larger of this and of a white
+    residual's counts, parameter by parameter.
+    """
+    count = jacobian.shape[1]
+    size = np.linalg.norm(jacobian, axis=0)
+    size[size == 0.0] = 1.0
+    inverse = np.linalg.pinv((jacobian / size).T @ (jacobian / size), rcond=1e-12)
+    scores = jacobian / size * residual[:, None]
+    length_s = min(_BLOCK_S, float(time[-1] - time[0]) / _FEWEST_OF_ALL)
+    starts = np.flatnonzero(np.diff(np.floor((time - time[0]) / length_s), prepend=-1.0))
+    sums = np.add.reduceat(scores, starts, axis=0)
+    blocks = len(sums)
+    freedom = max(blocks - count, 1)
+    coloured = inverse @ (sums.T @ sums) @ inverse * blocks / freedom
+    if blocks <= 2 * _FEWEST_OF_ALL:
+        coloured *= (float(stdtrit(freedom, 0.975)) / 1.96) ** 2
+    white = inverse * float(residual @ residual) / max(len(residual) - count, 1)
+    widening = np.sqrt(np.maximum(np.diag(white) / np.maximum(np.diag(coloured), 1e-300), 1.0))
+    return np.asarray(coloured * np.outer(widening / size, widening / size))

@@ -13,12 +13,11 @@ from identification.errors import EstimateError
 from identification.logs import read_recording
 from identification.partial import identify_partial
 from identification.result import Estimate, Identified, Status
-from identification.robot.admittance_motion import admittance_motions
+from identification.robot.admittance_motion import admittance_motions, with_compensated_force
 from identification.robot.admittance_robot import (
     AdmittanceRobotFit,
     _estimate,
     identify_admittance_robots,
-    with_compensated_force,
 )
 from identification.signals.aligned import align
 from identification.signals.recording import PoseSignal, Recording, WrenchSignal
