@@ -338,7 +338,9 @@ def print_comparison(found: "LogComparison") -> None:
     if not is_followed:
         print_message("the log holds no command or no weight: that this controller was running is taken on trust")
     if found.passed_over:
-        print_message(f"{found.passed_over} more contacts passed over: another law drove the command there")
+        alone = all(each.law_left_share is None for each in found.contacts)
+        why = "no wall, or neither speed nor F^d known" if alone else "another law drove the command there"
+        print_message(f"{found.passed_over} more contacts passed over: {why}")
 
 
 def _contact_rows(contacts: "Sequence[ComparedContact]") -> Iterator[tuple[str, ...]]:

@@ -26,7 +26,7 @@ def compare_touches_of_log(
     frames: Frames | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> LogComparison:
-    """Compare the peak of every touch along the axes of a file with the peaks over its certified plants.
+    """Compare the peak of every touch of a wall along the axes of a file with the peaks over its certified plants.
 
     That this controller was running is known only as far as the log holds mass and damping. Raises LogError for a log
     with other gains, or without a touch along an axis of the file; EstimateError for one that shows nothing; UsageError
@@ -34,22 +34,19 @@ def compare_touches_of_log(
     """
     refuse_response(controller)
     found = identify_cell(recording, frames)
-    touches = [
-        touch
-        for line in found.timelines
-        for touch in line.touches
-        if touch.axis in controller.axes and touch.cause is not TouchCause.HAND
-    ]
+    touches = [touch for line in found.timelines for touch in line.touches if touch.axis in controller.axes]
     _check_gains(controller, touches)
     compared = []
     for touch in touches:
-        compared += list(_compared(controller, touch))
+        # A force without an approach is also what the payload's mass shows where a motion begins.
+        compared += list(_compared(controller, touch)) if touch.cause is TouchCause.WALL else []
         if progress is not None:
             progress(1.0 / len(touches))
     if not compared:
         raise LogError(
-            f"The log must hold contacts along {', '.join(controller.axes)} whose speed or desired force is known, "
-            "found none; record the approach, the touch and a second of holding."
+            f"The log must hold contacts with a wall along {', '.join(controller.axes)} whose speed or desired force is "
+            f"known, found none among {len(touches)} touches; record the approach, the touch and a second of holding "
+            "without hands."
         )
     return LogComparison(
         contacts=tuple(compared),

@@ -28,8 +28,15 @@ HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
 # Which trace without the collision response is of which surface; the one with it (_coll) gives the stiffness.
 TRACES = ("flex_jt", "yellow_feet")
-# Repeats of one contact: surface, gains and approach are the same.
-REPEATS = (("hard_low_1.bag", "hard_low_2.bag"), ("hard_low_2.bag", "hard_low_1.bag"))
+# Every log that shows the cell's robot on z.
+ROBOTS = ("flex_jt_imco.csv", "yellow_feet_imco.csv", "single_mode_middle.bag", "yellow_table_1.bag")
+# Logs of one surface each; the rest of the bags with contacts show no stiffness, or have a surface of their own.
+REPEATS = (
+    ("hard_low_1.bag", "hard_low_2.bag"),
+    ("hard_low_2.bag", "hard_low_1.bag"),
+    ("man_00.bag", "man_00_contact.bag"),
+    ("man_00_contact.bag", "man_00.bag"),
+)
 # Topics of other bags that these do not have.
 WITHOUT_GAINS = ("man_00.bag", "man_00_contact.bag")
 PAGE = """# Real logs
@@ -123,7 +130,7 @@ def compared(
     if surface is not None and stiffness is None:
         return f"{surface} shows no stiffness"
     try:
-        asked = ContactRequest(stiffness=stiffness)
+        asked = ContactRequest(stiffness=stiffness, axis="z")
         return [*compare_with_touches(source.file(), [(test, other.result)], {}, None, asked).contacts]
     except AutotuneError as error:
         return str(error)
@@ -132,12 +139,13 @@ def compared(
 def pair_rows(found: dict[str, Identification | str], contacts: list[tuple[str, ComparedTouch]]) -> Iterator[str]:
     """Yield a row for each contact of each pair, and collect those that took no part on either side."""
     pairs = [
-        (f"{robot}_imco.csv", f"{test}_imco.csv", f"{test}_{kind}.csv")
+        (robot, f"{test}_imco.csv", f"{test}_{kind}.csv")
         for test in TRACES
-        for robot in TRACES
+        for robot in ROBOTS
         for kind in ("coll", "imco")
-        if not (robot == test and kind == "imco")
+        if (robot, kind) != (f"{test}_imco.csv", "imco")
     ]
+    pairs += [(robot, "soft_low_1.bag", "soft_low_1.bag") for robot in ROBOTS]
     for training, test, surface in [*pairs, *((a, b, None) for a, b in REPEATS)]:
         head = f"| `{training}` | `{surface or training}` | `{test}` |"
         result = compared(found, training, test, surface)

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat, PublicFormat
@@ -18,6 +19,7 @@ from autotune.formats.controller_record import ControllerStatus
 from autotune.formats.identified import write_identified
 from autotune.formats.signature import fingerprint
 from autotune.simulation.write import write_mcap
+from tests.autotune.prediction.pressing import Cell, recorded_contact
 from tests.autotune.tuning.cases import identified_plant, known, small_controller, write_plant
 from tests.autotune.validation.test_against_log import recorded
 from tests.autotune.validation.test_validate import EVERY_CHECK, FALSE_CLAIMS
@@ -25,6 +27,17 @@ from tests.autotune.validation.test_validate import EVERY_CHECK, FALSE_CLAIMS
 RunCli = Callable[..., "subprocess.CompletedProcess[str]"]
 FEW = ("--samples", "4")
 SIMULATED = ["sampled peaks", "full simulation"]
+COMPENSATED_YAML = """\
+format: autotune/cell
+version: 1
+table: {time: t}
+pose:
+  fields: {position: [x, y, z], orientation: [qx, qy, qz, qw]}
+  units: {position: m}
+  orientation_as: quaternion_xyzw
+wrench: {fields: {force: [fx, null, null]}, units: {force: N}, gravity_compensated: true}
+desired_force: {force: [30.0, 0.0, 0.0]}
+"""
 THROUGH_THE_COMMAND_LINE = [
     "modulus too high",
     "damping too low",
@@ -67,6 +80,35 @@ def test_a_true_file_passes_and_every_check_is_told(run_cli: RunCli, good: Path)
     assert told == [*EVERY_CHECK, *SIMULATED]
     assert lines[-1] == f"controller.yaml: valid, checksum {short(read_controller(good).checksum)}"
     assert [path.name for path in good.parent.iterdir()] == ["controller.yaml"]
+
+
+def test_a_log_without_weight_and_command_is_compared_by_its_peaks(run_here: RunCli, good: Path) -> None:
+    """A cell of scipy's integrator with a plant of the certified set, under the law of the file."""
+    gains = small_controller().axes["x"]
+    cell = Cell(coupling_damping=150.0, drag=330.0, wall=1.1e5)
+    log = recorded_contact(
+        cell,
+        mass=gains.mass,
+        damping=gains.damping,
+        lead=gains.lead_s,
+        feedback=gains.feedback_damping_s,
+        deadband=gains.deadband,
+        # T_d and half a sample.
+        lag_s=2.4e-3 + 4e-4,
+        force=30.0,
+    )
+    rest = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (len(log), 1))
+    noisy = log[:, 2] + np.random.default_rng(1).normal(scale=0.2, size=len(log))
+    rows = np.column_stack([log[:, :2], rest, noisy])
+    np.savetxt(good.parent / "log.csv", rows, delimiter=",", header="t,x,y,z,qx,qy,qz,qw,fx", comments="")
+    (good.parent / "cell.yaml").write_text(COMPENSATED_YAML)
+    done = run_here("validate", good, "--samples", "0", "--log", "log.csv", "--cell", "cell.yaml", "--json")
+    assert done.returncode == 0, done.stderr
+    (contact,) = json.loads(done.stdout)["log"]["contacts"]
+    assert contact["is_inside"]
+    # The steady approach against the drag, and the integrator's own peak but for noise.
+    assert contact["speed_m_s"] == pytest.approx(30.0 / (gains.damping + cell.drag), rel=0.01)
+    assert contact["predicted_peak_n"] == pytest.approx(-np.min(log[:, 2]), rel=0.02)
 
 
 def test_json_is_one_object_and_quiet_is_silent(run_here: RunCli, good: Path) -> None:

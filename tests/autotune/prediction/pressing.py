@@ -58,3 +58,47 @@ def contact_peak(
     start = [squeezed, 0.0, steady if cell.payload else 0.0, squeezed + steady / cell.robot - lead * steady, steady]
     found = solve_ivp(rates, (0.0, 1.5), start, method="LSODA", max_step=1e-3, rtol=1e-7, atol=1e-10)
     return max(sensor(state) for state in found.y.T)
+
+
+def recorded_contact(
+    cell: Cell,
+    *,
+    mass: float,
+    damping: float,
+    lead: float,
+    feedback: float,
+    deadband: float,
+    lag_s: float,
+    force: float,
+) -> np.ndarray:
+    """Return time, flange and force on it (n, 3) at 500 Hz: half a second of rest, 20 mm of approach, touch and hold.
+
+    The force has no weight in it; below `deadband` the law sees none. `lag_s` is first order, for delay and hold.
+    """
+    velocity_filter, gap, rest_s = 120.0, 0.02, 0.5
+
+    def rates(t: float, state: np.ndarray) -> list[float]:
+        x, x_p, v_p, x_a, v_a, x_f, late = state
+        v = cell.robot * (late - x)
+        felt = sensor(state)
+        driven = (force if t > rest_s else 0.0) - (felt if abs(felt) > deadband else 0.0)
+        into = x_p - gap
+        wall = max(cell.wall * into + cell.wall_damping * v_p, 0.0) if into > 0.0 else 0.0
+        command = x_a + lead * v_a - feedback * velocity_filter * (x - x_f)
+        return [
+            v,
+            v_p,
+            (felt - cell.drag * v_p - wall) / cell.mass,
+            v_a,
+            (driven - damping * v_a) / mass,
+            velocity_filter * (x - x_f),
+            (command - late) / lag_s,
+        ]
+
+    def sensor(state: np.ndarray) -> float:
+        x, x_p, v_p, *_, late = state
+        return float(cell.coupling * (x - x_p) + cell.coupling_damping * (cell.robot * (late - x) - v_p))
+
+    time = np.arange(0.0, 4.0, 2e-3)
+    found = solve_ivp(rates, (0.0, 4.0), np.zeros(7), method="LSODA", t_eval=time, max_step=5e-4, rtol=1e-7, atol=1e-10)
+    return np.column_stack([time, found.y[0], [-sensor(state) for state in found.y.T]])
