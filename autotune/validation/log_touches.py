@@ -44,9 +44,8 @@ def compare_touches_of_log(
             progress(1.0 / len(touches))
     if not compared:
         raise LogError(
-            f"The log must hold contacts with a wall along {', '.join(controller.axes)} whose speed or desired force is "
-            f"known, found none among {len(touches)} touches; record the approach, the touch and a second of holding "
-            "without hands."
+            f"The log must hold contacts with a wall along {', '.join(controller.axes)} of known speed or F^d, "
+            f"found none among {len(touches)} touches; record the approach, the touch and a hold without hands."
         )
     return LogComparison(
         contacts=tuple(compared),
