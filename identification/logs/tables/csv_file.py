@@ -15,12 +15,11 @@ from problems.arrays import FloatArray
 from ...errors import LogError
 from ...signals.recording import StampArray
 from .layout import EXPONENT, NO_ROW
-from .text import COMMA, CutOffError, Rows, Text, split, unreadable
+from .text import COMMA, CutOffError, Text, row_blocks, split, unreadable
 from .times import from_texts
 
 _DECIMAL_POINT = re.compile(r"[-+]?\d*\.\d+([eE][-+]?\d+)?")
 _MISSING = ("", "nan", "NaN", "NAN")
-_BLOCK_BYTES = 2**18
 _EMPTY = tuple(" " * width for width in range(40))
 
 
@@ -109,6 +108,8 @@ def read_csv(text: Text, columns: Sequence[int], time: int | None) -> tuple[Floa
                 values[-1][:, index] = _numbers(batch.column(str(column)), text.decimal)
             if time is not None:
                 times.append(_times(batch.column(str(time)), text))
+        if not values:
+            raise ValueError("no row")
     except (UnicodeError, OSError) as error:
         raise unreadable(text.path, text.encoding, error) from error
     except (pa.ArrowInvalid, ValueError, OverflowError) as error:
@@ -124,26 +125,23 @@ def read_csv(text: Text, columns: Sequence[int], time: int | None) -> tuple[Floa
 
 
 def _batches(text: Text, kinds: dict[str, pa.DataType]) -> Iterator[pa.RecordBatch]:
-    with (
-        pa.PythonFile(Rows(text), mode="r") as stream,
-        pa.csv.open_csv(
-            stream,
-            read_options=pa.csv.ReadOptions(
-                column_names=[str(index) for index in range(len(text.names))],
-                block_size=_BLOCK_BYTES,
-                use_threads=False,
-            ),
-            parse_options=pa.csv.ParseOptions(delimiter=text.delimiter, ignore_empty_lines=False),
-            convert_options=pa.csv.ConvertOptions(
-                column_types=kinds,
-                include_columns=list(kinds),
-                null_values=list(_EMPTY),
-                strings_can_be_null=True,
-                decimal_point=text.decimal,
-            ),
-        ) as reader,
-    ):
-        yield from reader
+    parsing = pa.csv.ParseOptions(delimiter=text.delimiter, ignore_empty_lines=False)
+    converting = pa.csv.ConvertOptions(
+        column_types=kinds,
+        include_columns=list(kinds),
+        null_values=list(_EMPTY),
+        strings_can_be_null=True,
+        decimal_point=text.decimal,
+    )
+    names = [str(index) for index in range(len(text.names))]
+    for block in row_blocks(text):
+        # Arrow reads ahead in a thread of its own, which may outlive an error: it gets memory of Arrow's and never
+        # a Python object, whose release at the interpreter's end aborts the process.
+        with pa.BufferOutputStream() as copied:
+            copied.write(block)
+            owned = copied.getvalue()
+        reading = pa.csv.ReadOptions(column_names=names, block_size=len(block) + 1, use_threads=False)
+        yield from pa.csv.read_csv(pa.BufferReader(owned), reading, parsing, converting).to_batches()
 
 
 def _numbers(column: pa.Array, decimal: str) -> FloatArray:

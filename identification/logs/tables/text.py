@@ -12,6 +12,7 @@ from ...errors import LogError
 from .layout import TableLayout
 
 _BLOCK_CHARACTERS = 2**18
+_BLOCK_BYTES = 2**18
 _LINE_LIMIT = 2**20
 _LOOKED_AT = 50
 _DELIMITERS = (";", "\t", "|", ",")
@@ -86,67 +87,51 @@ class CutOffError(ValueError):
     """The last line of a table has no end."""
 
 
-class Rows(io.RawIOBase):
-    """The rows of a CSV file as UTF-8, without blank lines at the end.
+def row_blocks(text: Text) -> Generator[bytes]:
+    """Yield the rows of a CSV file as UTF-8 in blocks of whole lines, without blank lines at the end.
 
     Raises CutOffError where the last line has no end, UnicodeError where the file is not in its encoding.
     """
+    begun = b""
+    for block in _encoded(text):
+        begun += block
+        end = begun.rfind(b"\n") + 1
+        if end >= _BLOCK_BYTES:
+            yield begun[:end]
+            begun = begun[end:]
+    if begun:
+        yield begun
 
-    def __init__(self, text: Text) -> None:
-        super().__init__()
-        self._text = text
-        self._blocks = self._encoded()
-        self._left = b""
 
-    def readable(self) -> bool:
-        """Return that it can be read."""
-        return True
+def _encoded(text: Text) -> Iterator[bytes]:
+    held, is_begun = "", False
+    for block in _characters(text):
+        whole = held + block
+        kept = whole.rstrip("\r\n")
+        held = whole[len(kept) :]
+        if kept:
+            is_begun = True
+            yield kept.encode()
+    if is_begun and not held:
+        with _opened(text.path, text.encoding, newline=None) as file:
+            number = sum(1 for _ in file)
+        raise CutOffError(
+            f"line {number}: the last line has no end, so it may be cut off; "
+            "record again, or end the line if the table is complete"
+        )
+    yield b"\n" if is_begun else b""
 
-    def readinto(self, buffer: bytearray | memoryview) -> int:  # type: ignore[override]  # any buffer will do
-        """Fill a buffer; only at the end with less than it takes."""
-        filled = 0
-        while filled < len(buffer):
-            self._left = self._left or next(self._blocks, b"")
-            if not self._left:
-                break
-            size = min(len(buffer) - filled, len(self._left))
-            buffer[filled : filled + size], self._left = self._left[:size], self._left[size:]
-            filled += size
-        return filled
 
-    def close(self) -> None:
-        """Close the file."""
-        self._blocks.close()
-        super().close()
-
-    def _encoded(self) -> Generator[bytes]:
-        held, is_begun = "", False
-        for block in self._characters():
-            whole = held + block
-            kept = whole.rstrip("\r\n")
-            held = whole[len(kept) :]
-            if kept:
-                is_begun = True
-                yield kept.encode()
-        if is_begun and not held:
-            with _opened(self._text.path, self._text.encoding, newline=None) as file:
-                number = sum(1 for _ in file)
-            raise CutOffError(
-                f"line {number}: the last line has no end, so it may be cut off; "
-                "record again, or end the line if the table is complete"
-            )
-        yield b"\n" if is_begun else b""
-
-    def _characters(self) -> Iterator[str]:
-        layout = self._text.layout
-        with _opened(self._text.path, self._text.encoding, newline="") as file:
-            for _ in range(self._text.first_line - 1):
-                file.readline()
-            if layout.comment:
-                yield from (line for line in file if not is_comment(line, layout))
-                return
-            while block := file.read(_BLOCK_CHARACTERS):
-                yield block
+def _characters(text: Text) -> Iterator[str]:
+    layout = text.layout
+    with _opened(text.path, text.encoding, newline="") as file:
+        for _ in range(text.first_line - 1):
+            file.readline()
+        if layout.comment:
+            yield from (line for line in file if not is_comment(line, layout))
+            return
+        while block := file.read(_BLOCK_CHARACTERS):
+            yield block
 
 
 def split(line: str, delimiter: str) -> list[str]:

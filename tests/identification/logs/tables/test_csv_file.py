@@ -2,7 +2,9 @@
 
 import csv
 import math
+import threading
 import tracemalloc
+from collections.abc import Iterator
 from dataclasses import replace
 from decimal import Decimal
 from pathlib import Path
@@ -13,7 +15,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from identification.errors import LogError
-from identification.logs.tables import text
+from identification.logs.tables import csv_file, text
 from identification.logs.tables.layout import TableLayout
 from identification.logs.tables.read import list_columns, read_table
 from problems.errors import ParameterError
@@ -267,3 +269,25 @@ def test_decimal_commas_are_found_out(tmp_path: Path, delimiter: str) -> None:
 
 def test_columns_between_blanks_may_have_names(tmp_path: Path) -> None:
     assert read_table(write(tmp_path / "run.txt", "a b\n1 2\n3 4\n"), AB).values.tolist() == [[1, 2], [3, 4]]
+
+
+def test_arrow_holds_no_python_object_that_a_thread_of_its_own_could_release(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Such a release at the end of a process that refused a table aborted it: rows are read by the caller alone."""
+    readers = set()
+    plain = text.row_blocks
+
+    def watched(of: text.Text) -> Iterator[bytes]:
+        for block in plain(of):
+            readers.add(threading.get_ident())
+            yield block
+
+    monkeypatch.setattr(csv_file, "row_blocks", watched)
+    monkeypatch.setattr("pyarrow.PythonFile", None)
+    rows = [f"{row},{-row}\n" for row in range(60_000)]
+    path = write(tmp_path / "t.csv", "a,b\n" + "".join(rows))
+    assert np.array_equal(read_table(path, AB).values, np.outer(np.arange(60_000.0), [1.0, -1.0]))
+    with pytest.raises(LogError, match=r"line 60002: column `b` holds 'x'"):
+        read_table(write(tmp_path / "bad.csv", path.read_text() + "1,x\n"), AB)
+    assert readers == {threading.get_ident()}
