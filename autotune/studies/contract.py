@@ -50,14 +50,14 @@ def sample_designs(problem: DesignProblem) -> tuple[StableDesign, ...]:
 def check_objective(kind: type[Objective]) -> None:
     """Raise ContractError unless `kind` is an objective that a study can use.
 
-    It is registered under its own name, says unit and direction, is made without arguments, gives a finite number for
-    stable controllers of any structure, and the same number from another instance and in another order.
+    It is registered under its own name, says unit and direction, is made without arguments, gives a number above 0
+    for stable controllers of any structure, and the same number from another instance and in another order.
     """
     _check_registered(kind, OBJECTIVES, kind.name)
     _must(isinstance(kind.unit, str), kind, "unit must be text")
     _must(kind.direction in ("minimize", "maximize"), kind, f"direction must be minimize or maximize: {kind.direction}")
     for value in _repeatable(kind, kind(), kind()):
-        _must(math.isfinite(value), kind, f"must be finite for a stable loop, found {value}")
+        _must(0.0 < value < math.inf, kind, f"must be above 0 and finite for a stable loop, found {value}")
 
 
 def check_requirement(kind: type[Requirement]) -> None:

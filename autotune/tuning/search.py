@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import OptimizeResult, differential_evolution
 
-from autotune.errors import InfeasibleError
+from autotune.errors import AutotuneError, InfeasibleError
 from problems.arrays import FloatArray
 from problems.design.batch_evaluation import BatchEvaluation, BatchEvaluator, build_batch_evaluator
 from problems.design.evaluation import Evaluation, PlantMargins, PreparedScenarios, build_scenarios
@@ -280,20 +280,24 @@ class Search:
             energies = intermediate_result.population_energies
             return bool(np.max(energies) < _MISSED and np.std(energies) <= _GATHERED * abs(np.mean(energies)))
 
-        return differential_evolution(
-            costs,
-            [(0.0, 1.0)] * len(self.problem.variables),
-            popsize=_POPULATION,
-            maxiter=self.generations,
-            init="sobol",
-            x0=start,
-            rng=np.random.default_rng(seed),
-            polish=False,
-            tol=1e-5,
-            vectorized=True,
-            updating="deferred",
-            callback=has_gathered,
-        )
+        try:
+            return differential_evolution(
+                costs,
+                [(0.0, 1.0)] * len(self.problem.variables),
+                popsize=_POPULATION,
+                maxiter=self.generations,
+                init="sobol",
+                x0=start,
+                rng=np.random.default_rng(seed),
+                polish=False,
+                tol=1e-5,
+                vectorized=True,
+                updating="deferred",
+                callback=has_gathered,
+            )
+        except RuntimeError as error:
+            # scipy takes a ValueError of the costs, such as that of an objective, for one of its own map.
+            raise (error.__cause__ if isinstance(error.__cause__, AutotuneError) else error) from None
 
     def _screen(self, active: tuple[Scenario, ...]) -> BatchEvaluator:
         self._calm = np.inf

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..contact.transient import Approach, build_sampled_contact
+from ..errors import AutotuneError, ParameterError
 from ..model.controller import AdmittanceController
 from ..model.plant import Plant
 from ..model.sampled import SampledPlant, build_sampled_plant
@@ -283,7 +284,17 @@ class EvaluationFunction(ABC):
             requirements={},
             peaks=peaks,
         )
-        return self(design.controller, prepared.problem, evaluation)
+        try:
+            return float(self(design.controller, prepared.problem, evaluation))
+        except AutotuneError:
+            raise
+        except Exception as error:
+            # Other people's code may raise anything.
+            raise ParameterError(self._described(), error, "a number for every stable loop") from error
+
+    @abstractmethod
+    def _described(self) -> str:
+        """Return what it is, with its name."""
 
     def scenario(self, prepared: PreparedPlants, row: int) -> Scenario:
         """Return any scenario; `worst_scenario` knows better."""
@@ -305,6 +316,16 @@ class CustomRequirement(EvaluationFunction, Requirement[float]):
     depends_on: ClassVar[Literal["loop", "robot", "contact"]] = "contact"
     is_upper_limit = True
 
+    def _described(self) -> str:
+        return f"requirement {self.name}"
+
+    def achieved(self, asked: Any, design: StableDesign, row: int) -> float:
+        """Return required/achieved, worst over all scenarios; raises ParameterError for NaN or less than 0."""
+        ratio = super().achieved(asked, design, row)
+        if not ratio >= 0.0:
+            raise ParameterError(self._described(), ratio, "required/achieved, 0 or above, for a stable loop")
+        return ratio
+
     def __init_subclass__(cls, **options: Any) -> None:
         """Give a subclass that says its name only a title."""
         super().__init_subclass__(**options)
@@ -319,6 +340,9 @@ class CustomRequirement(EvaluationFunction, Requirement[float]):
 
 class CustomObjective(EvaluationFunction, Objective):
     """An objective as one function of a whole evaluation."""
+
+    def _described(self) -> str:
+        return f"objective {self.name}"
 
     def worst_scenario(self, asked: Requirements, design: StableDesign) -> Scenario:
         """Return the scenario that is worst by itself."""

@@ -5,6 +5,7 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Callable
+from dataclasses import replace
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any, ClassVar
@@ -14,6 +15,7 @@ import pytest
 
 from autotune import plugins
 from autotune.errors import UsageError
+from autotune.formats.identified import IdentifiedFile
 from autotune.studies.contract import (
     ContractError,
     check_objective,
@@ -27,18 +29,21 @@ from autotune.studies.plugins import (
     Direction,
     Objective,
     ObjectiveLimit,
+    Requirement,
     load_demands,
     load_objectives,
     registered,
 )
+from autotune.tuning.optimize import optimize
 from problems.design.evaluation import Evaluation, build_scenarios
 from problems.design.objectives import BUILT_IN, Admittance, CommandNoise, HandForce, PeakForce, SensorForce
 from problems.design.problem import AdmittanceTarget, DesignProblem, Requirements
+from problems.errors import ParameterError
 from problems.model.controller import AdmittanceController
 from problems.stability.noise import predict_command_noise
 from problems.stability.passivity import check_passivity
 from tests.autotune.studies.small import ROOT
-from tests.autotune.tuning.cases import FAST_PROBLEM_YAML, write_plant
+from tests.autotune.tuning.cases import FAST_PROBLEM_YAML, FAST_SPEC, FAST_WISHES, identified_plant, write_plant
 
 
 def test_the_built_in_requirement_is_registered_as_anyones_are(repository: Path) -> None:
@@ -159,6 +164,34 @@ class Endless(Highest):
         return float("inf")
 
 
+class Missing(Highest):
+    name: ClassVar[str] = "missing"
+
+    def __call__(self, *_: Any) -> float:
+        return float("nan")
+
+
+class Negative(Highest):
+    name: ClassVar[str] = "negative"
+
+    def __call__(self, *_: Any) -> float:
+        return -1.0
+
+
+class Failing(Highest):
+    name: ClassVar[str] = "failing"
+
+    def __call__(self, *_: Any) -> float:
+        raise ZeroDivisionError("no settling found")
+
+
+class NegativeRatio(Requirement):
+    name: ClassVar[str] = "negative_ratio"
+
+    def __call__(self, *_: Any) -> float:
+        return -0.5
+
+
 class Undirected(Highest):
     name: ClassVar[str] = "undirected"
     direction: ClassVar[Any] = "up"
@@ -185,6 +218,29 @@ def test_the_contract_refuses(kind: type[Highest], monkeypatch: pytest.MonkeyPat
         check_objective(kind)
     assert "must be the entry point" not in str(refused.value)
     assert kind.__qualname__ in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("objective", "found"),
+    [
+        (Missing(), "nan"),
+        (Negative(), "-1.0"),
+        (Endless(), "inf"),
+        (Failing(), "ZeroDivisionError('no settling found')"),
+    ],
+)
+def test_a_search_ends_at_a_number_of_an_objective_that_cannot_be_compared(objective: Objective, found: str) -> None:
+    plant = IdentifiedFile(result=identified_plant(), provenance={}, path=Path("p.yaml"), sha256="0" * 64)
+    with pytest.raises(ParameterError) as refused:
+        optimize(plant, replace(FAST_SPEC, objective=objective), FAST_WISHES)
+    assert f"objective {objective.name} must be" in str(refused.value)
+    assert f"found {found}" in str(refused.value)
+
+
+def test_a_ratio_below_0_is_not_taken_for_one_that_is_met() -> None:
+    design = sample_designs(sample_problem())[0]
+    with pytest.raises(ParameterError, match=r"requirement negative_ratio must be .*, found -0\.5"):
+        NegativeRatio().achieved(1.0, design, 0)
 
 
 @pytest.mark.parametrize(
