@@ -141,7 +141,18 @@ def _surface_rows(name: str, surface: EnvironmentEstimate) -> Iterator[Parameter
         yield ParameterRow(name=f"{label}: peak", value=peaks, unit=units.force)
 
 
-TOUCH_COLUMNS = ("touch", "cause", "from [s]", "speed", "peak", "may be", "unit", "held", "bounces", "surface")
+TOUCH_COLUMNS = (
+    "touch",
+    "cause",
+    "from [s]",
+    "speed",
+    "largest",
+    "sensor's peak",
+    "unit",
+    "held",
+    "bounces",
+    "surface",
+)
 
 
 def touch_rows(timeline: Timeline) -> list[tuple[str, ...]]:

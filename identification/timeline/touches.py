@@ -9,7 +9,7 @@ from ..result import LogPhase, Touch, TouchCause
 from ..signals.aligned import AlignedLog
 from ..signals.recording import AXES, Recording
 from ..touches.find import describe_touch
-from ..touches.signals import AxisSignals, desired_force_of, gains_of, lead_of
+from ..touches.signals import AxisSignals, desired_force_of, gains_of, lead_of, sample_noise
 from .contacts import ContactTimes
 from .left_contacts import ObservedAxis
 from .payload import press_sign
@@ -65,16 +65,17 @@ def _signals(recording: Recording, log: AlignedLog, axis: ObservedAxis) -> AxisS
     """Return the axis in its own units; what a hole swallowed shows no force."""
     number, lever = AXES.index(axis.name), axis.lever_m
     motion = axis.of.axis
+    force = np.asarray(np.nan_to_num(motion.force_n) * lever)
     stamps = log.start_ns + np.round(1e9 * log.time_s).astype(np.int64)
     mass, damping = gains_of(recording.gains, stamps, number)
     return AxisSignals(
         axis=axis.name,
         time_s=log.time_s,
         period_s=log.period_s,
-        force_n=np.nan_to_num(motion.force_n) * lever,
+        force_n=force,
         travel_m=motion.position_m / lever,
         level_n=axis.of.smallest_n * lever,
-        noise_n=0.0,
+        noise_n=sample_noise(force),
         mass_kg=mass,
         damping_n_s_per_m=damping,
         desired_n=desired_force_of(recording.desired_force, stamps, number),

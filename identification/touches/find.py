@@ -19,6 +19,7 @@ _SMALLEST_SPEED_M_S = 2e-3
 _STILL_M_S = 1e-3
 _SHORTEST_STILL_S = 0.4
 _BEFORE_S, _SKIPPED_S = 0.3, 0.015
+_QUIET_S, _RISING_SAMPLES = 1.0, 2
 # What pushes the flange back this far, beside how far it went in, does work on it: no surface.
 _DRIVEN_M = 5e-3
 _SMALLEST_TRAVEL_M = 5e-4
@@ -251,7 +252,7 @@ def describe_touch(
     pressing = -sign * axis.force_n
     inside = pressing[span.slice]
     peak = span.start + int(np.argmax(inside))
-    low, high, rise = bound_peak(pressing, span.start, peak)
+    low, high, rise = touch_peak(axis, pressing, span.start, peak)
     held = None if hold is None else float(np.median(pressing[hold.slice]))
     left = max(axis.level_n, min(_LEFT_SHARE * high, np.inf if held is None else _HELD_SHARE * held))
     apart = without_short(np.asarray(inside <= left), max(1, round(CONTACT.shortest_bounce_s / axis.period_s)))
@@ -283,6 +284,13 @@ def describe_touch(
         desired_force=at(axis.desired_n),
     )
     return FoundTouch(touch=touch, span=span, peak=peak)
+
+
+def touch_peak(axis: AxisSignals, pressing: FloatArray, onset: int, peak: int) -> tuple[float, float, int]:
+    """Return `bound_peak` of a touch, its noise from the second before the onset, or that of the log."""
+    begin = int(np.searchsorted(axis.time_s, axis.time_s[onset] - _QUIET_S))
+    quiet = pressing[begin : max(begin, onset - _RISING_SAMPLES)]
+    return bound_peak(pressing, onset, peak, quiet=quiet, noise=axis.noise_n)
 
 
 def _hold(axis: AxisSignals, pressing: FloatArray, span: Span) -> Span | None:

@@ -1,4 +1,4 @@
-"""What a peak may be between the samples that a log holds of it."""
+"""What a peak of the sensor's force may be behind the samples that a log holds of it."""
 
 import numpy as np
 
@@ -6,27 +6,77 @@ from problems.arrays import FloatArray
 
 _ENTERED_SHARE = 0.1
 _LARGEST_SHARE = 2.0
+_CREST_SHARE = 0.9
+# A mean over more than this share of the crest would flatten a crest that is no arc.
+_BLOCKS_ON_CREST = 8
+# The largest of the means over a crest, and the narrowest of the bounds, are picked: two deviations would not do.
+_DEVIATIONS = 3.0
+_FEWEST_QUIET = 12
+# Steps between neighbours do not show noise that changes slowly; those between longer means do.
+_WIDER = 2 ** np.arange(6)
+_TO_DEVIATION = float(1.4826 / np.sqrt(2.0))
 
 
-def bound_peak(pressing: FloatArray, onset: int, peak: int) -> tuple[float, float, int]:
+def bound_peak(
+    pressing: FloatArray, onset: int, peak: int, *, quiet: FloatArray | None = None, noise: float = 0.0
+) -> tuple[float, float, int]:
     """Return the least and largest force that the peak may have, and the samples from a tenth of it to the peak.
 
-    `pressing` (n,) has its largest sample at `peak`, of a contact whose first sample is `onset`. The peak is no lower
-    than that sample. Between it and each neighbour a force that bends down (is concave) lies below the lines through
-    the two samples on either side, extended. A line counts only where both of its samples touch: a contact may begin
-    and end anywhere between two samples. Where lines leave it open the peak is taken to be at most twice its sample.
+    `pressing` (n,) has its largest sample at `peak`, of a contact whose first sample is `onset`. The peak is the one of
+    the force on the sensor without the sensor's noise; that is taken from `quiet` (k,), samples without a contact, or
+    is at least `noise`, the deviation of one sample. No mean over neighbours exceeds the peak, so it is no lower than
+    the largest mean less three deviations. Between the largest mean and each neighbour a force that bends down (is
+    concave) lies below the lines through the two means on either side, extended, and three deviations. Means over 1, 2,
+    4, … samples are tried, up to an eighth of the crest: the narrowest bound on each side counts. A line counts only
+    where both of its means touch: a contact may begin and end anywhere between two samples. Where lines leave it open
+    the peak is taken to be at most twice its sample.
     """
     highest = float(pressing[peak])
     low = _ENTERED_SHARE * highest
     before = np.flatnonzero(pressing[max(0, onset - 1) : peak] < low)
     rise = peak - (max(0, onset - 1) + int(before[-1])) if before.size else peak - onset
+    below = np.asarray(pressing < _CREST_SHARE * highest - _DEVIATIONS * noise)
+    entered, left = np.flatnonzero(below[onset:peak]), np.flatnonzero(below[peak:])
+    first = onset + int(entered[-1]) + 1 if entered.size else onset
+    last = peak + int(left[0]) if left.size else len(pressing)
+    lower, upper = [], []
+    for block in 2 ** np.arange(max(1, (last - first) // _BLOCKS_ON_CREST).bit_length()):
+        means = block_means(pressing[onset:], int(block))
+        margin = _DEVIATIONS * max(noise / float(np.sqrt(block)), _deviation(quiet, int(block)))
+        begin = max(0, first - onset - int(block) + 1)
+        top = begin + int(np.argmax(means[begin : last - onset]))
+        lower.append(float(means[top]) - margin)
+        upper.append(_largest(means, top, int(block), low) + margin)
+    least = max(0.0, *lower)
+    return least, max(least, min(*upper, _LARGEST_SHARE * highest)), int(rise)
 
-    def sample(index: int) -> float | None:
-        is_touched = onset <= index < len(pressing) and pressing[index] >= low
-        return float(pressing[index]) if is_touched else None
 
-    sides = [_side(highest, *(sample(peak + step) for step in steps)) for steps in ((1, -1, -2), (-1, 1, 2))]
-    return highest, min(max(sides), _LARGEST_SHARE * highest), int(rise)
+def block_means(values: FloatArray, block: int) -> FloatArray:
+    """Return the mean of each `block` neighbours of values (n,), (n - block + 1,)."""
+    if block == 1:
+        return values
+    total = np.concatenate([np.zeros(1), np.cumsum(values)])
+    return np.asarray((total[block:] - total[:-block]) / block)
+
+
+def _deviation(quiet: FloatArray | None, block: int) -> float:
+    """Return the deviation of a mean over `block` samples: no less than that of a mean over more of them."""
+    if quiet is None or len(quiet) < max(_FEWEST_QUIET, 4 * block):
+        return 0.0
+    wider = [each for each in block * _WIDER if 4 * each <= len(quiet)]
+    steps = [np.abs((means := block_means(quiet, int(each)))[each:] - means[:-each]) for each in wider]
+    return _TO_DEVIATION * max(float(np.median(step)) for step in steps)
+
+
+def _largest(means: FloatArray, top: int, block: int, low: float) -> float:
+    """Return the bound of lines through the means around the largest one, `top`, `block` samples apart."""
+
+    def mean(steps: int) -> float | None:
+        index = top + steps * block
+        is_touched = 0 <= index < len(means) and means[index] >= low
+        return float(means[index]) if is_touched else None
+
+    return max(_side(float(means[top]), *(mean(step) for step in steps)) for steps in ((1, -1, -2), (-1, 1, 2)))
 
 
 def _side(highest: float, across: float | None, near: float | None, far: float | None) -> float:

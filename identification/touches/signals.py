@@ -74,7 +74,7 @@ def axis_signals(recording: Recording) -> tuple[AxisSignals, ...]:
         force = np.array(wrench.force_n[inside, i])
         if not pose.is_displacement:
             force -= _offset(force, travel[:, i], time)
-        noise = _noise(force)
+        noise = sample_noise(force)
         mass, damping = gains_of(recording.gains, stamps, i)
         found.append(
             AxisSignals(
@@ -94,8 +94,8 @@ def axis_signals(recording: Recording) -> tuple[AxisSignals, ...]:
     return tuple(found)
 
 
-def _noise(force: FloatArray) -> float:
-    """Return the deviation of one sample from the usual step between two; a log of a blow alone shows none."""
+def sample_noise(force: FloatArray) -> float:
+    """Return the deviation of one sample, from the usual step between two; a log of a blow alone shows none."""
     return _TO_DEVIATION * float(np.median(np.abs(np.diff(force)))) if len(force) >= _FEWEST_FOR_NOISE else 0.0
 
 

@@ -12,8 +12,7 @@ from ..errors import EstimateError
 from ..result import EnvironmentEstimate, Estimate, Finding, LogPhase, Timeline, Touch, TouchCause
 from ..signals.recording import Recording
 from ..verdicts import judged, missing, unidentifiable
-from .find import AxisTouches, FoundTouch, find_touches, first_fall
-from .peak import bound_peak
+from .find import AxisTouches, FoundTouch, find_touches, first_fall, touch_peak
 from .phases import build_phases
 from .signals import AxisSignals, axis_signals
 from .trace import TraceContact, identify_trace
@@ -130,7 +129,7 @@ def _blow(axis: AxisSignals, found: FoundTouch, pressing: FloatArray) -> tuple[f
     fallen = first_fall(pressing[found.span.slice], axis.level_n)
     stop = found.span.stop if fallen is None else found.span.start + fallen
     top = found.span.start + int(np.argmax(pressing[found.span.start : stop]))
-    low, high, _ = bound_peak(pressing, found.span.start, top)
+    low, high, _ = touch_peak(axis, pressing, found.span.start, top)
     return low, high
 
 
