@@ -47,7 +47,8 @@ def bound_peak(
         top = begin + int(np.argmax(means[begin : last - onset]))
         lower.append(float(means[top]) - margin)
         upper.append(_largest(means, top, int(block), low) + margin)
-    least = max(0.0, *lower)
+    # A mean exceeds its largest sample by rounding alone.
+    least = min(max(0.0, *lower), highest)
     return least, max(least, min(*upper, _LARGEST_SHARE * highest)), int(rise)
 
 
