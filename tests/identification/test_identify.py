@@ -151,7 +151,7 @@ def test_a_command_from_another_time_has_no_robot(demo_recording: Recording) -> 
     late = dataclasses.replace(command, stamp_ns=command.stamp_ns + 10**12)
     found = identify_cell(dataclasses.replace(demo_recording, command=late))
     check_honesty(found)
-    assert "clocks are the same" in finding(found, "robot").message
+    assert "both count on one clock" in finding(found, "robot").message
     assert found.axes["x"].robot.delay_s.value is None
 
 
