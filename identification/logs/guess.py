@@ -29,7 +29,7 @@ _SHORTEST_STEP = {"ns": 2e4, "us": 50.0, "ms": 0.5}
 _EPOCH = {"ns": 1e17, "us": 1e14, "ms": 1e11}
 _N_MM_RATIO = 30.0
 _FEWEST = 3
-_SIXTEEN = 16
+_NINE, _SIXTEEN = 9, 16
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -165,7 +165,7 @@ def _ranges(channel: _Channel) -> Iterator[str]:
 
 def _time(channel: _Channel) -> Entry | None:
     """Guess the time column of a table and its unit, or that each row is a pose at rest."""
-    turns = [vector.paths for vector in channel.named.vectors if vector.kind is Meaning.TURN]
+    turns = [vector.paths for vector in channel.named.vectors if vector.kind in (Meaning.TURN, Meaning.MATRIX)]
     leaps = bool(turns) and len(channel.columns[turns[0][0]]) <= _MOST_POSES and _leaps(channel.of(turns[0]))
     has_force = any(vector.kind in (Meaning.FORCE, Meaning.WRENCH) for vector in channel.named.vectors)
     if leaps and (has_force or not channel.named.times):
@@ -317,6 +317,8 @@ def _pose_entries(
 
 def _orientation(vector: NamedVector, turns: FloatArray) -> tuple[str, str]:
     """Return how an orientation is written, and why."""
+    if turns.shape[1] == _NINE:
+        return ROW_MAJOR, "by name: row, then column"
     if turns.shape[1] == _SIXTEEN:
         last_of_column = float(np.nanmax(np.abs(turns[:, [3, 7, 11]])))
         kind = COLUMN_MAJOR if last_of_column < _NORM_TOLERANCE else ROW_MAJOR

@@ -28,6 +28,7 @@ _COMMANDS = COMMAND_WORDS | {"des", "ref", "set", "sp", "soll", "rsol", "tgt"}
 _MEASURED = frozenset({"actual", "measured", "meas", "act", "ist", "rist", "current", "cur", "real"})
 _TIME = frozenset(
     {"t", "time", "times", "timestamp", "stamp", "zeit", "elapsed", "sec", "secs", "seconds", "millis", "nanos", "ipoc"}
+    | {"ms", "msec", "us", "µs", "ns", "nsec"}
 )
 _TIME_UNITS: Mapping[str, str] = FrozenDict(
     {"s": "s", "sec": "s", "secs": "s", "seconds": "s", "ms": "ms", "msec": "ms", "millis": "ms", "us": "us"}
@@ -52,6 +53,7 @@ UNITS: Mapping[str, str] = FrozenDict(
 _TRAILING = frozenset(UNITS) - {"m", "in", "°"}
 _BRACKETED = re.compile(r"\s*[\[(<{]\s*([^\])>}]*?)\s*[\])>}]\s*$")
 _MATRIX = 16
+_TURN_MATRICES = tuple([f"{row}{column}" for row in of for column in of] for of in ("123", "012"))
 
 
 class Meaning(StrEnum):
@@ -150,6 +152,8 @@ def _split(path: str, unit: str) -> tuple[tuple[str, ...], str, str]:
         unit = words.pop()
     if not words:
         return (), "", unit
+    if len(words) > 1 and words[-1] in _COMMANDS | _MEASURED:
+        words = [words[-1], *words[:-1]]  # `x_cmd` is `cmd_x`
     *before, last = words
     if last.isdigit() or last in ("x", "y", "z", "w", "a", "b", "c"):
         return tuple(before), last, unit
@@ -184,6 +188,9 @@ def _vectors(words: tuple[str, ...], group: _Group) -> Iterator[NamedVector]:
     else:
         numbers = sorted((name for name in group.paths if name.isdigit()), key=int)
         counted = [int(name) for name in numbers]
+        if last in _TURN and sorted(numbers) in _TURN_MATRICES:
+            yield vector(Meaning.MATRIX, sorted(numbers))
+            return
         if known and counted and counted in ([*range(len(counted))], [*range(1, 1 + len(counted))]):
             counted_kind = _kind_of_counted(last, words, len(counted))
             if counted_kind is not None:

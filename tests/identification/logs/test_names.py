@@ -29,6 +29,9 @@ def named(*paths: str) -> list[tuple[Meaning, tuple[str, ...]]]:
         (("qx", "qy", "qz", "qw"), Meaning.TURN),
         (("pose.orientation.x", "pose.orientation.y", "pose.orientation.z", "pose.orientation.w"), Meaning.TURN),
         (("Roll", "Pitch", "Yaw"), Meaning.TURN),
+        (tuple(f"R{row}{column}" for row in "123" for column in "123"), Meaning.MATRIX),
+        (("TCP_x_ref", "TCP_y_ref", "TCP_z_ref"), Meaning.POSITION),
+        (("qx_cmd", "qy_cmd", "qz_cmd", "qw_cmd"), Meaning.TURN),
         (("vx", "vy", "vz"), Meaning.LINEAR),
         (("twist.angular.x", "twist.angular.y", "twist.angular.z"), Meaning.ANGULAR),
     ],
@@ -48,6 +51,7 @@ def test_names_of_many_writers_are_known(paths: tuple[str, ...], kind: Meaning) 
         ("temperature_x", "temperature_y", "temperature_z"),
         ("fx", "fy"),
         ("index", "complex", "matrix"),
+        ("R11", "R12", "R13", "R21"),
         ("f0", "f2", "f4"),
     ],
 )
@@ -66,6 +70,15 @@ def test_words_say_what_is_commanded_measured_and_processed() -> None:
     assert (goal.is_command, actual.is_command, filtered.is_command) == (True, False, False)
     assert (goal.is_measured, actual.is_measured, filtered.is_measured) == (False, True, False)
     assert (goal.is_processed, actual.is_processed, filtered.is_processed) == (False, False, True)
+
+
+@pytest.mark.parametrize("names", ["{}_cmd", "TCP_{}_ref", "{}_soll [mm]"])
+def test_what_is_commanded_may_be_said_behind_the_axis(names: str) -> None:
+    found = read_names([names.format(axis) for axis in "xyz"])
+    assert [(vector.kind, vector.is_command) for vector in found.vectors] == [(Meaning.POSITION, True)]
+    found = read_names(["x", "y", "z", *(names.format(axis) for axis in "xyz")])
+    assert [vector.is_command for vector in found.vectors] == [False, True]
+    assert read_names(["ms", "x_cmd"]).times == {"ms": "ms"}
 
 
 def test_units_stand_beside_or_below_a_name() -> None:
