@@ -317,12 +317,8 @@ def _pose_entries(
 
 def _orientation(vector: NamedVector, turns: FloatArray) -> tuple[str, str]:
     """Return how an orientation is written, and why."""
-    if turns.shape[1] == _NINE:
-        return ROW_MAJOR, "by name: row, then column"
-    if turns.shape[1] == _SIXTEEN:
-        last_of_column = float(np.nanmax(np.abs(turns[:, [3, 7, 11]])))
-        kind = COLUMN_MAJOR if last_of_column < _NORM_TOLERANCE else ROW_MAJOR
-        return kind, "the entries that are 0 throughout are the last row of the matrix"
+    if turns.shape[1] in (_NINE, _SIXTEEN):
+        return _matrix(turns)
     if turns.shape[1] == 4:
         if vector.components == "xyzw":
             return "quaternion_xyzw", "by name"
@@ -332,3 +328,12 @@ def _orientation(vector: NamedVector, turns: FloatArray) -> tuple[str, str]:
     if vector.components == "rpy" or {"rpy", "euler"} & {*vector.words}:
         return "euler_xyz", "roll, pitch and yaw about the fixed x, y and z; or another euler_…"
     return "rotation_vector", "three numbers; or euler_xyz, euler_ZYZ, …: check it in the robot's manual"
+
+
+def _matrix(entries: FloatArray) -> tuple[str, str]:
+    """Return in which order a matrix is written; nine entries are known by row and column."""
+    if entries.shape[1] == _NINE:
+        return ROW_MAJOR, "by name: row, then column"
+    last_of_column = float(np.nanmax(np.abs(entries[:, [3, 7, 11]])))
+    kind = COLUMN_MAJOR if last_of_column < _NORM_TOLERANCE else ROW_MAJOR
+    return kind, "the entries that are 0 throughout are the last row of the matrix"

@@ -193,7 +193,7 @@ class Recording:
                 "compensation."
             )
         what = f"The wrench of topic {self.wrench.topic}"
-        advice = "record them all, or, of a wrench whose weight was removed, declare `gravity_compensated: true`"
+        advice = "mass, centre of mass and bias are identified together, so record the raw wrench in all six"
         _require_axes(what, self.wrench.measured_axes, AXES, advice)
         if self.pose.is_displacement:
             raise EstimateError(

@@ -64,21 +64,34 @@ def wrench_faults(
     resting[0] = False
     for column in columns:
         resting[1:] &= np.abs(np.diff(column)) <= _RESTING_SHARE * np.ptp(column)
+    stuck = [axis for axis, column in enumerate(columns) if bool(np.all(column == column[0]))]
+    if stuck:
+        yield _stuck_axes(topic, stuck, columns)
     for axis, column in enumerate(columns):
-        if bool(np.all(column == column[0])):
-            within = "" if column[0] else "if it stayed within a deadband, declare `deadband`, or, "
-            yield Finding.error(
-                "stuck-axis",
-                f"The {WRENCH_AXES[axis]} axis of topic {topic} is {column[0] + 0.0:g} in all {len(column)} samples.",
-                f"Check the sensor's cable and driver and record again, or, {within}if the sensor does not measure "
-                f"this axis, leave it out with `wrench: {{left_out: [{AXES[axis]}]}}` in cell.yaml.",
-            )
+        if axis in stuck:
             continue
         limit = None if limits is None else limits[axis]
         saturated = saturated_samples(column, limit, resting)
         yield from _saturation(topic, WRENCH_AXES[axis], column, since_start_s, saturated)
         yield from _axis_faults(topic, WRENCH_AXES[axis], column[~saturated], since_start_s[~saturated])
     yield from _repeat_faults(topic, values)
+
+
+def _stuck_axes(topic: str, stuck: Sequence[int], columns: FloatArray) -> Finding:
+    """Name all axes of a wrench (6, n) that never change in one finding, as one declaration answers for all."""
+    values = ", ".join(dict.fromkeys(f"{columns[axis, 0] + 0.0:g}" for axis in stuck))
+    one = len(stuck) == 1
+    within = "" if np.any(columns[stuck, 0]) else f"if {'it' if one else 'they'} stayed within a deadband, declare "
+    within += "`deadband`, or, " if within else ""
+    return Finding.error(
+        "stuck-axis",
+        f"The {', '.join(WRENCH_AXES[axis] for axis in stuck)} {'axis' if one else 'axes'} of topic {topic} "
+        f"{'is' if one else 'are'} {values} in all {columns.shape[1]} samples.",
+        f"Check the sensor's cable and driver and record again, or, {within}if the sensor does not measure "
+        f"{'this axis' if one else 'these axes'}, leave {'it' if one else 'them'} out with "
+        f"`wrench: {{left_out: [{', '.join(AXES[axis] for axis in stuck)}]}}` in cell.yaml. The payload is identified "
+        "only from a raw wrench of all six axes.",
+    )
 
 
 def pose_faults(topic: str, values: FloatArray, since_start_s: FloatArray) -> Iterator[Finding]:

@@ -246,6 +246,9 @@ def test_an_axis_that_the_sensor_does_not_measure_is_left_out(tmp_path: Path) ->
         LogError, match=r"torque z axis .* leave it out with `wrench: \{left_out: \[rz\]\}` in cell.yaml"
     ):
         read_recording(log)
+    force = write_mcap(tmp_path / "force.mcap", [wrench.with_values(wrench.values * [1, 1, 1, 0, 0, 0]), pose_stream()])
+    with pytest.raises(LogError, match=r"torque x, torque y, torque z axes .* are 0 in all .*left_out: \[rx, ry, rz\]"):
+        read_recording(force)
     recording = read_recording(log, Cell(wrench=WrenchSource(left_out=("rz",))))
     assert recording.wrench.measured_axes == ("x", "y", "z", "rx", "ry")
     assert np.isnan(recording.wrench.torque_n_m[:, 2]).all()

@@ -79,3 +79,8 @@ def test_only_a_raw_wrench_and_a_whole_pose_identify() -> None:
         recording = Recording(**{"wrench": wrench(), "pose": pose(), "command": None, **signals})  # type: ignore[arg-type]  # by name
         with pytest.raises(EstimateError, match=told):
             recording.require_raw()
+    with pytest.raises(EstimateError) as refused:
+        Recording(wrench=wrench(measured_axes=("x", "y", "z")), pose=pose(), command=None).require_raw()
+    assert "found none for rx, ry, rz" in str(refused.value)
+    # A raw wrench is not to be declared as one whose weight was removed.
+    assert "gravity_compensated" not in str(refused.value)
