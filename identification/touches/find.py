@@ -7,6 +7,7 @@ import numpy as np
 
 from problems.arrays import BoolArray, FloatArray
 
+from ..errors import EstimateError
 from ..result import Touch, TouchCause
 from ..signals.aligned import Span, spans_of
 from ..signals.contact_rule import CONTACT
@@ -37,6 +38,7 @@ _AGAINST_SHARE = 0.25
 _LONGEST_SWING_S = 0.1
 _SMALLEST_PEAK_SHARE = 1.5
 _LEFT_SHARE, _HELD_SHARE = 0.1, 0.5
+_SMALLEST_HELD_N, _MOST_LISTED = 10.0, 8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,6 +70,52 @@ def find_touches(axes: tuple[AxisSignals, ...], *, is_contact: bool = False) -> 
     """
     free = _without_force(axes)
     return _of_their_own([_on_axis(axis, free, is_contact=is_contact) for axis in axes])
+
+
+def check_force_sign(axes: tuple[AxisSignals, ...]) -> None:
+    """Refuse a wrench that points along the approach wherever the tool was stopped and held a force of 10 N or more.
+
+    What stops a tool pushes against its free approach; a hand leads it along the force, but under that force it does
+    not stand still. Hands hold against less, as within an admittance's deadband.
+
+    Parameters
+    ----------
+    axes
+        Force [N] and travel [m] of each axis, by the declared sign.
+
+    Raises
+    ------
+    EstimateError
+        Force and approach agree at every such hold.
+
+    """
+    free = _without_force(axes)
+    held = [hold for axis in axes for hold in _holds(axis, free)]
+    if not held or any(speed > 0.0 for _, speed, _ in held):
+        return
+    listed = ", ".join(f"{at:.2f} s ({force:.1f} N)" for at, _, force in held[:_MOST_LISTED])
+    raise EstimateError(
+        "What stops the tool must push against its approach, found a force that pushes where the tool goes and then "
+        f"stands still, at {listed}: try `exerted_by: sensor` of the wrench (`payload` where it is `sensor` now) in "
+        "cell.yaml. `payload` is the force of payload and surroundings on the sensor, `sensor` that of the robot on "
+        "them. If a hand held the tool there, leave that part out with --from and --to."
+    )
+
+
+def _holds(axis: AxisSignals, free: BoolArray) -> Iterator[tuple[float, float, float]]:
+    """Yield when the tool was held after a free approach [s], its speed against the force [m/s] and the force [N]."""
+    longest = round(CONTACT.longest_bounce_s / axis.period_s)
+    swing = max(1, round(_LONGEST_SWING_S / axis.period_s))
+    for sign in (-1, 1):
+        pressing = -sign * axis.force_n
+        for span in _presses(pressing, axis.level_n, longest, swing):
+            before = slice(int(np.searchsorted(axis.time_s, axis.time_s[span.start] - _BEFORE_S)), span.start)
+            hold, speed = _hold(axis, pressing, span), approach_speed(axis, span.start, sign)
+            if hold is None or speed is None or before.stop == before.start or not np.all(free[before]):
+                continue
+            force = float(np.median(pressing[hold.slice]))
+            if abs(speed) >= _SMALLEST_SPEED_M_S and force >= _SMALLEST_HELD_N:
+                yield float(axis.time_s[hold.start]), speed, force
 
 
 def _of_their_own(found: Sequence[AxisTouches]) -> tuple[AxisTouches, ...]:

@@ -12,7 +12,7 @@ from ..errors import EstimateError
 from ..result import EnvironmentEstimate, Estimate, Finding, LogPhase, Timeline, Touch, TouchCause
 from ..signals.recording import Recording
 from ..verdicts import judged, missing, unidentifiable
-from .find import AxisTouches, FoundTouch, find_touches, first_fall, touch_peak
+from .find import AxisTouches, FoundTouch, check_force_sign, find_touches, first_fall, touch_peak
 from .phases import build_phases
 from .signals import AxisSignals, axis_signals
 from .trace import TraceContact, identify_trace
@@ -65,9 +65,13 @@ def identify_touches(recording: Recording) -> Touched:
     """Find the touches of a log without the payload's mass, and what they show of the surfaces.
 
     A displacement is a trace of one contact. A surface is what walls on one side of an axis are touched at one place,
-    or with one stiffness; touches whose cause is not known are named in a finding.
+    or with one stiffness; touches whose cause is not known are named in a finding. Raises EstimateError where each held
+    force points along the approach.
     """
-    found = find_touches(axis_signals(recording), is_contact=recording.pose.is_displacement)
+    signals = axis_signals(recording)
+    if not recording.pose.is_displacement:
+        check_force_sign(signals)
+    found = find_touches(signals, is_contact=recording.pose.is_displacement)
     surfaces: dict[str, tuple[EnvironmentEstimate, ...]] = {}
     names: dict[tuple[str, float], str] = {}
     findings: list[Finding] = []

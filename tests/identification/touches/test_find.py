@@ -1,16 +1,17 @@
 """Touches of an admittance that drives into a wall, is stopped by a hand, or is led by one."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from identification.errors import EstimateError
 from identification.result import TouchCause
 from identification.signals.recording import GainsSignal, PoseSignal, Recording, WrenchSignal
-from identification.touches.find import find_touches
+from identification.touches.find import check_force_sign, find_touches
 from identification.touches.signals import axis_signals
 from identification.touches.surfaces import identify_touches, pooled
 from problems.arrays import FloatArray
@@ -82,6 +83,27 @@ def logged(travel: FloatArray, force: FloatArray, step_s: float, desired_n: floa
 
 def wall(stiffness: float, at_m: float, damping: float = 100.0) -> Callable[[float, float, float], float]:
     return lambda _, x, v: -max(stiffness * (x - at_m) + damping * v, 0.0) if x > at_m else 0.0
+
+
+def flipped(recording: Recording) -> Recording:
+    return replace(recording, wrench=replace(recording.wrench, force_n=-recording.wrench.force_n))
+
+
+@given(stiffness=st.floats(2e3, 4e4), at_m=st.floats(0.02, 0.04))
+@settings(max_examples=5, deadline=None)
+def test_a_wrench_of_the_other_sign_is_refused_where_a_wall_held_the_tool(stiffness: float, at_m: float) -> None:
+    log = recorded(Program(force_n=wall(stiffness, at_m)))
+    with pytest.raises(EstimateError, match=r"pushes where the tool goes and then stands still.*exerted_by: sensor"):
+        identify_touches(flipped(log))
+    # One hold that is as a wall's shows the sign.
+    right, wrong = axis_signals(log), axis_signals(flipped(log))
+    check_force_sign((*right, *wrong))
+
+
+def test_a_hand_that_rests_on_the_tool_after_leading_it_is_not_taken_for_a_wrong_sign() -> None:
+    """Six newtons within the deadband of the admittance: along the motion first, then at rest."""
+    time = np.arange(0.0, 5.0, 1e-3)
+    identify_touches(logged(0.02 * np.minimum(time, 2.0), np.where(time > 1.0, 6.0, 0.0), 1e-3, 0.0))
 
 
 @given(stiffness=st.floats(3e3, 3e4), at_m=st.floats(0.02, 0.05), offset=st.sampled_from((0.0, 30.0)))
