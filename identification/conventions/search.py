@@ -85,7 +85,10 @@ class Convention:
         if self.hypothesis.order != "xyzw":
             shown.append("pose.orientation_as: quaternion_wxyz")
         if self.hypothesis.inverted:
-            shown.append("pose.parent and pose.child: swapped (what is logged is flange from base)")
+            shown.append(
+                "pose.parent and pose.child: swapped (what is logged is flange from base), or of a matrix its order: "
+                "pose.orientation_as: matrix_row_major (matrix_column_major where it is row_major now)"
+            )
         if self.sign_origin is SignOrigin.WRENCH:
             shown.append("wrench.exerted_by: sensor (payload where it is sensor now)")
         if self.sign_origin is SignOrigin.GRAVITY:
@@ -223,11 +226,18 @@ class ConventionRanking:
                 f"`gravity_direction` if the base leans. If gravity was taken off before recording, {SAY_COMPENSATED}."
             )
         alike = self.alike
+        advice = "Poses that also turn about the vertical distinguish more of them."
+        if len({each.hypothesis for each in alike}) == 1:
+            advice = (
+                "A reversed wrench and reversed gravity are the same to a tool at rest, however it is turned, so that "
+                "only you can say: gravity points up in the base frame of a robot that hangs from the ceiling; else it "
+                "is the wrench. A log with positions of quick moves that turn the tool could show it."
+            )
         shown = "; ".join(self._text(each) for each in alike[:_MOST_LISTED])
         more = f"; and {len(alike) - _MOST_LISTED} more" if len(alike) > _MOST_LISTED else ""
         return (
             f"The declared conventions {self._declared()}, and {len(alike)} others fit it alike. Say in "
-            f"cell.yaml which it is: {shown}{more}. Poses that also turn about the vertical distinguish more of them."
+            f"cell.yaml which it is: {shown}{more}. {advice}"
         )
 
     def _text(self, convention: Convention) -> str:

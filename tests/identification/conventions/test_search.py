@@ -101,6 +101,9 @@ def test_a_reversed_sign_is_a_question_with_both_answers() -> None:
         ranking.chosen()
     assert "wrench.exerted_by: sensor" in str(caught.value)
     assert "gravity_direction: [0, 0, 1]" in str(caught.value)
+    # These poses do turn about the vertical: more of them would show nothing new.
+    assert "only you can say" in str(caught.value)
+    assert "about the vertical" not in str(caught.value)
 
 
 def test_readings_that_the_poses_cannot_tell_apart_are_asked_with_their_residuals() -> None:
@@ -114,7 +117,10 @@ def test_readings_that_the_poses_cannot_tell_apart_are_asked_with_their_residual
     with pytest.raises(EstimateError, match=r"3 others fit it alike.*swapped.*N·m left.*turn about the vertical"):
         ranking.chosen()
     # The very same fault is found once the poses differ in their turn about the vertical too.
-    assert rank_conventions(misread(noisy(general()), inverted=True)).verdict is ConventionVerdict.FOUND
+    found = rank_conventions(misread(noisy(general()), inverted=True))
+    assert found.verdict is ConventionVerdict.FOUND
+    # A matrix of the wrong order is the inverse, and a table has no frames that could be swapped.
+    assert "orientation_as: matrix_row_major" in found.findings()[0].message
 
 
 def test_the_declared_one_wins_where_others_fit_alike() -> None:
