@@ -15,7 +15,7 @@ from problems.model.controller import AdmittanceController
 from problems.model.plant import Plant
 
 from .contact import ContactBand, Law, PeakInterval, contact_band, nominal_contact, peak_interval, simulate_others
-from .model_error import ModelError
+from .model_error import ELSEWHERE_TEXT, ModelError
 from .plants import PlantEnsemble
 
 if TYPE_CHECKING:
@@ -215,7 +215,7 @@ def interval_notes(interval: PeakInterval, error: ModelError | None) -> Iterator
     )
     yield (
         f"the {level} holds the joint deviations of the parameters and a model error of {100.0 * error.share:.1f} % "
-        f"({f'from {seen} and ' if seen else 'from '}2 other surfaces)"
+        f"({f'from {seen} and ' if seen else 'from '}the {ELSEWHERE_TEXT})"
     )
 
 

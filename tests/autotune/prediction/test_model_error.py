@@ -8,7 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
+from autotune.prediction.contact import PeakInterval
 from autotune.prediction.model_error import model_error
+from autotune.prediction.result import interval_notes
 from identification.result import HeldOutPeak
 
 
@@ -37,3 +39,10 @@ def test_other_logs_count_before_other_contacts() -> None:
     both = [held(1.001), held(1.3, "log"), held(0.8, "log")]
     assert model_error(both) == model_error(both[1:])
     assert model_error(both).logs == 2
+
+
+def test_the_note_says_whose_the_two_other_surfaces_are() -> None:
+    interval = PeakInterval(sensor=(40.0, 60.0), contact=(40.0, 60.0), level=0.95, unstable_share=0.0)
+    (note,) = interval_notes(interval, model_error([held(1.01)] * 4))
+    assert "4 contacts that took no part" in note
+    assert "8 % and 6 % missed on 2 surfaces of another cell" in note
