@@ -8,6 +8,7 @@ import numpy as np
 from .axes.straight import AXIS_NAMES
 from .experiment_design.sweep import SweepLimits, fastest_sweep
 from .experiment_design.values import values_of
+from .joint_fit.estimates import COARSE_COMMAND
 from .result import AxisEstimate, EnvironmentEstimate, Estimate, Finding, Identified, Status, VectorEstimate
 
 _POSES = (
@@ -36,6 +37,11 @@ _IMPACTS = "Record 3 or more contacts at 3 to 5 cm/s, as far as the predicted pe
 _SHARP_PERCENT = 5.0
 _DRIFT = "force-follows-drift"
 _DRIFTING = "The sensor drifts, which widens this: see to that first. "
+_COARSE = (
+    "The command is in the log, but not as each control period held it (rows slower than the control rate, or "
+    "smoothed). "
+    "Log the command that the robot receives, and the pose, at the control rate."
+)
 _COMMAND = "Record the position command with the pose, on one clock, at the control rate."
 
 
@@ -116,6 +122,8 @@ def _axis_lacks(name: str, axis: AxisEstimate, sweep: str) -> Iterator[_Lack]:
     for surface in axis.environments:
         contacts = by_sweep if hidden or _through_coupling(axis, surface) else _CONTACTS
         secant = by_sweep if hidden else _CONTACTS
+        if COARSE_COMMAND in surface.secant_stiffness_n_per_m.note:
+            contacts = secant = _COARSE
         yield _Lack(name=f"{surface.name} K_e", estimate=surface.stiffness_n_per_m, advice=contacts, needed=True)
         yield _Lack(
             name=f"{surface.name} secant", estimate=surface.secant_stiffness_n_per_m, advice=secant, needed=False

@@ -16,7 +16,7 @@ from .errors import EstimateError
 from .evidence import AxisEvidence
 from .given import Given, axis_keys, settle_axis
 from .joint_fit.data import JointData, build_joint_data, usual_coupling
-from .joint_fit.estimates import JointEstimates
+from .joint_fit.estimates import COARSE_COMMAND, NO_COMMAND, JointEstimates
 from .joint_fit.fit import identify_joint
 from .joint_fit.model import COUPLING_NAMES
 from .joint_fit.result import JointFit, with_gain_error
@@ -198,8 +198,11 @@ def fit_axis(cell: CellSignals, view: AxisView, progress: ProgressSlice) -> Axis
     left_n = force_beside(axis, cell.motion.still, view.holds)
     findings += contact_findings(axis.name, first_rests(cell.motion.still, data.holds), fit, left_n)
     findings += [*latency_findings(axis.name, fit), *misfit_findings(axis.name, fit)]
-    alone = _estimate(axis, fit, robot, data.period_s)
-    both = alone if with_priors is None else _estimate(axis, with_priors, robot, data.period_s)
+    # With a robot but without a held command, what is logged is smooth between its samples.
+    is_logged = view.recording.command is not None and robot.denominator.value is not None
+    why = COARSE_COMMAND if is_logged else NO_COMMAND
+    alone = _estimate(axis, fit, robot, data.period_s, why)
+    both = alone if with_priors is None else _estimate(axis, with_priors, robot, data.period_s, why)
     estimate, contradictions = settle_axis(axis.name, alone, both, cell.given)
     contacts = AxisContacts(axis=axis, holds=view.holds, coupling=found.values[: len(COUPLING_NAMES)])
     return AxisResult(estimate=estimate, findings=(*findings, *contradictions), contacts=contacts, fit=fit, data=data)
@@ -229,8 +232,10 @@ def axis_evidence(result: AxisResult) -> AxisEvidence:
     )
 
 
-def _estimate(axis: AxisMotion, fit: JointFit, robot: RobotEstimate, period_s: float) -> AxisEstimate:
-    result = JointEstimates(name=axis.name, fit=fit, period_s=period_s)
+def _estimate(
+    axis: AxisMotion, fit: JointFit, robot: RobotEstimate, period_s: float, without_command: str
+) -> AxisEstimate:
+    result = JointEstimates(name=axis.name, fit=fit, period_s=period_s, without_command=without_command)
     return AxisEstimate(
         coupling=result.coupling,
         drag_n_s_per_m=result.drag_n_s_per_m,

@@ -27,13 +27,21 @@ SYMBOLS = {
 _SURFACE_SYMBOLS = ("K_e", "B_e", "M_e")
 
 
+NO_COMMAND = "no commanded pose took part"
+COARSE_COMMAND = "the logged command is not the one that each control period held, so it took no part"
+
+
 @dataclass(frozen=True, kw_only=True)
 class JointEstimates:
-    """What the joint fit of axis `name` shows, parameter by parameter; `period_s` judges the delay."""
+    """What the joint fit of axis `name` shows, parameter by parameter; `period_s` judges the delay.
+
+    `without_command` says why no command took part, where none did.
+    """
 
     name: str
     fit: JointFit
     period_s: float
+    without_command: str = NO_COMMAND
 
     @cached_property
     def method(self) -> str:
@@ -89,7 +97,7 @@ class JointEstimates:
             surface.secant_n_per_m, surface.secant_std_n_per_m, method="K_s and K_e in series, out of the same fit"
         )
         if self.fit.robot is None:
-            stiffness, secant = (weak_at_best(e, "no commanded pose took part") for e in (stiffness, secant))
+            stiffness, secant = (weak_at_best(e, self.without_command) for e in (stiffness, secant))
         if self.coupling.stiffness_n_per_m.status is Status.UNIDENTIFIABLE:
             stiffness = weak_at_best(stiffness, "K_s is not identified, and K_e is what the secant leaves beside it")
         mass, _ = self.fit.value("mass_kg")

@@ -10,6 +10,7 @@ import pytest
 from identification.advice import advise
 from identification.experiment_design.sweep import SweepLimits, fastest_sweep
 from identification.experiment_design.values import values_of
+from identification.joint_fit.estimates import COARSE_COMMAND
 from identification.result import Estimate, Finding, FitQuality, Identified, Status
 from tests.identification.merging.test_combine import UNDECIDED, known, surface, told
 
@@ -80,6 +81,14 @@ def test_the_binding_uncertainty_decides_what_is_recorded_for_the_environment(k_
     (about,) = (f for f in findings if "K_e" in f.message)
     assert ("sweep" in about.advice) == sweep
     assert ("contacts" in about.advice) != sweep
+
+
+def test_contacts_are_not_asked_for_where_the_command_is_what_is_missing() -> None:
+    secant = dataclasses.replace(weak(7.5e4, 500.0), note=COARSE_COMMAND)
+    (about,) = (f for f in advise(with_surface(secant_stiffness_n_per_m=secant)) if "secant" in f.message)
+    assert COARSE_COMMAND in about.message
+    assert "control rate" in about.advice
+    assert "contacts" not in about.advice
 
 
 def with_misfit(result: Identified, ratio: float) -> Identified:
