@@ -1,5 +1,6 @@
 """`autotune inspect`: channels of a log, their roles, and what is missing for `identify`."""
 
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,7 +15,9 @@ from ._terminal import print_message, print_table
 
 if TYPE_CHECKING:
     from identification.logs import ChannelSummary, LogSummary
+    from identification.logs.guess import CellGuess
 
+_NEEDED = ("wrench", "pose", "command")
 _EPILOG = """\b
 Examples:
   autotune inspect run7.mcap
@@ -55,6 +58,7 @@ def command(
     channel.
     """
     from autotune.formats.cell import check_new, read_cell, write_cell_start
+    from identification.errors import LogError
     from identification.logs import inspect_log
     from identification.logs.guess import guess_cell
     from identification.logs.roles.cell import Cell
@@ -72,7 +76,27 @@ def command(
     if start_path is not None:
         write_cell_start(start_path, summary, guess, force=force)
         output.note(f"written: {start_path}")
+    if start_path is not None and guess is not None and (guess.roles or guess.tables):
+        # What the log lacks is now what it lacks with the guesses, not what it lacked before them.
+        begun = read_cell(start_path).cell.with_urdf(urdf, tip)
+        with output.progress(f"reading {', '.join(log.name for log in logs)}", None), suppress(LogError):
+            summary = inspect_log(logs, begun, salvage=salvage, span=span)
+        output.note(_guessed(guess, summary, start_path))
     output.result(summary_tree(summary), lambda: print_summary(summary))
+
+
+def _guessed(guess: "CellGuess", summary: "LogSummary", path: Path) -> str:
+    """Name what was guessed, what is still open, and the next command."""
+    guessed = [role.entry for role in summary.roles if role.role in guess.roles]
+    untimed = {channel.topic for channel in summary.channels if channel.encoding == "table"} - {*guess.tables}
+    asked = [role for role in summary.roles if role.entry in _NEEDED]
+    still_open = [role.entry for role in asked if role.topic is None and role.role not in guess.roles]
+    guessed += ["time"] if guess.tables else []
+    still_open += [f"time of {topic}" for topic in sorted(untimed)]
+    return (
+        f"guessed: {', '.join(guessed)}; open: {', '.join(still_open) or 'nothing'}; check the guesses, then: "
+        f"autotune identify {' '.join(map(str, summary.sha256s))} --cell {path}"
+    )
 
 
 def summary_tree(summary: "LogSummary") -> dict[str, Any]:

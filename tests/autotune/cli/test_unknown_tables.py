@@ -190,3 +190,19 @@ def test_a_row_per_pose(tmp_path: Path, capsys: pytest.CaptureFixture[str], run:
     names = "time,qx,qy,qz,qw,fx,fy,fz,mx,my,mz"
     path = columns(tmp_path / "poses.csv", names if has_time else names[5:], values if has_time else values[:, 1:])
     assert "table: {rows: poses}  # the orientation leaps from row to row" in in_two_edits(tmp_path, capsys, [path])
+
+
+def test_what_is_printed_is_how_the_log_is_read_with_the_guesses(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], run: Run
+) -> None:
+    names = "time,x,y,z,qx,qy,qz,qw,fx,fy,fz,tx,ty,tz"
+    values = np.column_stack([run.time, run.place, run.turned.as_quat(), run.force, run.torque])
+    path, cell = columns(tmp_path / "a.csv", names, values), tmp_path / "cell.yaml"
+    assert main(["inspect", str(path), "--write-cell", str(cell)]) == 0
+    printed = capsys.readouterr()
+    assert "guessed: wrench, pose, time; open: command; check the guesses, then: autotune identify" in " ".join(
+        printed.err.split()
+    )
+    assert "wrench: a.csv (declared with its fields)" in printed.out
+    assert "error: " not in printed.out
+    assert "no channel for the wrench" not in printed.out
