@@ -75,6 +75,7 @@ class ProblemSpec:
     `free` makes further parameters of the controller variables, with their bounds; `collision_threshold_n` bounds the
     threshold of the collision response, which is chosen after the gains (there is none without); `compliance` makes K_e
     a variable, which is the cell's.
+    `objective` may be given by its registered name.
     `uncertain` maps further parameters of the plant to a range, to "identified" (the confidence set of the identified
     file) or to "nominal" (as if it were known). `limits` are those that the runtime enforces.
     """
@@ -95,6 +96,7 @@ class ProblemSpec:
 
     def __post_init__(self) -> None:
         freeze(self, "bounds", "uncertain", "free")
+        object.__setattr__(self, "objective", _objective(self.objective))
 
 
 def read_problem(path: Path) -> ProblemSpec:
@@ -123,6 +125,15 @@ def read_problem(path: Path) -> ProblemSpec:
         )
     except ParameterError as error:
         raise UsageError(f"{path}: {error}") from error
+
+
+def _objective(given: object) -> Objective:
+    """Return the objective itself or the registered one of a name; raises ParameterError for anything else."""
+    if isinstance(given, Objective):
+        return given
+    if not isinstance(given, str) or given not in objective_names():
+        raise ParameterError("objective", given, f"one of {', '.join(objective_names())}")
+    return load_objective(given)
 
 
 def _rotational(turned: Mapping[str, Any]) -> RotationalSpec:
@@ -180,7 +191,8 @@ def problem_schema(tree: Mapping[str, Any]) -> dict[str, Any]:
     the objectives.
     """
     schema = deepcopy(load_schema("problem"))
-    is_known = tree.get("objective", CONTACT_FORCE.name) in BUILT_IN_OBJECTIVES
+    # Text or not: a list is no key of a mapping.
+    is_known = tree.get("objective", CONTACT_FORCE.name) in tuple(BUILT_IN_OBJECTIVES)
     schema["properties"]["objective"] = {"enum": list(BUILT_IN_OBJECTIVES if is_known else objective_names())}
     turning = schema["properties"]["rotational"]["properties"]["requirements"]["properties"]
     straight, rotational = schema["properties"]["requirements"]["properties"], tree.get("rotational")

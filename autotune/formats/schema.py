@@ -66,6 +66,7 @@ class Violation:
     place: Place
     must: str
     found: str
+    rule: str
 
     @property
     def entry(self) -> str:
@@ -80,7 +81,11 @@ def check_document(document: Document, schema: str | Mapping[str, Any]) -> None:
 
 def refuse_first(document: Document, found: Iterable[Violation]) -> None:
     """Raise the document's error, with its line, for the first violation in the order of the lines, if there is one."""
-    first = min(found, key=lambda violation: (document.line(violation.place), len(violation.place)), default=None)
+    found = tuple(found)
+    # A key that is missing beside an unknown one is most often that one, misspelt.
+    unknown_in = {each.place[:-1] for each in found if each.rule == "additionalProperties"}
+    named = (each for each in found if each.rule != "required" or each.place[:-1] not in unknown_in)
+    first = min(named, key=lambda violation: (document.line(violation.place), len(violation.place)), default=None)
     if first is not None:
         document.refuse(first.place, f"{first.entry} must be {first.must}, found {first.found}.")
 
@@ -130,12 +135,13 @@ def explain(problem: Breach) -> Violation:
     rule, limit, found = str(problem.validator), problem.validator_value, problem.instance
     if rule == "required":
         missing = next(key for key in limit if key not in found)
-        return Violation(place=(*place, missing), must="present", found="no such key")
+        return Violation(place=(*place, missing), must="present", found="no such key", rule=rule)
     if rule == "additionalProperties":
         known = problem.schema.get("properties", {})
         unknown = next(key for key in found if key not in known)
-        return Violation(place=(*place, unknown), must=f"one of {', '.join(known)}", found=f"the key {unknown}")
-    return Violation(place=place, must=_must(rule, limit, problem), found=describe(found))
+        must = f"one of {', '.join(known)}"
+        return Violation(place=(*place, unknown), must=must, found=f"the key {unknown}", rule=rule)
+    return Violation(place=place, must=_must(rule, limit, problem), found=describe(found), rule=rule)
 
 
 def _must(rule: str, limit: Any, problem: Breach) -> str:

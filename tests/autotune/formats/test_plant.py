@@ -132,6 +132,8 @@ def test_map_and_explore_take_the_file(tmp_path: Path) -> None:
         ("bandwidth: 3.2", "bandwidth: [3.4, 3.0]", 7, "range from low to high"),
         ("bandwidth: 3.2", "damping_ratio: 0.7", 6, "bandwidth must be given"),
         ("sample_time: 0.0008", "", 1, "sample_time must be present"),
+        ("drag: 630", "drga: 630", 5, "drga must be one of "),
+        ("  bandwidth: 3.2", "  bandwith: 3.2", 7, "robot.bandwith must be one of bandwidth"),
         ("format: autotune/plant", "format: autotune/plan", 1, "autotune/identified or autotune/plant"),
     ],
 )

@@ -1,6 +1,7 @@
 """`problem.yaml`: what it may say, and the refusal with file and line of everything else."""
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -12,7 +13,7 @@ from autotune.formats.limits import LimitsSpec
 from autotune.formats.problem import ComplianceSpec, ProblemSpec, RotationalSpec, read_problem
 from autotune.formats.schema import load_schema
 from problems.contact.transient import Approach
-from problems.design.objectives import SensorForce
+from problems.design.objectives import BUILT_IN, SensorForce
 from problems.design.problem import (
     FURTHER_VARIABLES,
     VARIABLES,
@@ -21,6 +22,7 @@ from problems.design.problem import (
     PassivityTarget,
     Requirements,
 )
+from problems.errors import ParameterError
 from tests.problems.axes import LAW
 
 WHOLE = """\
@@ -134,6 +136,18 @@ def test_everything_has_a_default(path: Path, text: str) -> None:
     assert read(path, text) == ProblemSpec()
 
 
+@pytest.mark.parametrize("name", BUILT_IN)
+def test_an_objective_may_be_given_by_its_name(name: str) -> None:
+    given: Any = name
+    assert ProblemSpec(objective=given) == ProblemSpec(objective=BUILT_IN[name])
+
+
+@pytest.mark.parametrize("given", ["nope", ["admittance"], None])
+def test_an_objective_that_is_none_is_refused_with_the_names(given: Any) -> None:
+    with pytest.raises(ParameterError, match=r"objective must be one of contact_force, .*admittance.*, found "):
+        ProblemSpec(objective=given)
+
+
 def test_null_asks_for_nothing_and_absence_for_the_default(path: Path) -> None:
     asked = read(path, "requirements: {modulus_margin: null, free_space_admittance: null}\n").requirements
     assert (asked.modulus_margin, asked.free_space_admittance) == (None, None)
@@ -145,6 +159,8 @@ def test_null_asks_for_nothing_and_absence_for_the_default(path: Path) -> None:
     [
         ("axis: w\n", 1, "axis must be one of x, y, z"),
         ("axis: [x, x]\n", 1, "a list of different ones"),
+        ("axis: x\nobjective: [admittance]\n", 2, "objective must be one of contact_force"),
+        ("objective: {name: admittance}\n", 1, "found a mapping"),
         ("axis: []\n", 1, "a list of different ones"),
         ("rotational: {payload_mass_kg: [1, 2]}\n", 1, "rotational.payload_mass_kg must be one of bounds, approach"),
         ("payload_inertia_kg_m2: [1, 2]\n", 1, "payload_inertia_kg_m2 must be one of"),
