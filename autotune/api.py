@@ -214,8 +214,8 @@ def predict(
     environment_stiffness
         Of a surface instead, K_e [N/m, N·m/rad]; over robot travel where the plant holds no payload.
     payload_mass
-        M_p [kg, kg·m²]; that of the plant unless it is said, and of a design that with the largest peak of both ends
-        and the nominal one of the domain.
+        M_p [kg, kg·m²]; that of the plant unless it is said, and of a design that end of the domain with the larger
+        peak, whose interval is then over the whole range of payloads.
     approach_speed
         Speed at the impact [m/s, rad/s], sustained by the force that it needs in free space.
     approach_force

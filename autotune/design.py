@@ -122,8 +122,8 @@ class Design(Shown):
             )
         yield ResultTable(
             title="proved",
-            columns=("claim", "method"),
-            rows=tuple((each.claim, each.method) for each in self.controller.certificate.proved),
+            columns=("claim", "over", "method"),
+            rows=tuple((each.claim, each.over_text(), each.method) for each in self.controller.certificate.proved),
         )
 
     @property

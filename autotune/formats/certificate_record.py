@@ -176,6 +176,12 @@ class Proof:
         if self.numbers is not None:
             freeze(self, "numbers")
 
+    def over_text(self) -> str:
+        """Return the set as text."""
+        if isinstance(self.over, str):
+            return self.over
+        return ", ".join(f"{name} {value}" for name, value in self.over.items())
+
 
 @dataclass(frozen=True, kw_only=True)
 class ProvenRegion:

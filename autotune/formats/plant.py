@@ -41,7 +41,17 @@ Vector = tuple[float, float, float]
 _UNKNOWN = "not known: the plant was written by hand"
 # Of each component, as a controller file holds them.
 _MOST_OF_A_COMPONENT = {"centre_of_mass": 2.0, "force_bias": 300.0, "torque_bias": 50.0}
-_LONGEST_ARM_M, _HEAVIEST_KG, _LONGEST_PERIOD_S = 2.0, 1000.0, 0.1
+_LONGEST_ARM_M, _HEAVIEST_KG, _SHORTEST_PERIOD_S, _LONGEST_PERIOD_S = 2.0, 1000.0, 1e-5, 0.1
+# As a controller file holds them, docs/files.md.
+_MOST: Mapping[str, float] = FrozenDict(
+    {
+        "mass": _HEAVIEST_KG,
+        "environment_stiffness": 1e9,
+        "coupling_stiffness": 1e9,
+        "coupling_damping": 1e7,
+        "drag": 1e6,
+    }
+)
 # A stiffness in N/mm or kN/m that is written as N/m is a thousandth of what it should be. Then the payload hangs far
 # down from its coupling, and a usual press goes deep into the surface.
 _GRAVITY, _USUAL_PRESS_N = 9.81, 30.0
@@ -180,8 +190,11 @@ class Plant(Shown):
             raise ParameterError("centre_of_mass", self.centre_of_mass, f"within {_LONGEST_ARM_M:g} m of the sensor")
         if self.sample_time > _LONGEST_PERIOD_S:
             raise ParameterError("sample_time", self.sample_time, f"at most {_LONGEST_PERIOD_S:g} s")
-        if self._intervals()["mass"][1] > _HEAVIEST_KG:
-            raise ParameterError("mass", self.mass, f"at most {_HEAVIEST_KG:g} kg")
+        if self.sample_time < _SHORTEST_PERIOD_S:
+            raise ParameterError("sample_time", self.sample_time, f"at least {_SHORTEST_PERIOD_S:g} s")
+        for name, most in _MOST.items():
+            if self._intervals()[name][1] > most:
+                raise ParameterError(name, getattr(self, name), f"at most {most:g} {_UNITS[name]}")
         if self.wrench_delay is not None and self.wrench_corner is not None:
             raise ParameterError("wrench_delay", self.wrench_delay, "left out beside wrench_corner")
         if self.wrench_delay is not None and self.wrench_delay >= LONGEST_DELAY_S:

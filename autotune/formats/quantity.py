@@ -90,6 +90,8 @@ def as_interval(name: str, given: Quantity, *, may_vanish: bool) -> Interval:
         low = max(low, 0.0) if may_vanish else low
     else:
         low, high = given if isinstance(given, tuple) else (given, given)
+    if isinstance(given, Uncertain) and low <= 0.0 and not (may_vanish and low == 0.0):
+        raise ParameterError(name, given, f"{least} three deviations below its value, which is {low:g}")
     if not (low <= high and (low > 0.0 or (may_vanish and low == 0.0))):
         raise ParameterError(name, low if low == high else (low, high), f"{least}, and a range from low to high")
     return low, high

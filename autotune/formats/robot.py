@@ -44,8 +44,9 @@ class Robot:
         if (self.numerator is None) != (self.denominator is None):
             raise ParameterError("numerator", self.numerator, "given together with the denominator")
         if (self.bandwidth is None) == (self.numerator is None):
-            must = "given, or numerator and denominator instead, not both"
-            raise ParameterError("bandwidth", self.bandwidth, must)
+            if self.bandwidth is None:
+                raise ParameterError("bandwidth", None, "given, or numerator and denominator instead")
+            raise ParameterError("bandwidth", self.bandwidth, "left out where numerator and denominator are given")
         if self.damping_ratio is not None and self.bandwidth is None:
             raise ParameterError("damping_ratio", self.damping_ratio, "left out where coefficients are given")
         for name in ("numerator", "denominator"):

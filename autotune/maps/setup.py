@@ -41,7 +41,7 @@ _LEAD_S, _SEARCHED_LEAD_S = 0.05, 0.1
 
 
 # What a controller must be given; the rest of it is off, or as in the paper, until somebody says otherwise.
-_NEEDED = ("mass", "damping")
+_NEEDED = {"mass": "M_a", "damping": "B_a"}
 _OF_PLANT = ("payload_mass", "drag", "coupling_stiffness", "coupling_damping", "environment_stiffness")
 # In place of a value that every point of the map replaces.
 _REPLACED = 1.0
@@ -99,9 +99,14 @@ def build_base(source: MapSource, settings: Mapping[str, float], varied: Collect
     """
     known = known_values(source, settings)
     determined = {direct for derived, direct in STANDS_FOR.items() if derived in varied or derived in settings}
-    for name in _NEEDED:
-        if name not in known and name not in varied:
-            raise UsageError(f"{name} is not known; say --set {name}=VALUE, or --controller FILE.")
+    gains = [name for name in _NEEDED if name not in known and name not in varied]
+    if gains:
+        listed = " and ".join(f"{name} ({_NEEDED[name]})" for name in gains)
+        settings_to_add = " ".join(f"--set {name}=VALUE" for name in gains)
+        raise UsageError(
+            f"{source.path} holds no controller, so that the gains must be given, and nothing gives {listed} of the "
+            f"controller; say {settings_to_add}, or --controller FILE."
+        )
     for name in _OF_PLANT:
         if name in known or name in varied or name in determined:
             continue

@@ -24,13 +24,16 @@ def certified_plants(
     *,
     stiffness: float | None = None,
     payload_mass: float | None = None,
+    nominal_mass: float | None = None,
 ) -> PlantEnsemble:
     """Return the certified plants of an axis against a surface with a payload; both may lie outside of the domain.
 
-    None keeps the whole range, and the nominal plant is then in the middle of it (of the stiffness by ratios).
+    None keeps the whole range, and the nominal plant is then in the middle of it (of the stiffness by ratios), or
+    has `nominal_mass`.
     """
     (soft, stiff), (light, heavy) = domain.environment_stiffness_n_per_m, domain.payload_mass_kg
-    mass = 0.5 * (light + heavy) if payload_mass is None else payload_mass
+    middle = 0.5 * (light + heavy) if nominal_mass is None else nominal_mass
+    mass = middle if payload_mass is None else payload_mass
     plants, said = domain.plants, {STIFFNESS: stiffness, MASS: payload_mass}
     ranges = {**plants.ranges, **{name: (value, value) for name, value in said.items() if value is not None}}
     cut = plants.ellipsoid
@@ -57,8 +60,9 @@ def predict_certified(
 ) -> PredictedContact:
     """Predict a contact of a controller file on its own nominal plant; the interval is that over its certified plants.
 
-    Without a payload's mass it is that with the largest peak of both ends and the nominal one of the domain. Raises
-    ParameterError for numbers out of range, UnstableLoopError where the loop is unstable.
+    Without a payload's mass it is that with the largest peak of both ends of the domain, and the interval is
+    over the whole range of payloads. Raises ParameterError for numbers out of range, UnstableLoopError where the loop
+    is unstable.
     """
     domain, predicted = controller.certificate.domain[axis], controller.predicted[axis]
     is_said = approach_speed is not None or approach_force is not None
@@ -73,7 +77,14 @@ def predict_certified(
     found = max(
         (
             predict_contact(
-                certified_plants(domain, axis, controller.sample_time_s, stiffness=stiffness, payload_mass=mass),
+                certified_plants(
+                    domain,
+                    axis,
+                    controller.sample_time_s,
+                    stiffness=stiffness,
+                    payload_mass=payload_mass,
+                    nominal_mass=mass,
+                ),
                 law,
                 approach,
             )

@@ -193,14 +193,22 @@ def interval_text(span: tuple[float, float | None]) -> str:
 
 def interval_notes(interval: PeakInterval, error: ModelError | None) -> Iterator[str]:
     """Yield what the interval holds, and where it has no upper end."""
+    if interval.level is None:
+        of_ranges = "the corners of the ranges and plants drawn from within"
+        if interval.unstable_share > 0.0:
+            share = f"{100.0 * interval.unstable_share:.2g} %"
+            yield (
+                f"on {share} of {of_ranges} the loop is unstable, so that the interval has no upper end; it holds the "
+                "others, and nothing of the model's own error"
+            )
+        else:
+            yield f"the interval holds {of_ranges}, and nothing of the model's own error"
+        return
     if interval.unstable_share > 0.0:
         yield (
             f"on {100.0 * interval.unstable_share:.2g} % of the plants inside the uncertainty the loop is unstable, "
             "and its peak is no number"
         )
-    if interval.level is None:
-        yield "the interval holds every plant of the ranges, and nothing of the model's own error"
-        return
     level = f"{100.0 * interval.level:g} % interval"
     if error is None:
         yield f"the {level} holds the deviations of the parameters, and nothing of the model's own error"

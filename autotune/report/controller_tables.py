@@ -389,10 +389,9 @@ def proof_table(controller: Controller) -> Table:
     )
     for proofs, word, tone in kinds:
         for proof in proofs:
-            over = proof.over if isinstance(proof.over, str) else ", ".join(f"{k} {v}" for k, v in proof.over.items())
             numbers = (f"{name.replace('_', ' ')} {value:.4g}" for name, value in (proof.numbers or {}).items())
             method = TableCell(text=proof.method, tone="quiet")
-            rows.append((proof.claim, TableCell(text=word, tone=tone), over, method, ", ".join(numbers)))
+            rows.append((proof.claim, TableCell(text=word, tone=tone), proof.over_text(), method, ", ".join(numbers)))
     return build_table(
         "What the certificate says: proved for every plant that is named, or looked for on many and not found",
         ("claim", "", "over", "by", "numbers"),

@@ -135,7 +135,7 @@ def test_an_identified_plant_takes_its_gains_from_settings(folder: Path, capsys:
         (("controller.yaml", "-o", "nowhere/map.png"), 2, "does not exist"),
         (("controller.yaml", "--data", "controller.yaml"), 2, ".csv or .json"),
         (("absent.yaml",), 2, "cannot be read"),
-        (("identified.yaml",), 2, "mass is not known; say --set mass=VALUE, or --controller FILE"),
+        (("identified.yaml",), 2, "say --set mass=VALUE, or --controller FILE"),
         (("identified.yaml", "--set", "mass=13"), 4, "drag of axis x is not identified"),
         (("altered.yaml",), 6, "altered"),
         (("identified.yaml", "--controller", "altered.yaml"), 6, "altered"),

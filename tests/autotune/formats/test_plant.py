@@ -56,6 +56,29 @@ def written(tmp_path: Path, text: str = TEXT) -> Path:
     return path
 
 
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"environment_stiffness": (2e4, 2e9)}, r"environment_stiffness must be at most 1e\+09 N/m"),
+        ({"coupling_stiffness": 2e9}, r"coupling_stiffness must be at most 1e\+09 N/m"),
+        ({"coupling_damping": 2e7}, r"coupling_damping must be at most 1e\+07 N·s/m"),
+        ({"drag": 2e6}, r"drag must be at most 1e\+06 N·s/m"),
+        ({"sample_time": 8e-10}, "sample_time must be at least 1e-05 s"),
+        ({"mass": Uncertain(16, 6)}, r"mass must be greater than 0 three deviations .*-2, found Uncertain\(value=16"),
+    ],
+)
+def test_the_limits_of_a_controller_file_hold_for_its_plant(changes: dict[str, Any], said: str) -> None:
+    with pytest.raises(ParameterError, match=said):
+        plant(**changes)
+
+
+def test_a_robot_without_any_number_is_refused_for_what_is_missing() -> None:
+    with pytest.raises(
+        ParameterError, match="bandwidth must be given, or numerator and denominator instead, found None"
+    ):
+        Robot()
+
+
 def test_a_file_is_the_plant_that_it_says(tmp_path: Path) -> None:
     path = written(tmp_path)
     assert parse_plant(load_document(path, error=UsageError)) == plant()

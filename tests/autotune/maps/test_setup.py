@@ -159,8 +159,12 @@ def test_the_design_follows_from_a_payload_frequency(folder: Path) -> None:
 
 
 def test_gains_must_come_from_somewhere(folder: Path) -> None:
-    with pytest.raises(UsageError, match="mass is not known; say --set mass=VALUE, or --controller FILE"):
+    with pytest.raises(UsageError, match=r"nothing gives mass \(M_a\) of the controller; say --set mass=VALUE, or"):
         plan_of(folder, "identified.yaml")
+    with pytest.raises(
+        UsageError, match=r"mass \(M_a\) and damping \(B_a\) .* --set mass=VALUE --set damping=VALUE, or"
+    ):
+        plan_of(folder, "identified.yaml", x="K_e=1e4:1e5", y="lead_s=0:0.03")
     setup = plan_of(folder, "identified.yaml", settings=["mass=13"])
     assert setup.design is None
     assert [axis.name for axis in axes_of(setup)] == ["damping", "lead_s"]
