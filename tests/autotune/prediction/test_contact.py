@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import autotune as at
+from autotune.prediction.certified import predict_certified
 from autotune.prediction.contact import Law, nominal_contact, peak_interval, simulate_on, simulate_others
 from autotune.prediction.plants import Surface, build_plants, series_plant
 from autotune.prediction.result import predict_contact
@@ -14,6 +15,7 @@ from problems.contact.transient import Approach, build_sampled_contact
 from problems.model.controller import AdmittanceController
 from problems.model.robot import RobotModel
 from problems.model.sampled import build_loop, build_sampled_plant, spectral_radius
+from tests.autotune.formats.samples import make_controller
 from tests.autotune.prediction.pressing import Cell, contact_peak
 
 GAINS = {"mass": 13.0, "damping": 1000.0, "lead": 0.02}
@@ -130,6 +132,19 @@ def test_an_interval_holds_other_cells_as_often_as_it_says() -> None:
     assert high - low < 0.4 * nominal.peak_sensor_force_n
 
 
+def test_the_interval_of_a_design_is_over_all_its_payloads_unless_one_is_said() -> None:
+    controller = make_controller(("x",))
+    light, heavy = controller.certificate.domain["x"].payload_mass_kg
+    every = predict_certified(controller, "x", 1e5)
+    low, high = every.interval.contact
+    peaks = [predict_certified(controller, "x", 1e5, payload_mass=mass).peak_force for mass in (light, heavy)]
+    assert every.peak_force == max(peaks)
+    assert low == pytest.approx(min(peaks))
+    assert high == pytest.approx(max(peaks))
+    said = predict_certified(controller, "x", 1e5, payload_mass=light).interval.contact
+    assert said == pytest.approx((peaks[0], peaks[0]))
+
+
 def test_loops_that_are_unstable_inside_the_uncertainty_leave_no_upper_end() -> None:
     robot = at.Robot(bandwidth=3.2, delay=2.4e-3)
     plant = plant_of(Cell(coupling_damping=0.0), robot=robot, sample_time=8e-4)
@@ -137,7 +152,8 @@ def test_loops_that_are_unstable_inside_the_uncertainty_leave_no_upper_end() -> 
     found = at.predict(plant, gains=low_gains, approach_force=30.0, environment_stiffness=at.Uncertain(2e5, 5e4))
     assert found.interval.unstable_share > 0.0
     assert found.interval.sensor[1] is None
-    assert any("unstable" in note for note in found.parts()[2])
+    (note,) = (note for note in found.parts()[2] if "unstable" in note)
+    assert "no upper end; it holds the others" in note
     assert "and more" in str(found)
     with pytest.raises(at.UnstableLoopError):
         at.predict(plant, gains=low_gains, approach_force=30.0, environment_stiffness=2e6)
