@@ -63,6 +63,8 @@ def look_at(path: Path, layout: TableLayout) -> Text:
         written.pop(0)
     if not written:
         raise LogError(f"{path.name} holds no line of a table; record again, or correct the lines that are left out.")
+    if layout.header_rows is None and not layout.skip_rows:
+        written = written[_count_preamble([line for _, line in written], layout) :]
     delimiter = layout.delimiter or _find_delimiter([line for _, line in written])
     try:
         first = split(written[0][1], delimiter)
@@ -192,6 +194,20 @@ def _find_delimiter(lines: Sequence[str]) -> str:
     if counts[most][0] <= 1 and len(lines[0].split()) == len(numbers) > 1 and all(map(_NUMBER.fullmatch, numbers)):
         return " "
     return most if counts[most][0] > 1 else ","
+
+
+def _count_preamble(lines: Sequence[str], layout: TableLayout) -> int:
+    """Count the lines before the names of columns: all of another width than every line from the names on."""
+    later = lines[len(lines) // 2 :]
+    delimiter = layout.delimiter or _find_delimiter(later)
+    rows = [_fields(line, delimiter) for line in lines]
+    width = len(rows[-1])
+    count = max((index + 1 for index, row in enumerate(rows) if len(row) != width), default=0)
+    if width < 2 or not 0 < count < len(rows) - 1 or any(len(row) == width for row in rows[:count]):
+        return 0
+    has_names = not any(_NUMBER.fullmatch(field) for field in rows[count])
+    has_numbers = all(_NUMBER.fullmatch(field) for field in rows[-1])
+    return count if has_names and has_numbers else 0
 
 
 def _count_header(rows: Sequence[list[str]]) -> int:

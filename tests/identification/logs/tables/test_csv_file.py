@@ -291,3 +291,15 @@ def test_arrow_holds_no_python_object_that_a_thread_of_its_own_could_release(
     with pytest.raises(LogError, match=r"line 60002: column `b` holds 'x'"):
         read_table(write(tmp_path / "bad.csv", path.read_text() + "1,x\n"), AB)
     assert readers == {threading.get_ident()}
+
+
+@pytest.mark.parametrize("separator", [",", ";"])
+def test_lines_before_the_names_of_columns_are_found_out(tmp_path: Path, separator: str) -> None:
+    rows = "a,b\n" + "".join(f"{row},{-row}\n" for row in range(5))
+    path = write(tmp_path / "t.csv", "Export of run 7\nmade by logger v2\n" + rows.replace(",", separator))
+    assert list_columns(path) == ("a", "b")
+    assert read_table(path, AB).values[:, 0].tolist() == [0, 1, 2, 3, 4]
+    # A line of names that is too short is no preamble: the rows below it hold no names.
+    short = write(tmp_path / "short.csv", "a\n1,2\n3,4\n5,6\n")
+    with pytest.raises(LogError, match="expected"):
+        read_table(short, TableLayout(columns=("a",), sample_rate_hz=1000))
