@@ -23,9 +23,10 @@ _SWEEP_S = 10.0
 _SWEEP_TO_HZ = 50.0
 _MISFIT_RATIO = 1.5
 _FILTERED = (
-    "The sweep is there, but one payload on one spring leaves {ratio:.1f} times the sensor's noise of its force. The "
-    "likeliest cause is a low-pass in the sensor or its driver: set it to 200 Hz or more, or switch it off, and record "
-    "again. A second spring, play or friction in the gripper does this too."
+    "The sweep is there, but one payload on one spring leaves {ratio:.1f} times the sensor's noise of its force. A log "
+    "slower than 500 Hz and the pose's noise times K_s do this: see to those first. Else the likeliest cause is a "
+    "low-pass in the sensor or its driver: set it to 200 Hz or more, or switch it off, and record again. A second "
+    "spring, play or friction in the gripper does this too."
 )
 _OTHER_ROBOT = (
     "The sweep is there, but the robot does not follow as one or two poles and a delay do. Log the command where the "

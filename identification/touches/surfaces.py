@@ -262,8 +262,8 @@ def _about(name: str, contacts: Sequence[_Contact]) -> list[Finding]:
 
 
 def _between_samples(axis: AxisTouches) -> list[Finding]:
-    """Return which peaks are so narrow that they may lie between the samples."""
-    found = []
+    """Return the finding on peaks that are so narrow that they may lie between the samples."""
+    narrow = []
     for each in axis.touches:
         touch = each.touch
         if touch.cause is TouchCause.HAND or touch.peak_interval is None or touch.rise_samples is None:
@@ -271,15 +271,18 @@ def _between_samples(axis: AxisTouches) -> list[Finding]:
         low, high = touch.peak_interval
         if high > (1.0 + _NOT_A_SPRING) * low and touch.rise_samples <= 3:
             samples = "1 sample" if touch.rise_samples <= 1 else f"{touch.rise_samples} samples"
-            found.append(
-                Finding.warning(
-                    "peak-between-samples",
-                    f"Axis {touch.axis}, {touch.peak_s:.2f} s: sampled at {1.0 / axis.signals.period_s:.0f} Hz, rise "
-                    f"in {samples}: the peak may be {low:.1f} to {high:.1f} N.",
-                    "Record the wrench faster, at 500 Hz or more.",
-                )
-            )
-    return found
+            narrow.append(f"at {touch.peak_s:.2f} s the peak may be {low:.1f} to {high:.1f} N (rise in {samples})")
+    if not narrow:
+        return []
+    more = f" and {len(narrow) - _MOST_LISTED} more" if len(narrow) > _MOST_LISTED else ""
+    return [
+        Finding.warning(
+            "peak-between-samples",
+            f"Axis {axis.signals.axis}, sampled at {1.0 / axis.signals.period_s:.0f} Hz, force on the sensor: "
+            f"{', '.join(narrow[:_MOST_LISTED])}{more}.",
+            "Record the wrench faster, at 500 Hz or more.",
+        )
+    ]
 
 
 def _undetermined(touches: Sequence[Touch]) -> list[Finding]:
