@@ -221,7 +221,9 @@ class ConventionRanking:
             return (
                 f"The force must follow gravity as the tool turns, found {best.residual_rms_n:.2f} N left of a swing "
                 f"of {self.swing_rms_n:.2f} N under the best of {len(self.candidates)} conventions; check that wrench "
-                "and pose are of the same robot and clock, that nothing touched the payload, and declare "
+                "and pose are of the same robot and clock, and that nothing touched the payload. Where three numbers "
+                "are the orientation, as rx, ry and rz, only the declared `orientation_as` of the pose was tried: "
+                "rotation_vector, euler_xyz (roll, pitch, yaw) or euler_ZYX, see the robot's manual. Declare "
                 "`sensor.orientation` in cell.yaml if the sensor is mounted at an angle that is no multiple of 90°, "
                 f"`gravity_direction` if the base leans. If gravity was taken off before recording, {SAY_COMPENSATED}."
             )

@@ -123,6 +123,15 @@ def test_readings_that_the_poses_cannot_tell_apart_are_asked_with_their_residual
     assert "orientation_as: matrix_row_major" in found.findings()[0].message
 
 
+def test_euler_angles_that_are_taken_as_a_rotation_vector_are_suspected() -> None:
+    def as_a_vector(pose: StaticPose) -> StaticPose:
+        read = Rotation.from_rotvec(Rotation.from_quat(pose.quaternion_xyzw).as_euler("xyz"))
+        return replace(pose, quaternion_xyzw=read.as_quat(), gravity_S_m_s2=read.inv().apply(GRAVITY_B_M_S2))
+
+    with pytest.raises(EstimateError, match=r"declared `orientation_as` of the pose was tried: .*euler_xyz"):
+        rank_conventions(tuple(map(as_a_vector, noisy(general(12))))).chosen()
+
+
 def test_the_declared_one_wins_where_others_fit_alike() -> None:
     assert rank_conventions(noisy(tilted(9, 1.1))).verdict is ConventionVerdict.DECLARED
     assert len(rank_conventions(noisy(tilted(9, 1.1))).alike) > 1
