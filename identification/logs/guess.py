@@ -156,7 +156,13 @@ def _is_unit(four: FloatArray) -> bool:
 
 
 def _ranges(channel: _Channel) -> Iterator[str]:
-    """Describe the numbers without a guess."""
+    """Describe the numbers without a guess, and where a time runs backwards."""
+    for path in channel.named.times:
+        back = np.flatnonzero(np.diff(channel.columns[path]) < 0.0)
+        if back.size:
+            before, after = channel.columns[path][back[0] : back[0] + 2]
+            place = f"from {before:.10g} to {after:.10g} in row {back[0] + 2}"
+            yield f"{path}: a time that falls {back.size} time(s), first {place}"
     for path in channel.named.others:
         values = channel.columns[path][np.isfinite(channel.columns[path])]
         span = f"{values.min():.4g} to {values.max():.4g}" if values.size else "nothing"
@@ -186,7 +192,10 @@ def _time(channel: _Channel) -> Entry | None:
             unit = "s" if leaps else next((name for name, least in _SHORTEST_STEP.items() if step >= least), "s")
             why = f"rows are {step:.4g} {unit} apart, of s, ms, us and ns the unit of a control loop"
         layout: dict[str, object] = {"time": path, "time_unit": unit}
-        return Entry(key="table", value=layout, evidence=f"it always rises; {why}")
+        repeats = int(np.count_nonzero(np.diff(values) == 0.0))
+        mean = (values[-1] - values[0]) / (len(values) - 1)
+        rises = f"it never falls, {repeats} rows repeat a time, {mean:.4g} {unit} apart on average"
+        return Entry(key="table", value=layout, evidence=f"{rises if repeats else 'it always rises'}; {why}")
     return None
 
 

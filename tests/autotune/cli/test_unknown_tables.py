@@ -206,3 +206,22 @@ def test_what_is_printed_is_how_the_log_is_read_with_the_guesses(
     assert "wrench: a.csv (declared with its fields)" in printed.out
     assert "error: " not in printed.out
     assert "no channel for the wrench" not in printed.out
+
+
+def test_times_that_repeat_or_fall_are_said(tmp_path: Path, run: Run) -> None:
+    names = "time,x,y,z,qx,qy,qz,qw,fx,fy,fz,tx,ty,tz"
+    time = np.floor(run.time * 125.0 + 1e-6) / 125.0
+    cell = tmp_path / "cell.yaml"
+    for falls in (False, True):
+        stamps = np.where(np.arange(len(time)) == 1000, time - 1.0, time) if falls else time
+        values = np.column_stack([stamps, run.place, run.turned.as_quat(), run.force, run.torque])
+        path = columns(tmp_path / "a.csv", names, values)
+        assert main(["inspect", str(path), "--write-cell", str(cell), "--force", "--quiet"]) == 0
+        begun = cell.read_text(encoding="utf-8")
+        said = (
+            f"from {time[999]:g} to {time[1000] - 1.0:g} in row 1001"
+            if falls
+            else f"rows repeat a time, {time[-1] / (len(time) - 1):.4g} s"
+        )
+        assert said in begun
+        assert "it always rises" not in begun
