@@ -19,6 +19,8 @@ from .text import COMMA, CutOffError, Text, row_blocks, split, unreadable
 from .times import from_texts
 
 _DECIMAL_POINT = re.compile(r"[-+]?\d*\.\d+([eE][-+]?\d+)?")
+# A date and time by ISO 8601, with or without a zone.
+_DATE = re.compile(r"\d{4}-\d\d-\d\d[ T]\d\d:\d\d(:\d\d(\.\d{1,9})?)?(Z|[-+]\d\d:?\d\d)?")
 _MISSING = ("", "nan", "NaN", "NAN")
 _EMPTY = tuple(" " * width for width in range(40))
 
@@ -28,6 +30,7 @@ def first_fault(text: Text, columns: Sequence[int], time: int | None) -> str | N
 
     `columns` are those whose fields must be numbers or empty, `time` is the one that may not be empty.
     """
+    dates = _dates(text, columns if time is None else (time, *columns))
     for number, line in text.lines():
         try:
             fields = split(line, text.delimiter)
@@ -37,16 +40,33 @@ def first_fault(text: Text, columns: Sequence[int], time: int | None) -> str | N
             return f"line {number}: {_count_fault(text, line, len(fields))}"
         for column in columns if time is None else (time, *columns):
             field = fields[column].strip() if column < len(fields) else ""
-            if field in _MISSING and column == time:
-                return f"line {number}: the time `{text.names[column]}` is missing; remove the row or record again"
-            if field not in _MISSING and not _is_number(field, text.decimal):
-                return f"line {number}: {_field_fault(text, column, field)}"
-            if column == time and not _is_time(field, text):
-                return (
-                    f"line {number}: column `{text.names[column]}` holds {field[:40]!r}, no time within 292 years; "
-                    "correct the line or its unit"
-                )
+            fault = _value_fault(text, column, field, is_time=column == time, is_date=column in dates)
+            if fault is not None:
+                return f"line {number}: {fault}"
     return None
+
+
+def _value_fault(text: Text, column: int, field: str, *, is_time: bool, is_date: bool) -> str | None:
+    where = f"column `{text.names[column]}` holds {field[:40]!r}"
+    if field in _MISSING:
+        return f"the time `{text.names[column]}` is missing; remove the row or record again" if is_time else None
+    if is_date:
+        return None if _DATE.fullmatch(field) else f"{where}, no date and time as in the first row; correct the line"
+    if not _is_number(field, text.decimal):
+        return _field_fault(text, column, field)
+    if is_time and not _is_time(field, text):
+        return f"{where}, no time within 292 years; correct the line or its unit"
+    return None
+
+
+def _dates(text: Text, columns: Sequence[int]) -> dict[int, pa.DataType]:
+    """Return which columns hold dates by the first row, and as what Arrow reads them."""
+    try:
+        fields = split(next(text.lines(), (0, ""))[1], text.delimiter)
+    except csv.Error:
+        return {}
+    found = {column: _DATE.fullmatch(fields[column].strip()) for column in columns if column < len(fields)}
+    return {column: pa.timestamp("ns", "UTC" if date[3] else None) for column, date in found.items() if date}
 
 
 def _is_time(field: str, text: Text) -> bool:
@@ -94,14 +114,18 @@ def _field_fault(text: Text, column: int, field: str) -> str:
 def read_csv(text: Text, columns: Sequence[int], time: int | None) -> tuple[FloatArray, StampArray | None]:
     """Return the values (n, len(columns)), NaN where a cell is empty, and the times in ns of the column `time`.
 
-    Raises LogError with the number of the first line at fault.
+    Dates by ISO 8601 count from 1970, as values in s. Raises LogError with the number of the first line at fault.
     """
     values: list[FloatArray] = []
     times: list[StampArray] = []
     kinds = {str(column): pa.float64() for column in columns}
     if time is not None:
         kinds[str(time)] = pa.string()
+    elif not columns:  # Some column must be read, if only for its length.
+        kinds["0"] = pa.string()
     try:
+        dates = _dates(text, columns if time is None else (time, *columns))
+        kinds |= {str(column): kind for column, kind in dates.items()}
         for batch in _batches(text, kinds):
             values.append(np.empty((batch.num_rows, len(columns))))
             for index, column in enumerate(columns):
@@ -145,7 +169,9 @@ def _batches(text: Text, kinds: dict[str, pa.DataType]) -> Iterator[pa.RecordBat
 
 
 def _numbers(column: pa.Array, decimal: str) -> FloatArray:
-    if pa.types.is_string(column.type):
+    if pa.types.is_timestamp(column.type):
+        column = pc.divide(column.cast(pa.int64()).cast(pa.float64(), safe=False), 1e9)
+    elif pa.types.is_string(column.type):
         column = pc.replace_substring(column, decimal, ".").cast(pa.float64())
     numbers: FloatArray = column.to_numpy(zero_copy_only=False)
     return numbers
@@ -154,4 +180,7 @@ def _numbers(column: pa.Array, decimal: str) -> FloatArray:
 def _times(column: pa.Array, text: Text) -> StampArray:
     if column.null_count:
         raise ValueError("a time is missing")
+    if pa.types.is_timestamp(column.type):
+        stamps: StampArray = column.cast(pa.int64()).to_numpy(zero_copy_only=False)
+        return stamps
     return from_texts(column, text.layout.time_unit, text.decimal)

@@ -93,8 +93,7 @@ def _read_csv(text: Text, columns: Sequence[int]) -> tuple[FloatArray, StampArra
 
     if text.layout.time is not None:
         return read_csv(text, columns, _index(text.path, text.names, text.layout.time))
-    # Some column must be read, if only for its length.
-    return read_csv(text, columns or (0,), None)
+    return read_csv(text, columns, None)
 
 
 def _index(path: Path, names: Sequence[str], column: str) -> int:

@@ -154,6 +154,24 @@ def test_spaces_may_separate_where_they_are_single(tmp_path: Path) -> None:
         read_table(write(path, "1.5 2\n3  4\n"), replace(AB, columns=("0", "1")))
 
 
+@given(
+    since_us=st.lists(st.integers(0, 7 * 10**15), min_size=1, max_size=9),
+    between=st.sampled_from(" T"),
+    zone=st.sampled_from(["", "Z", "+00:00"]),
+)
+def test_dates_are_times_since_1970(
+    tmp_path_factory: pytest.TempPathFactory, since_us: list[int], between: str, zone: str
+) -> None:
+    dates = [str(np.datetime64(us, "us")).replace("T", between) + zone for us in since_us]
+    rows = "".join(f"{date},1,2\n" for date in dates)
+    path = write(tmp_path_factory.mktemp("dates") / "run.csv", f"t,a,b\n{rows}")
+    assert read_table(path, TIMED).log_ns.tolist() == [1000 * us for us in since_us]
+    # As a number it counts in s, and where nobody uses it, it may stay text.
+    seconds = read_table(path, replace(AB, columns=("t",))).values[:, 0]
+    assert seconds == pytest.approx([us / 1e6 for us in since_us])
+    assert len(read_table(path, replace(AB, columns=())).values) == len(since_us)
+
+
 WRONG: dict[str, tuple[str | bytes, TableLayout, str]] = {
     "empty": ("", AB, "is empty (0 bytes)"),
     "blank": ("\n\n \n", AB, "holds no line of a table"),
@@ -187,6 +205,11 @@ WRONG: dict[str, tuple[str | bytes, TableLayout, str]] = {
     "no time": ("t,a,b\n0,1,2\n,3,4\n", TIMED, "line 3: the time `t` is missing"),
     "time NaN": ("t,a,b\n0,1,2\nnan,3,4\n", TIMED, "line 3: the time `t` is missing"),
     "time text": ("t,a,b\n0,1,2\n12:30,3,4\n", TIMED, "line 3: column `t` holds '12:30', not a number"),
+    "no date": (
+        "t,a,b\n2026-11-22 10:00:00,1,2\n10:00:01,3,4\n",
+        TIMED,
+        "line 3: column `t` holds '10:00:01', no date and",
+    ),
     "time infinite": ("t,a,b\n0,1,2\ninf,3,4\n", TIMED, "line 3: column `t` holds 'inf', no time within 292 years"),
     "time too large": ("t,a,b\n0,1,2\n1e11,3,4\n", TIMED, "line 3: column `t` holds '1e11', no time within 292 years"),
     "blank line": ("t,a,b\n0,1,2\n\n2,3,4\n", TIMED, "line 3: the time `t` is missing"),
