@@ -21,6 +21,7 @@ _STILL_M_S = 1e-3
 _SHORTEST_STILL_S = 0.4
 _BEFORE_S, _SKIPPED_S = 0.3, 0.015
 _QUIET_S, _RISING_SAMPLES = 1.0, 2
+_FEWEST_SECONDS, _QUIET_SHARE = 8, 0.2
 # What pushes the flange back this far, beside how far it went in, does work on it: no surface.
 _DRIVEN_M = 5e-3
 _SMALLEST_TRAVEL_M = 5e-4
@@ -335,9 +336,19 @@ def describe_touch(
 
 
 def touch_peak(axis: AxisSignals, pressing: FloatArray, onset: int, peak: int) -> tuple[float, float, int]:
-    """Return `bound_peak` of a touch, its noise from the second before the onset, or that of the log."""
-    begin = int(np.searchsorted(axis.time_s, axis.time_s[onset] - _QUIET_S))
-    quiet = pressing[begin : max(begin, onset - _RISING_SAMPLES)]
+    """Return `bound_peak` of a touch, its noise from a quiet second of the log, or from what is before the onset.
+
+    What the payload's motion adds is force on the sensor: no noise, and the largest of it right before a contact.
+    """
+    length = round(_QUIET_S / axis.period_s)
+    seconds = pressing[: len(pressing) // length * length].reshape(-1, length)
+    spread = np.std(seconds, axis=1)
+    order = np.argsort(spread)[int(np.count_nonzero(spread <= 0.0)) :]
+    if len(order) >= _FEWEST_SECONDS:
+        quiet = seconds[order[int(_QUIET_SHARE * len(order))]]
+    else:
+        begin = int(np.searchsorted(axis.time_s, axis.time_s[onset] - _QUIET_S))
+        quiet = pressing[begin : max(begin, onset - _RISING_SAMPLES)]
     return bound_peak(pressing, onset, peak, quiet=quiet, noise=axis.noise_n)
 
 

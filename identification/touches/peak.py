@@ -42,7 +42,7 @@ def bound_peak(
     lower, upper = [], []
     for block in 2 ** np.arange(max(1, (last - first) // _BLOCKS_ON_CREST).bit_length()):
         means = block_means(pressing[onset:], int(block))
-        margin = _DEVIATIONS * max(noise / float(np.sqrt(block)), _deviation(quiet, int(block)))
+        margin = _DEVIATIONS * max(noise / float(np.sqrt(block)), _deviation(quiet, int(block), last - first))
         begin = max(0, first - onset - int(block) + 1)
         top = begin + int(np.argmax(means[begin : last - onset]))
         lower.append(float(means[top]) - margin)
@@ -60,11 +60,14 @@ def block_means(values: FloatArray, block: int) -> FloatArray:
     return np.asarray((total[block:] - total[:-block]) / block)
 
 
-def _deviation(quiet: FloatArray | None, block: int) -> float:
-    """Return the deviation of a mean over `block` samples: no less than that of a mean over more of them."""
+def _deviation(quiet: FloatArray | None, block: int, crest: int) -> float:
+    """Return the deviation of a mean over `block` samples: no less than that of a mean over more, up to the crest.
+
+    What changes more slowly than the crest is no noise: before a contact the payload's inertia makes such a force.
+    """
     if quiet is None or len(quiet) < max(_FEWEST_QUIET, 4 * block):
         return 0.0
-    wider = [each for each in block * _WIDER if 4 * each <= len(quiet)]
+    wider = [each for each in block * _WIDER if each == block or (each <= crest and 4 * each <= len(quiet))]
     steps = [np.abs((means := block_means(quiet, int(each)))[each:] - means[:-each]) for each in wider]
     return _TO_DEVIATION * max(float(np.median(step)) for step in steps)
 
