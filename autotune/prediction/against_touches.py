@@ -67,6 +67,11 @@ class TouchComparison(Shown):
 
     def _notes(self) -> Sequence[str]:
         notes: list[str] = []
+        if any(each.touch.mass is None or each.touch.damping is None for each in self.contacts):
+            notes.append(
+                "the log does not hold the gains that ran: where they were others than those predicted with, the "
+                "differences are what the gains change, and no error of the model"
+            )
         for each in self.contacts:
             said = each.predicted
             notes += [*said.neglected, *interval_notes(said.interval, said.model_error)]

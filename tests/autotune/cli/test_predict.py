@@ -59,6 +59,26 @@ def test_one_contact_as_table_json_picture_and_page(
     assert "contact.svg: replaced" in said.err
 
 
+def test_contacts_of_a_log_are_predicted_with_the_gains_that_ran(
+    good_log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["identify", str(good_log), "--quiet"]) == 0
+    asked = ["predict", "identified.yaml", "--gains", "mass=10,damping=1400", "--approach", "force=30"]
+    assert main([*asked, "--log", str(good_log), "--json"]) == 0
+    contacts = json.loads(capsys.readouterr().out)["contacts"]
+    assert len(contacts) == 2
+    for each in contacts:
+        # The sensor's noise lifts the largest sample by up to 1 %; the log was recorded at 1250 Hz.
+        assert abs(each["error_percent"]) < 2.0
+        assert each["is_inside"]
+        low, high = each["touch"]["peak_interval"]
+        assert low <= each["touch"]["peak_force"] < high < 1.05 * low
+    assert main([*asked, "--log", str(good_log)]) == 0
+    said = capsys.readouterr()
+    assert "the log does not hold the gains that ran" in " ".join(said.out.split())
+
+
 @pytest.mark.parametrize(
     ("arguments", "code", "said"),
     [
