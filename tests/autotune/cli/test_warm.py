@@ -30,7 +30,7 @@ def test_every_command_and_every_kind_of_log_is_run(runs: list[tuple[str, ...]],
         shares.append(share)
 
     warm._warm(tmp_path, advance)
-    assert {name for name, *_ in runs} == {"demo", "logs", "inspect", "plan", "validate", "map", "explore"}
+    assert {name for name, *_ in runs} == {"demo", "logs", "inspect", "plan", "validate", "predict", "map", "explore"}
     assert {Path(words[1]).suffix for words in runs if words[0] == "inspect"} == {".mcap", ".bag", "", ".csv"}
     # Nothing is written beside the folder that is removed.
     assert all(
