@@ -103,7 +103,8 @@ def test_a_wrench_of_the_other_sign_is_refused_where_a_wall_held_the_tool(stiffn
 def test_a_hand_that_rests_on_the_tool_after_leading_it_is_not_taken_for_a_wrong_sign() -> None:
     """Six newtons within the deadband of the admittance: along the motion first, then at rest."""
     time = np.arange(0.0, 5.0, 1e-3)
-    identify_touches(logged(0.02 * np.minimum(time, 2.0), np.where(time > 1.0, 6.0, 0.0), 1e-3, 0.0))
+    found = identify_touches(logged(0.02 * np.minimum(time, 2.0), np.where(time > 1.0, 6.0, 0.0), 1e-3, 0.0))
+    assert all(touch.cause is not TouchCause.WALL for touch in found.timeline.touches)
 
 
 @given(stiffness=st.floats(3e3, 3e4), at_m=st.floats(0.02, 0.05), offset=st.sampled_from((0.0, 30.0)))
