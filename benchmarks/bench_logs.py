@@ -36,9 +36,8 @@ from benchmarks.log_file import TOPICS, write_log
 from identification.logs.containers.file_bytes import FileBytes
 from identification.logs.containers.mcap_file import McapContainer
 from identification.logs.containers.mcap_layout import Walker
-from identification.logs.messages.layout import parse_path
+from identification.logs.messages.decode import Wanted, parse_path
 from identification.logs.messages.read import read_series
-from identification.logs.messages.series import Wanted
 
 SHARE = 10
 FIELDS = {

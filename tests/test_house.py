@@ -209,7 +209,7 @@ POSITIONS = {
     "problems/stability/margin_kernel.py": None,
     "problems/contact/kernel.py": {"force[0]"},
     "problems/contact/event_free_steps.py": {"force[0]"},
-    "identification/logs/messages/kernel_bytes.py": {"bits[0]", "floats[0]"},
+    "identification/logs/messages/kernel.py": {"bits[0]", "floats[0]"},
     "identification/robot/admittance_motion.py": {"out[0]", "force[0]", "damping[0]"},
 }
 

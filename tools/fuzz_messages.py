@@ -33,10 +33,8 @@ from rosbags.serde import SerdeError
 
 from identification.logs.containers.channel import Batch, Channel
 from identification.logs.containers.mcap_kernel import RecordCounter, gather
-from identification.logs.messages.decode import MessageError, Part
-from identification.logs.messages.layout import parse_path
+from identification.logs.messages.decode import MessageError, Series, Wanted, parse_path
 from identification.logs.messages.read import build_decoder
-from identification.logs.messages.series import Wanted
 from identification.logs.messages.transforms import FIELDS, build_transform_decoder
 from tests.identification.logs.messages.message_builder import (
     ADMITTANCE,
@@ -81,7 +79,7 @@ class Target:
     encoding: Encoding
     fields: tuple[str, ...]
     header: str
-    decode: Callable[[Batch], Part]
+    decode: Callable[[Batch], Series]
 
 
 def main() -> int:
@@ -214,7 +212,7 @@ def examine(target: Target, data: bytes) -> str:
     return "taken by both"
 
 
-def compare(target: Target, part: Part, oracle: Any) -> None:
+def compare(target: Target, part: Series, oracle: Any) -> None:
     """Raise FaultError unless numbers, stamps and frames are those of rosbags."""
     if target.channel.type_name == TF:
         things = [t for t in oracle.transforms if (t.header.frame_id, t.child_frame_id) == ("", "a")]
@@ -229,7 +227,7 @@ def compare(target: Target, part: Part, oracle: Any) -> None:
         stamps = [header.stamp.sec * 10**9 + header.stamp.nanosec for header in headers]
         if part.stamp_ns is None or part.stamp_ns.tolist() != stamps:
             raise FaultError(f"{part.stamp_ns} is not {stamps}")
-        if part.frame_ids != {header.frame_id for header in headers}:
+        if {*part.frame_ids} != {header.frame_id for header in headers}:
             raise FaultError(f"{part.frame_ids} are not the frames {headers}")
 
 

@@ -10,7 +10,7 @@ from problems.arrays import FloatArray
 from problems.frozen import freeze
 
 from ..errors import LogError
-from .messages.series import Wanted
+from .messages.decode import Wanted
 from .names import Meaning, Named, NamedVector, read_names
 from .numbers import NumberFields, number_fields
 from .opened import OpenedLogs, open_logs

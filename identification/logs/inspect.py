@@ -11,9 +11,8 @@ from ..result import Finding
 from ..signals.recording import WEIGHT_NEEDS_ORIENTATION
 from .checks.clocks import ChannelClock, clock_findings, compare_clocks, measure_clock
 from .checks.samples import role_faults
-from .containers.channel import Channel
-from .messages.channel_info import ChannelInfo
-from .messages.series import Series, Wanted
+from .containers.channel import Channel, ChannelInfo
+from .messages.decode import Series, Wanted
 from .numbers import number_fields, number_findings
 from .opened import OpenedLogs, digests, open_logs
 from .read import read_checked_recording

@@ -10,7 +10,7 @@ from ..errors import LogError, listed
 from ..result import Finding
 from ..signals.frames import slerp
 from ..signals.recording import PoseSignal, Recording
-from .messages.series import Wanted
+from .messages.decode import Wanted
 from .opened import OpenedLogs
 from .roles.cell import ANGLE_RAD, Cell, Clock, JointsSource, PoseSource
 from .roles.choose import Choice, RoleSeries, choose_joints

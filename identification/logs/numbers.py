@@ -10,10 +10,9 @@ from problems.arrays import FloatArray
 from ..errors import LogError, listed
 from ..result import Finding
 from .containers.channel import Channel, Held
-from .messages.channel_info import FirstMessage
+from .messages.decode import Wanted
 from .messages.objects import build_object_parser
-from .messages.read import read_series
-from .messages.series import Wanted
+from .messages.read import FirstMessage, read_series
 from .opened import OpenedLog, OpenedLogs
 from .roles.registry import FLOAT_ARRAY, JOINT_STATE
 

@@ -10,12 +10,11 @@ import numpy as np
 from ..errors import LogError
 from ..result import Finding
 from ..signals.recording import StampArray
-from .containers.channel import Channel, Container
+from .containers.channel import Channel, ChannelInfo, Container
 from .containers.formats import is_table, open_container, sha256_of
-from .messages.channel_info import ChannelInfo, build_infos
+from .messages.decode import Series, Wanted
 from .messages.objects import build_object_parser, messages_of, strings_block
-from .messages.read import read_series
-from .messages.series import Series, Wanted
+from .messages.read import build_infos, read_series
 from .messages.transforms import list_frames, read_transform
 from .roles.cell import Cell
 from .roles.choose import Choice, RoleSeries

@@ -12,7 +12,7 @@ from problems.errors import ParameterError
 from ..errors import LogError
 from ..result import Finding
 from ..signals.recording import StampArray
-from .messages.series import Series
+from .messages.decode import Series
 from .roles.choose import RoleSeries
 from .roles.registry import Role
 

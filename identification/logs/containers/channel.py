@@ -54,6 +54,33 @@ class Held:
 
 
 @dataclass(frozen=True, kw_only=True)
+class ChannelInfo:
+    """A channel, its number of messages, its rate over the whole log, and the frame in its first header.
+
+    `columns` are the names that a table has, empty for messages. `has_header` says whether messages start with one.
+    """
+
+    channel: Channel
+    count: int
+    rate_hz: float | None = None
+    frame: str | None = None
+    has_header: bool = False
+    columns: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        """Name the channel for a list to choose from."""
+        facts = [self.channel.type_name or "no type", f"{self.count} messages"]
+        if self.rate_hz is not None:
+            facts.append(f"{self.rate_hz:.1f} Hz")
+        if self.frame:
+            facts.append(f"frame {self.frame}")
+        return f"{self.channel.topic} ({', '.join(facts)})"
+
+
+Infos = Sequence[ChannelInfo]
+
+
+@dataclass(frozen=True, kw_only=True)
 class Survey:
     """What a log holds, known without decoding it.
 

@@ -1,17 +1,72 @@
-"""Turn a batch of messages into numbers by the compiled program of their type."""
+"""Compile what is wanted of a message type to a program for the kernel, and run it over batches of messages."""
 
-from dataclasses import dataclass
+import re
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
+from rosbags.interfaces import Nodetype
+from rosbags.interfaces.typing import Typesdict
 
 from problems.arrays import FloatArray
 
+from ...errors import LogError, listed
 from ...signals.recording import StampArray
 from ..containers.channel import Batch, Channel
-from .kernel import MAX_DEPTH, run_program
-from .kernel_bytes import ENCAPSULATION, FINE, FRAMES_FULL, LEFT_OVER, NANOSECONDS, TERMINATOR, TOO_FEW, TOO_SHORT
-from .layout import DecoderProgram
+from .definitions import HEADER, ROS_ENCODINGS, TIME, needed_types
+from .kernel import (
+    BOOL,
+    ENCAPSULATION,
+    END,
+    FINE,
+    FLOAT32,
+    FLOAT64,
+    FRAME,
+    FRAMES_FULL,
+    INT8,
+    INT16,
+    INT32,
+    INT64,
+    LEFT_OVER,
+    MAX_DEPTH,
+    NANOSECONDS,
+    PICK,
+    REPEAT,
+    RUN,
+    SEQUENCE,
+    SIZES,
+    SKIP,
+    STAMP,
+    STRING,
+    TERMINATOR,
+    TIMES,
+    TOO_FEW,
+    TOO_SHORT,
+    UINT8,
+    UINT16,
+    UINT32,
+    UINT64,
+    run_program,
+)
 
+KINDS = {
+    "bool": BOOL,
+    "byte": INT8,
+    "char": UINT8,
+    "int8": INT8,
+    "uint8": UINT8,
+    "int16": INT16,
+    "uint16": UINT16,
+    "int32": INT32,
+    "uint32": UINT32,
+    "int64": INT64,
+    "uint64": UINT64,
+    "float32": FLOAT32,
+    "float64": FLOAT64,
+}
+_STEPS_AT_MOST = 4096
+_TOKEN = re.compile(r"\.([A-Za-z_]\w*)|\[(0|[1-9]\d{0,8})\]", re.ASCII)
+_FILLER = "structure_needs_at_least_one_member"
 _REASONS = {
     TOO_SHORT: "a field at byte {at} does not fit into its {size} bytes",
     LEFT_OVER: "its type ends at byte {at}, the message has {size}",
@@ -20,6 +75,205 @@ _REASONS = {
     TOO_FEW: "the sequence at byte {at} has fewer entries than are wanted",
     NANOSECONDS: "its stamp has a second of more than 999999999 ns at byte {at}",
 }
+
+Token = str | int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wanted:
+    """What is wanted of each message: numbers by path, and the path of the header that stamps it.
+
+    A path is written with dots and indices: `wrench.force.x`, `effort[3]`, `mass.data[0]`. `header` is empty for
+    messages without one.
+    """
+
+    fields: tuple[str, ...]
+    header: str = "header"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Series:
+    """The wanted numbers of a channel in order of recording.
+
+    `log_ns` (n,) recording clock; `stamp_ns` (n,) header stamps or None; `frame_ids` the different frame names in the
+    headers, sorted; `values` (n, len(fields)) as the messages hold them (no unit is converted), NaN and infinities too.
+    """
+
+    channel: Channel
+    fields: tuple[str, ...]
+    log_ns: StampArray
+    stamp_ns: StampArray | None
+    frame_ids: tuple[str, ...]
+    values: FloatArray
+
+
+def parse_path(path: str) -> tuple[Token, ...]:
+    """Split `a.b[3]` into names and indices; raise LogError if it is no path."""
+    tokens: list[Token] = []
+    text, position = f".{path}", 0
+    while position < len(text):
+        match = _TOKEN.match(text, position)
+        if match is None:
+            raise LogError(f"{path!r} is no path to a number; write it like `wrench.force.x` or `effort[3]`.")
+        tokens.append(match.group(1) if match.group(1) is not None else int(match.group(2)))
+        position = match.end()
+    return tuple(tokens)
+
+
+class _NotKnownError(Exception):
+    """The type holds something that the kernel has no step for."""
+
+
+@dataclass
+class _Node:
+    """What is wanted below a field: the column of a number, or more fields and entries."""
+
+    column: int | None = None
+    inside: dict[Token, "_Node"] = field(default_factory=dict)
+    is_header: bool = False
+
+    def node_at(self, tokens: tuple[Token, ...]) -> "_Node":
+        node = self
+        for token in tokens:
+            node = node.inside.setdefault(token, _Node())
+        return node
+
+
+class _Compiler:
+    def __init__(self, channel: Channel, types: Typesdict) -> None:
+        self._channel, self._types = channel, types
+        self.steps: list[tuple[int, int, int, int, int]] = []
+        self.picks: list[tuple[int, int]] = []
+
+    def add_struct(self, name: str, node: _Node, depth: int) -> None:
+        """Add the steps of a message type, below which `node` says what is wanted."""
+        if depth > MAX_DEPTH or len(self.steps) > _STEPS_AT_MOST:
+            raise _NotKnownError
+        fields = self._types[name][1]
+        self._check(name, node, {field_name for field_name, _ in fields})
+        if not fields or fields[0][0] == _FILLER:
+            # A message without fields takes one byte on the wire of ROS 2 and none on that of ROS 1.
+            if self._channel.encoding == "cdr":
+                self._skip(1, 1)
+            return
+        for field_name, description in fields:
+            below = node.inside.get(field_name, _Node())
+            if node.is_header:
+                below = _Node(is_header=field_name in ("stamp", "frame_id"))
+            self._add_field(description, below, depth + 1)
+
+    def _check(self, name: str, node: _Node, fields: set[str]) -> None:
+        if node.column is not None:
+            raise self._lacking(f"{name} is no number")
+        if node.is_header and name != HEADER:
+            raise self._lacking(f"{name} is no {HEADER}")
+        for token in node.inside:
+            if token not in fields:
+                raise self._lacking(f"{name} has no {token!r}, only {listed(sorted(fields))}")
+
+    def _lacking(self, why: str) -> LogError:
+        return LogError(
+            f"{self._channel.type_name}, as the log defines it for topic {self._channel.topic}, "
+            f"lacks what is wanted of it: {why}."
+        )
+
+    def _add_field(self, description: Any, node: _Node, depth: int) -> None:
+        kind, inside = description
+        if kind == Nodetype.NAME:
+            if inside == TIME and node.is_header:
+                self._step(STAMP)
+            else:
+                self.add_struct(inside, node, depth)
+        elif kind == Nodetype.BASE:
+            self._add_base(inside[0], node)
+        elif kind == Nodetype.ARRAY:
+            self._add_array(inside[0], inside[1], node, depth)
+        else:
+            self._add_sequence(inside[0], node, depth)
+
+    def _add_base(self, name: str, node: _Node) -> None:
+        if node.inside:
+            raise self._lacking(f"a {name} has nothing inside")
+        if name == "string":
+            if node.column is not None:
+                raise self._lacking("a string is no number")
+            self._step(FRAME if node.is_header else STRING)
+        elif name not in KINDS:
+            raise _NotKnownError
+        elif node.column is None:
+            self._skip(SIZES[KINDS[name]], 1)
+        else:
+            self._run(KINDS[name], node.column)
+
+    def _add_array(self, inner: Any, length: int, node: _Node, depth: int) -> None:
+        if node.column is not None:
+            raise self._lacking("an array is no number, an entry of it may be")
+        for token in node.inside:
+            if not isinstance(token, int) or token >= length:
+                raise self._lacking(f"an array of {length} entries has no {token!r}")
+        if not node.inside and inner[0] == Nodetype.BASE and inner[1][0] in KINDS:
+            if length:
+                self._skip(SIZES[KINDS[inner[1][0]]], length)
+        elif node.inside:
+            for index in range(length):
+                self._add_field(inner, node.inside.get(index, _Node()), depth)
+        elif length:
+            self._enter(depth)
+            self._step(TIMES, 0, length)
+            self._add_field(inner, node, depth + 1)
+            self._step(END)
+
+    def _add_sequence(self, inner: Any, node: _Node, depth: int) -> None:
+        if node.column is not None:
+            raise self._lacking("a sequence is no number, an entry of it may be")
+        for token in node.inside:
+            if not isinstance(token, int):
+                raise self._lacking(f"a sequence has entries like [0], but no {token!r}")
+        if inner[0] == Nodetype.BASE and inner[1][0] in KINDS:
+            self._add_numbers(KINDS[inner[1][0]], node)
+        elif node.inside:
+            raise _NotKnownError
+        else:
+            self._enter(depth)
+            position = len(self.steps)
+            self._step(REPEAT)
+            self._add_field(inner, node, depth + 1)
+            if len(self.steps) == position + 1:
+                raise _NotKnownError  # entries without any byte
+            self._step(END)
+            self.steps[position] = (REPEAT, len(self.steps), 0, 0, 0)
+
+    def _add_numbers(self, kind: int, node: _Node) -> None:
+        first = len(self.picks)
+        for index, entry in node.inside.items():
+            if entry.inside or entry.column is None:
+                raise self._lacking("an entry of a sequence of numbers has nothing inside")
+            self.picks.append((int(index), entry.column))
+        if len(self.picks) == first:
+            self._step(SEQUENCE, SIZES[kind])
+        else:
+            self._step(PICK, SIZES[kind], first, len(self.picks), kind)
+
+    def _enter(self, depth: int) -> None:
+        if depth >= MAX_DEPTH - 1:
+            raise _NotKnownError
+
+    def _step(self, op: int, a: int = 0, b: int = 0, c: int = 0, d: int = 0) -> None:
+        self.steps.append((op, a, b, c, d))
+
+    def _skip(self, size: int, count: int) -> None:
+        if self.steps and self.steps[-1][:2] == (SKIP, size):
+            count += self.steps.pop()[2]
+        self._step(SKIP, size, count)
+
+    def _run(self, kind: int, column: int) -> None:
+        """Add a number to the run before it where it takes the column behind that."""
+        if self.steps and self.steps[-1][0] == RUN and self.steps[-1][3] == kind:
+            op, size, count, _, first = self.steps[-1]
+            if first + count == column:
+                self.steps[-1] = (op, size, count + 1, kind, first)
+                return
+        self._step(RUN, SIZES[kind], 1, kind, column)
 
 
 class MessageError(Exception):
@@ -31,26 +285,18 @@ class MessageError(Exception):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Part:
-    """What a batch holds: (n,) recording times, (n,) header stamps or None, frame names, (n, k) values."""
-
-    log_ns: StampArray
-    stamp_ns: StampArray | None
-    frame_ids: frozenset[str]
-    values: FloatArray
-
-
 class CompiledDecoder:
-    """Decode batches of one channel; may be called in several threads."""
+    """Decode batches of one channel by steps (s, 5) and picks (p, 2), as the kernel takes them, in any thread."""
 
-    def __init__(self, channel: Channel, program: DecoderProgram, width: int) -> None:
-        self._program, self._width = program, width
-        self._is_cdr = channel.encoding == "cdr"
+    fields: tuple[str, ...]
+    is_cdr: bool
+    has_header: bool
+    steps: StampArray
+    picks: StampArray
 
-    def __call__(self, batch: Batch) -> Part:
+    def __call__(self, batch: Batch) -> Series:
         """Decode a batch; raise MessageError for the first message that is not as its type says."""
-        program = self._program
-        values = np.empty((batch.count, self._width))
+        values = np.empty((batch.count, len(self.fields)))
         stamps = np.empty(batch.count, dtype=np.int64)
         bits = np.empty(1, dtype=np.uint32)
         out = (values, values.view(np.uint64), bits, bits.view(np.float32))
@@ -63,9 +309,9 @@ class CompiledDecoder:
                 batch.data,
                 batch.starts,
                 batch.sizes,
-                self._is_cdr,
-                program.steps,
-                program.picks,
+                self.is_cdr,
+                self.steps,
+                self.picks,
                 out,
                 stamps,
                 frames,
@@ -74,12 +320,44 @@ class CompiledDecoder:
             )
         if code != FINE:
             raise MessageError(batch, index, fault(code, at, batch, index))
-        return Part(
+        return Series(
+            channel=batch.channel,
+            fields=self.fields,
             log_ns=batch.log_ns.copy(),
-            stamp_ns=stamps if program.has_header else None,
-            frame_ids=frozenset(name_at(batch, *frame) for frame in frames[: found[0]].tolist()),
+            stamp_ns=stamps if self.has_header else None,
+            frame_ids=tuple({name_at(batch, *frame): None for frame in frames[: found[0]].tolist()}),
             values=values,
         )
+
+
+def build_program(channel: Channel, wanted: Wanted) -> CompiledDecoder | None:
+    """Compile what is wanted of a ROS type, None where the kernel cannot do it; raise LogError where nothing could."""
+    if channel.encoding not in ROS_ENCODINGS:
+        return None
+    types = needed_types(channel)
+    root = _Node()
+    for column, path in enumerate(wanted.fields):
+        node = root.node_at(parse_path(path))
+        if node.column is not None:
+            raise LogError(f"{path} of topic {channel.topic} is wanted twice; name it once.")
+        node.column = column
+    if wanted.header:
+        header = root.node_at(parse_path(wanted.header))
+        if header.inside or header.column is not None:
+            return None
+        header.is_header = True
+    compiler = _Compiler(channel, types)
+    try:
+        compiler.add_struct(channel.type_name, root, 0)
+    except _NotKnownError:
+        return None
+    return CompiledDecoder(
+        fields=wanted.fields,
+        is_cdr=channel.encoding == "cdr",
+        has_header=bool(wanted.header),
+        steps=np.array(compiler.steps, dtype=np.int64).reshape(-1, 5),
+        picks=np.array(compiler.picks, dtype=np.int64).reshape(-1, 2),
+    )
 
 
 def fault(code: int, at: int, batch: Batch, index: int) -> str:

@@ -12,10 +12,8 @@ from rosbags.serde import SerdeError
 
 from ...errors import LogError
 from ..containers.channel import Batch, Channel
-from .decode import MessageError, Part
+from .decode import MessageError, Series, Token, Wanted, parse_path
 from .definitions import ROS_ENCODINGS, store_for
-from .layout import Token, parse_path
-from .series import Wanted
 
 _LIMIT_BYTES = 2**26
 _SECONDS, _NANOSECONDS = ("sec", "secs", "seconds"), ("nanosec", "nsec", "nsecs", "nanos")
@@ -67,11 +65,11 @@ class ObjectDecoder:
         self._fields = wanted.fields
         self._header = parse_path(wanted.header) if wanted.header else None
 
-    def __call__(self, batch: Batch) -> Part:
+    def __call__(self, batch: Batch) -> Series:
         """Decode a batch; raise MessageError for the first message that cannot be decoded or lacks something."""
         values = np.empty((batch.count, len(self._paths)))
         stamps = np.empty(batch.count, dtype=np.int64)
-        frames: set[str] = set()
+        frames: dict[str, None] = {}
         for index, message in enumerate(messages_of(batch)):
             try:
                 thing = self._parse(message)
@@ -79,13 +77,15 @@ class ObjectDecoder:
                     values[index, column] = self._number(pick(thing, path))
                 if self._header is not None:
                     stamps[index], frame = header_of(thing, self._header)
-                    frames.add(frame)
+                    frames[frame] = None
             except (LogError, LackingError) as error:
                 raise MessageError(batch, index, str(error).rstrip(".")) from error
-        return Part(
+        return Series(
+            channel=batch.channel,
+            fields=self._fields,
             log_ns=batch.log_ns.copy(),
             stamp_ns=None if self._header is None else stamps,
-            frame_ids=frozenset(frames),
+            frame_ids=tuple(frames),
             values=values,
         )
 

@@ -1,6 +1,6 @@
-"""Read from a log the numbers that are wanted of some channels, in one pass."""
+"""Read from a log the numbers that are wanted of some channels, in one pass, and what is known of each before that."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from typing import TypeVar
 
 import numpy as np
@@ -10,12 +10,12 @@ from problems.arrays import FloatArray
 
 from ...errors import LogError
 from ...signals.recording import StampArray
-from ..containers.channel import Batch, Channel, Container
-from .decode import CompiledDecoder, MessageError, Part
-from .layout import build_program
+from ..containers.channel import Batch, Channel, ChannelInfo, Container, Held, Survey
+from .decode import MessageError, Series, Wanted, build_program
+from .definitions import has_header
 from .objects import ObjectDecoder
-from .series import Series, Wanted
 
+T = TypeVar("T")
 Number = TypeVar("Number", np.int64, np.float64)
 _GROWTH = 1.5
 _LEAST_ROOM = 1024
@@ -32,7 +32,7 @@ class Gathering:
         self._values: FloatArray = np.empty((room, len(wanted.fields)))
         self._frame_ids: set[str] = set()
 
-    def add(self, part: Part) -> None:
+    def add(self, part: Series) -> None:
         """Add what a batch holds."""
         first, self._rows = self._rows, self._rows + part.log_ns.size
         if self._rows > self._log_ns.size:
@@ -42,7 +42,7 @@ class Gathering:
         self._values[rows] = part.values
         if self._stamp_ns is not None and part.stamp_ns is not None:
             self._stamp_ns[rows] = part.stamp_ns
-        self._frame_ids |= part.frame_ids
+        self._frame_ids.update(part.frame_ids)
 
     def _grow(self, filled: int) -> None:
         room = max(_LEAST_ROOM, self._rows, int(self._log_ns.size * _GROWTH))
@@ -90,23 +90,20 @@ def read_series(container: Container, wanted: Mapping[Channel, Wanted]) -> dict[
     return {channel: gatherings.pop(channel).finish(channel) for channel in wanted}
 
 
-def build_decoder(channel: Channel, wanted: Wanted) -> Callable[[Batch], Part]:
+def build_decoder(channel: Channel, wanted: Wanted) -> Callable[[Batch], Series]:
     """Return what decodes batches of a channel; raise LogError where its type has no such numbers."""
-    program = build_program(channel, wanted)
-    if program is None:
-        return ObjectDecoder(channel, wanted)
-    return CompiledDecoder(channel, program, len(wanted.fields))
+    return build_program(channel, wanted) or ObjectDecoder(channel, wanted)
 
 
 def gather(
-    container: Container, decoders: Mapping[Channel, Callable[[Batch], Part]], wanted: Mapping[Channel, Wanted]
+    container: Container, decoders: Mapping[Channel, Callable[[Batch], Series]], wanted: Mapping[Channel, Wanted]
 ) -> dict[Channel, Gathering]:
     """Read the channels once and put together what their decoders make of each batch."""
     counted = {held.channel: held.count for held in container.survey().held}
     gatherings = {channel: Gathering(each, counted.get(channel, 0)) for channel, each in wanted.items()}
     counts = dict.fromkeys(wanted, 0)
 
-    def handle(batch: Batch) -> tuple[int, Part]:
+    def handle(batch: Batch) -> tuple[int, Series]:
         return batch.count, decoders[batch.channel](batch)
 
     try:
@@ -120,3 +117,50 @@ def gather(
             f"{fault.reason}; record again or leave this topic out."
         ) from fault
     return gatherings
+
+
+def build_infos(survey: Survey) -> tuple[ChannelInfo, ...]:
+    """Return what is known of each channel of a survey; a first message that cannot be decoded has no frame."""
+    span_s = (survey.end_ns - survey.start_ns) / 1e9
+    infos = [_info(held, span_s) for held in survey.held]
+    return tuple(sorted(infos, key=lambda info: (info.channel.topic, info.channel.type_name)))
+
+
+def _info(held: Held, span_s: float) -> ChannelInfo:
+    is_headed = has_header(held.channel)
+    return ChannelInfo(
+        channel=held.channel,
+        count=held.count,
+        rate_hz=(held.count - 1) / span_s if held.count > 1 and span_s > 0 else None,
+        frame=_frame(held) if is_headed and held.count else None,
+        has_header=is_headed,
+    )
+
+
+def _frame(held: Held) -> str | None:
+    try:
+        series = read_series(FirstMessage(held), {held.channel: Wanted(fields=())})
+    except LogError:
+        return None
+    frames = series[held.channel].frame_ids
+    return frames[0] if frames else None
+
+
+class FirstMessage(Container):
+    """A container that holds the first message of one channel."""
+
+    def __init__(self, held: Held) -> None:
+        self._held = held
+
+    def survey(self) -> Survey:
+        """Return the one message."""
+        return Survey(container="message", held=(self._held,), start_ns=0, end_ns=0, findings=())
+
+    def read(self, wanted: Collection[Channel], handle: Callable[[Batch], T]) -> Iterator[tuple[Channel, T]]:
+        """Read the one message."""
+        held = self._held
+        if held.channel in wanted and held.count:
+            data = np.frombuffer(held.first_message, dtype=np.uint8)
+            zero = np.zeros(1, dtype=np.int64)
+            size = np.array([data.size], dtype=np.int64)
+            yield held.channel, handle(Batch(channel=held.channel, log_ns=zero, data=data, starts=zero, sizes=size))

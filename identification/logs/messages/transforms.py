@@ -1,28 +1,38 @@
-"""Transforms between frames: of all that a topic holds, those of one pair of frames."""
+"""Transforms between frames: of all that a topic holds, those of one pair of frames.
+
+A transform is a header, the name of the child frame and seven doubles: translation x y z and rotation x y z w. A
+TFMessage is a sequence of them. In the kernel every access is checked against the end of the message.
+"""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from rosbags.interfaces import Nodetype
 
 from problems.arrays import FloatArray
+from problems.compiled import inlined, unlocked
 
 from ...errors import LogError
 from ...signals.recording import StampArray
-from ..containers.channel import Batch, Channel, Container
-from .decode import MessageError, Part, fault, name_at
+from ..containers.channel import Batch, ByteArray, Channel, Container
+from .decode import MessageError, Series, Wanted, fault, name_at, parse_path
 from .definitions import ROS_ENCODINGS, TRANSFORM, TRANSFORMS, is_standard, needed_types
-from .kernel_bytes import FINE, FRAMES_FULL
-from .kernel_transforms import NUMBERS, SMALLEST_BYTES, take_transforms
-from .layout import parse_path
+from .kernel import FINE, FRAMES_FULL, LEFT_OVER, TOO_SHORT, aligned, bits64, opened, same, stamp, text, u32
 from .objects import LackingError, as_number, build_object_parser, either, header_of, messages_of, pick
 from .read import gather
-from .series import Series, Wanted
 
 FIELDS = tuple(f"translation.{axis}" for axis in "xyz") + tuple(f"rotation.{axis}" for axis in "xyzw")
 Pair = tuple[str, str]
+# Columns of pairs, and entries of `found`.
+PARENT, PARENT_BYTES, CHILD, CHILD_BYTES = 0, 1, 2, 3
+PAIRS, TAKEN = 0, 1
+NUMBERS = 7
+SMALLEST_BYTES = 72
+"""A transform takes at least this: stamp, two names of no characters, seven doubles."""
+_PADDING_BYTES = 3
 
 
 def read_transform(container: Container, channel: Channel, parent: str, child: str) -> Series:
@@ -67,17 +77,19 @@ class TransformDecoder:
     wanted: Pair | None
     pairs: set[Pair] = field(default_factory=set)
 
-    def __call__(self, batch: Batch) -> Part:
+    def __call__(self, batch: Batch) -> Series:
         """Decode a batch; raise MessageError for the first message that is not as its type says."""
         found = self.find(batch)
         self.pairs.update(found.pairs)
         chosen = np.zeros(found.pair_of.size, dtype=bool)
         if self.wanted in found.pairs:
             chosen = found.pair_of == found.pairs.index(self.wanted)
-        return Part(
+        return Series(
+            channel=batch.channel,
+            fields=FIELDS,
             log_ns=batch.log_ns[found.message_of[chosen]],
             stamp_ns=found.stamp_ns[chosen],
-            frame_ids=frozenset({self.wanted[0]} if self.wanted is not None and chosen.any() else ()),
+            frame_ids=(self.wanted[0],) if self.wanted is not None and chosen.any() else (),
             values=found.values[chosen],
         )
 
@@ -173,3 +185,109 @@ def _transforms_of(thing: Any) -> Iterator[tuple[int, Pair, list[float]]]:
             raise LackingError(f"{child!r} is no name of a frame")
         numbers = [as_number(pick(each, ("transform", *parse_path(path)))) for path in FIELDS]
         yield stamp_ns, (parent, child), numbers
+
+
+@inlined
+def _note_pair(
+    data: ByteArray, parent: int, parent_bytes: int, child: int, child_bytes: int, pairs: StampArray, found: StampArray
+) -> int:
+    """Return the number of a pair of frame names, added to `pairs` unless it is there, or -1 where there is no room."""
+    for index in range(found[PAIRS]):
+        if (
+            pairs[index, PARENT_BYTES] == parent_bytes
+            and pairs[index, CHILD_BYTES] == child_bytes
+            and same(data, pairs[index, PARENT], parent, parent_bytes)
+            and same(data, pairs[index, CHILD], child, child_bytes)
+        ):
+            return index
+    if found[PAIRS] == pairs.shape[0]:
+        return -1
+    index = found[PAIRS]
+    pairs[index, PARENT] = parent
+    pairs[index, PARENT_BYTES] = parent_bytes
+    pairs[index, CHILD] = child
+    pairs[index, CHILD_BYTES] = child_bytes
+    found[PAIRS] += 1
+    return int(index)
+
+
+@inlined
+def _transform(
+    data: ByteArray,
+    at: int,
+    end: int,
+    origin: int,
+    is_cdr: bool,
+    is_big: bool,
+    bits: NDArray[np.uint64],
+    stamps: StampArray,
+    pair_of: StampArray,
+    pairs: StampArray,
+    found: StampArray,
+) -> tuple[int, int]:
+    """Take the transform at `at`; return a code and where it ends."""
+    row = found[TAKEN]
+    if not is_cdr:
+        at += 4  # the sequence number of a ROS 1 header
+    code, at, stamp_ns = stamp(data, at, end, origin, is_cdr, is_big)
+    if code != FINE:
+        return code, at
+    code, parent, parent_bytes, at = text(data, at, end, origin, is_cdr, is_big)
+    if code != FINE:
+        return code, at
+    code, child, child_bytes, at = text(data, at, end, origin, is_cdr, is_big)
+    if code != FINE:
+        return code, at
+    at = aligned(at, 8, origin, is_cdr)
+    if end - at < 8 * NUMBERS:
+        return TOO_SHORT, at
+    for index in range(NUMBERS):
+        bits[row, index] = bits64(data, at + 8 * index, is_big)
+    stamps[row] = stamp_ns
+    pair_of[row] = _note_pair(data, parent, parent_bytes, child, child_bytes, pairs, found)
+    found[TAKEN] = row + 1
+    return FRAMES_FULL if pair_of[row] < 0 else FINE, at + 8 * NUMBERS
+
+
+@unlocked
+def take_transforms(
+    data: ByteArray,
+    starts: StampArray,
+    sizes: StampArray,
+    is_cdr: bool,
+    is_sequence: bool,
+    bits: NDArray[np.uint64],
+    stamps: StampArray,
+    message_of: StampArray,
+    pair_of: StampArray,
+    pairs: StampArray,
+    found: StampArray,
+) -> tuple[int, int, int]:
+    """Fill `bits` (m, 7), `stamps`, `message_of` and `pair_of` (m,) and `pairs` (p, 4): places and lengths of names.
+
+    `found` (2,) counts pairs and transforms. Returns a code, the message it belongs to and the position inside it.
+    """
+    found[PAIRS] = 0
+    found[TAKEN] = 0
+    for row in range(starts.size):
+        begin = starts[row]
+        end = begin + sizes[row]
+        code, at, is_big = opened(data, begin, end, is_cdr)
+        origin, count = at, 1
+        if code == FINE and is_sequence:
+            if end - at < 4:
+                return TOO_SHORT, row, at - begin
+            count = u32(data, at, is_big)
+            at += 4
+            if count * SMALLEST_BYTES > end - at:
+                return TOO_SHORT, row, at - begin
+        while code == FINE and count > 0:
+            at = aligned(at, 4, origin, is_cdr)
+            message_of[found[TAKEN]] = row
+            code, at = _transform(data, at, end, origin, is_cdr, is_big, bits, stamps, pair_of, pairs, found)
+            count -= 1
+        if code == FINE and end - at > (_PADDING_BYTES if is_cdr else 0):
+            code = LEFT_OVER
+        if code != FINE:
+            return code, row, at - begin
+    return FINE, starts.size, 0

@@ -4,8 +4,7 @@ import re
 from itertools import pairwise
 
 from ...errors import listed
-from ..containers.channel import Channel
-from ..messages.channel_info import ChannelInfo, Infos
+from ..containers.channel import Channel, ChannelInfo, Infos
 from .cell import Source
 from .registry import (
     ADMITTANCE_STATE,

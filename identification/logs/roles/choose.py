@@ -9,7 +9,7 @@ from problems.arrays import FloatArray
 from ...errors import LogError, listed
 from ...result import Finding
 from ...signals.recording import AXES, StampArray
-from ..messages.channel_info import ChannelInfo, Infos
+from ..containers.channel import ChannelInfo, Infos
 from .candidates import (
     ambiguous_sentence,
     is_command_name,

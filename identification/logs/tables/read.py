@@ -13,10 +13,9 @@ from problems.errors import require_extra
 from ...errors import LogError, listed
 from ...result import Finding
 from ...signals.recording import StampArray
-from ..containers.channel import Channel, Held, Survey
+from ..containers.channel import Channel, ChannelInfo, Held, Survey
 from ..containers.formats import head_of
-from ..messages.channel_info import ChannelInfo
-from ..messages.series import Series, Wanted
+from ..messages.decode import Series, Wanted
 from .layout import NO_ROW, TableLayout
 from .rounding import RoundedTimes, find_rounding
 from .text import Text, look_at

@@ -29,7 +29,7 @@ from identification.logs.containers.mcap_file import McapContainer
 from identification.logs.containers.ros1_bag import Ros1BagContainer
 from identification.logs.containers.rosbag2_folder import Rosbag2FolderContainer
 from identification.logs.containers.sqlite_bag import SqliteBagContainer
-from identification.logs.messages.series import Wanted
+from identification.logs.messages.decode import Wanted
 from identification.logs.opened import open_logs
 from identification.logs.roles.cell import Cell
 from tests.identification.logs.containers.database import write_db3

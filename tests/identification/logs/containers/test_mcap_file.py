@@ -17,8 +17,8 @@ from mcap.writer import Writer as LibraryWriter
 from identification.errors import LogError
 from identification.logs.containers.channel import Channel
 from identification.logs.containers.mcap_file import McapContainer
+from identification.logs.messages.decode import Wanted
 from identification.logs.messages.read import read_series
-from identification.logs.messages.series import Wanted
 from tests.identification.logs.containers import mcap_writer as raw
 from tests.identification.logs.containers.mcap_reading import (
     CHANNELS,

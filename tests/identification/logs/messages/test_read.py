@@ -12,10 +12,9 @@ from mcap_ros2._dynamic import generate_dynamic
 
 from identification.errors import LogError
 from identification.logs.containers.channel import Batch, Channel
-from identification.logs.messages.layout import build_program, parse_path
+from identification.logs.messages.decode import Series, Wanted, build_program, parse_path
 from identification.logs.messages.objects import ObjectDecoder
 from identification.logs.messages.read import build_decoder, read_series
-from identification.logs.messages.series import Series, Wanted
 from tests.identification.logs.messages.message_builder import (
     ADMITTANCE,
     ENCODINGS,

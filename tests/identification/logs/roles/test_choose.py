@@ -3,8 +3,7 @@
 import pytest
 
 from identification.errors import LogError
-from identification.logs.containers.channel import Channel
-from identification.logs.messages.channel_info import ChannelInfo
+from identification.logs.containers.channel import Channel, ChannelInfo
 from identification.logs.roles.candidates import is_command_name, is_processed_name, roles_of
 from identification.logs.roles.cell import (
     Cell,
