@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.cell_outcomes import Outcome
-from benchmarks.untold_cells import CASES, Untold
+from benchmarks.insufficient_cells import CASES, Untold
 
 _FARTHEST_DEVIATIONS = 5.0
 _COVERED = (0.90, 0.99)
@@ -29,15 +29,15 @@ _PARAMETERS = """Errors are of everything that has a value; a share is of the tr
 stated 95 % interval holds the truth (target 90 to 99 %). *Worst*: the largest |error| in stated standard deviations of
 what is `identified`, with the cell's seed (target: 5). Bold is what misses its target.
 
-| parameter | unit | identified | weak | not told | median (target) | 95th percentile (target) | covered | worst |
+| parameter | unit | identified | weak | not identified | median (target) | 95th percentile (target) | covered | worst |
 |---|---|---|---|---|---|---|---|---|"""
-_UNTOLD = """## Logs that cannot tell
+_INSUFFICIENT = """## Logs that do not suffice
 
-Each is a cell as above whose recording lacks what the named parameters need. *Refused*: no result at all; *marked*:
-none of them `identified`; *told*: `identified`, and within three stated deviations of the truth; *wrong*: `identified`,
-and farther off (must be none).
+Each is a cell as above whose recording lacks what the named parameters need. *Refused*: no result at all;
+*marked*: none of them `identified`; *right*: `identified`, and within three stated deviations of the truth;
+*wrong*: `identified`, and farther off (must be none).
 
-| case | parameters | cells | refused | marked | told | wrong |
+| case | parameters | cells | refused | marked | right | wrong |
 |---|---|---|---|---|---|---|"""
 
 
@@ -86,7 +86,7 @@ class Score:
     row: Row
     identified: int
     weak: int
-    untold: int
+    insufficient: int
     median: float | None
     percentile_95: float | None
     covered: float | None
@@ -121,7 +121,7 @@ def score(row: Row, outcomes: Sequence[Outcome]) -> Score:
         row=row,
         identified=sum(o.status == "identified" for o in mine),
         weak=sum(o.status == "weak" for o in mine),
-        untold=sum(o.value is None for o in mine),
+        insufficient=sum(o.value is None for o in mine),
         median=float(np.median(errors)) if errors else None,
         percentile_95=float(np.percentile(errors, 95.0)) if errors else None,
         covered=float(np.mean(covered)) if covered else None,
@@ -149,7 +149,7 @@ def wrong_claims(case: Untold, runs: Sequence[Run]) -> list[Outcome]:
 
 def page(runs: Sequence[Run]) -> str:
     """Return the page as Markdown."""
-    return "\n".join([_head(runs), *_parameters(runs), *_refused(runs), *_untold(runs), *_outliers(runs)]) + "\n"
+    return "\n".join([_head(runs), *_parameters(runs), *_refused(runs), *_insufficient(runs), *_outliers(runs)]) + "\n"
 
 
 def _head(runs: Sequence[Run]) -> str:
@@ -171,7 +171,7 @@ def _line(each: Score) -> str:
         return f"**{text}**" if name in each.misses else text
 
     targets = each.row.targets
-    cells = [each.row.name, each.row.unit, str(each.identified), str(each.weak), str(each.untold)]
+    cells = [each.row.name, each.row.unit, str(each.identified), str(each.weak), str(each.insufficient)]
     for i, (name, value) in enumerate((("median", each.median), ("95th percentile", each.percentile_95))):
         text = "-" if value is None else f"{value:.2g}"
         cells.append(shown(name, text) + ("" if targets is None else f" ({targets[i]:g})"))
@@ -188,10 +188,10 @@ def _refused(runs: Sequence[Run]) -> Iterator[str]:
         yield ""
 
 
-def _untold(runs: Sequence[Run]) -> Iterator[str]:
+def _insufficient(runs: Sequence[Run]) -> Iterator[str]:
     if not any(run.case for run in runs):
         return
-    yield _UNTOLD
+    yield _INSUFFICIENT
     for case in CASES:
         mine = [run for run in runs if run.case == case.name]
         wrong = {o.seed for o in wrong_claims(case, runs)}

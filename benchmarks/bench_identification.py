@@ -33,7 +33,7 @@ from benchmarks.accuracy_table import Run, all_targets_met, page
 from benchmarks.cell_logs import write_cell_log
 from benchmarks.cell_outcomes import Outcome, compare
 from benchmarks.cells import DrawnCell, draw_cell, simulate
-from benchmarks.untold_cells import CASES
+from benchmarks.insufficient_cells import CASES
 from identification.signals.recording import Recording
 
 _SIMULATE: Callable[[DrawnCell], Recording] = simulate
@@ -43,7 +43,7 @@ def main() -> int:
     """Run, print the table and write it."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--cells", type=int, default=100)
-    parser.add_argument("--untold", type=int, default=10, help="cells of each case that cannot tell")
+    parser.add_argument("--insufficient", type=int, default=10, help="cells of each case that do not suffice")
     parser.add_argument("--seed", type=int, default=0, help="of the first cell")
     parser.add_argument("--processes", type=int, default=max(1, os.cpu_count() or 1))
     parser.add_argument("--table", type=Path, help="the page to write")
@@ -70,7 +70,7 @@ def main() -> int:
 
 
 def run_cell(seed: int, case: int | None = None) -> Run:
-    """Draw, simulate, write, identify and compare one cell, changed to a case that cannot tell where one is named."""
+    """Draw, simulate, write, identify and compare one cell, made insufficient by a case where one is named."""
     drawn, simulated = draw_cell(seed), _SIMULATE
     if case is not None:
         drawn, simulated = CASES[case].changed(drawn), CASES[case].simulated

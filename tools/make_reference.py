@@ -15,8 +15,8 @@ HEAD = """# Every entry of every file
 
 Made by `python tools/make_reference.py` from the JSON Schemas in `autotune/formats/schemas`, against which every
 file is
-checked when it is read and when it is written. [files.md](files.md) tells what the entries mean. A name in angle
-brackets stands for any of those that are listed, or for a name of yours; `[ ]` is an entry of a list. Entries marked •
+checked when it is read and when it is written. [files.md](files.md) says what the entries mean. A name in angle
+brackets means any of those that are listed, or for a name of yours; `[ ]` is an entry of a list. Entries marked •
 must be there where their mapping is. An entry that is not listed is refused, but for mappings of which none is listed.
 """
 AXES, TURNING = ("x", "y", "z"), ("rx", "ry", "rz")

@@ -44,7 +44,7 @@ PAGE = """# Real logs
 Made by `python examples/nj60/real_logs.py` from the logs of a Comau NJ60 (public repository Jackyyaojk/gp_mpc, BSD-3;
 the logs are not part of this project). Gravity was taken off in all of them. Nothing is tuned to these numbers.
 
-## What each log tells
+## What each log yields
 
 Robot bandwidth and surfaces over robot travel, value ± standard deviation and verdict; touches by cause.
 

@@ -11,7 +11,7 @@ from benchmarks.accuracy_table import Row, Run, page, score, wrong_claims
 from benchmarks.cell_logs import TURN, write_cell_log
 from benchmarks.cell_outcomes import Outcome, approach_axis, bandwidth_hz, surface_outcomes
 from benchmarks.cells import DrawnCell, Writing, draw_cell, simulate
-from benchmarks.untold_cells import CASES
+from benchmarks.insufficient_cells import CASES
 from identification.logs import read_checked_recording
 from identification.logs.roles.cell import Cell
 from identification.result import EnvironmentEstimate, Estimate, Status
@@ -145,13 +145,13 @@ def test_the_axis_of_a_turned_sensor_is_that_of_the_sensor() -> None:
 def surface_found(stiffness: float, drawn: DrawnCell) -> EnvironmentEstimate:
     coupling = drawn.cell.coupling.stiffness_n_per_m
     known = Estimate(value=stiffness, std=1.0, status=Status.IDENTIFIED)
-    untold = Estimate(value=None, std=None, status=Status.UNIDENTIFIABLE)
+    insufficient = Estimate(value=None, std=None, status=Status.UNIDENTIFIABLE)
     return EnvironmentEstimate(
         name="x1",
         stiffness_n_per_m=known,
         secant_stiffness_n_per_m=replace(known, value=stiffness * coupling / (stiffness + coupling)),
-        damping_n_s_per_m=untold,
-        mass_kg=untold,
+        damping_n_s_per_m=insufficient,
+        mass_kg=insufficient,
         contacts=3,
         peak_force_n=(),
     )
@@ -168,7 +168,7 @@ def test_surfaces_are_paired_by_stiffness_and_the_others_are_counted() -> None:
 
 
 def test_a_score_counts_errors_of_all_values_and_the_worst_of_what_is_identified() -> None:
-    untold = Outcome(seed=5, name="K_s", truth=2.0, size=2.0, status="unidentifiable")
+    insufficient = Outcome(seed=5, name="K_s", truth=2.0, size=2.0, status="unidentifiable")
     row = Row(name="K_s", unit="%", scale=100.0, targets=(1.0, 4.0))
     found = score(
         row,
@@ -177,10 +177,10 @@ def test_a_score_counts_errors_of_all_values_and_the_worst_of_what_is_identified
             outcome(-0.02, 0.01, seed=2),
             outcome(0.5, 0.01, status="weak", seed=3),
             outcome(9.0, 0.01, name="B_s", seed=4),
-            untold,
+            insufficient,
         ],
     )
-    assert (found.identified, found.weak, found.untold) == (2, 1, 1)
+    assert (found.identified, found.weak, found.insufficient) == (2, 1, 1)
     assert found.median == pytest.approx(2.0)
     assert found.worst == pytest.approx(4.0)
     assert found.worst_seed == 2

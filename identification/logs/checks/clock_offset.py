@@ -52,7 +52,7 @@ class ClockOffset:
         """Say it as a finding: info when consistent, a warning otherwise."""
         if self.offset_s is None or self.std_s is None:
             return Finding.warning(
-                "clock-offset-untold",
+                "clock-offset-unknown",
                 f"Whether the clocks of {wrench_topic} and {pose_topic} agree is unknown: {self.reason}.",
                 self.advice,
             )

@@ -18,7 +18,7 @@ def test_a_complete_log_lacks_nothing(tmp_path: Path) -> None:
     summary = inspect_log(path)
     assert summary.missing == ()
     # Orientations drawn at random jump, and 0.4 s say nothing of clocks.
-    assert {finding.code for finding in summary.findings} == {"orientation-jumps", "clock-offset-untold"}
+    assert {finding.code for finding in summary.findings} == {"orientation-jumps", "clock-offset-unknown"}
     assert (summary.container, summary.size_bytes) == ("mcap", path.stat().st_size)
     assert summary.start_ns == START_NS
     channels = {channel.topic: channel for channel in summary.channels}

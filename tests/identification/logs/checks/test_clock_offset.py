@@ -184,7 +184,7 @@ def test_without_turns_it_cannot_be_told(program: Program, reason: str) -> None:
     assert found.offset_s is None
     assert reason in found.reason
     assert "Tilt the tool" in found.advice
-    assert found.finding("/ft", "/tcp").code == "clock-offset-untold"
+    assert found.finding("/ft", "/tcp").code == "clock-offset-unknown"
 
 
 def test_a_wrench_of_noise_tells_nothing(demo_recording: Recording) -> None:

@@ -1,4 +1,4 @@
-"""Logs that cannot tell something: each lacks what one parameter needs, and identification has to say so."""
+"""Logs that do not suffice: each lacks what one parameter needs, and identification has to say so."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
