@@ -74,7 +74,16 @@ def test_what_types_see_is_what_there_is() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("module", ["autotune.api", "autotune.formats.plant", "autotune.log"])
+@pytest.mark.parametrize(
+    "module",
+    [
+        "autotune.api",
+        "autotune.formats.plant",
+        "autotune.log",
+        "autotune.recording.first_log",
+        "autotune.recording.recorder",
+    ],
+)
 def test_the_examples_of_docstrings_run(module: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     found = doctest.testmod(importlib.import_module(module))
