@@ -33,7 +33,7 @@ from rosbags.typesys import Stores, get_typestore
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from benchmarks.log_file import TOPICS, write_log
-from identification.logs.containers.file_bytes import FileBytes
+from identification.logs.containers.channel import FileBytes
 from identification.logs.containers.mcap_file import McapContainer
 from identification.logs.containers.mcap_layout import Walker
 from identification.logs.messages.decode import Wanted, parse_path

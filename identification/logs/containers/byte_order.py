@@ -41,3 +41,21 @@ def big32(data: ByteArray, at: int) -> np.uint64:
     place = np.uint64(at)
     high = np.uint64(data[place]) << _24 | np.uint64(data[place + _1]) << _16
     return high | np.uint64(data[place + _2]) << _8 | np.uint64(data[place + _3])
+
+
+@inlined
+def u16(data: ByteArray, at: int) -> int:
+    """Return an unsigned number of 2 bytes, the lowest first."""
+    return int(np.int64(little16(data, at)))
+
+
+@inlined
+def u32(data: ByteArray, at: int) -> int:
+    """Return an unsigned number of 4 bytes, the lowest first."""
+    return int(np.int64(little32(data, at)))
+
+
+@inlined
+def u64(data: ByteArray, at: int) -> int:
+    """Return a number of 8 bytes, the lowest first; one of 2^63 and more comes out negative, as no length or time is."""
+    return int(np.int64(little64(data, at)))

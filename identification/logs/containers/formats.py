@@ -9,12 +9,11 @@ from typing import Protocol
 
 from ...errors import LogError
 from . import ros1_bag, sqlite_bag
-from .batches import ZSTD_MAGIC
 from .channel import Container
-from .mcap_file import McapContainer
-from .mcap_records import MAGIC as MCAP_MAGIC
+from .mcap_layout import MAGIC as MCAP_MAGIC
+from .mcap_salvage import open_mcap
 from .rosbag2_folder import Rosbag2FolderContainer
-from .zstd_file import ZstdFileContainer
+from .zstd import ZSTD_MAGIC, ZstdFileContainer
 
 _HEAD_BYTES = 4096
 _TABLE_ENDINGS = (".csv", ".tsv", ".txt")
@@ -71,7 +70,7 @@ def _open_folder(path: Path, *, salvage: bool) -> Container:
 
 
 FORMATS = [
-    LogFormat(name="an MCAP file", magic=MCAP_MAGIC, ending=".mcap", open=McapContainer),
+    LogFormat(name="an MCAP file", magic=MCAP_MAGIC, ending=".mcap", open=open_mcap),
     LogFormat(name="a ROS 1 bag", magic=ros1_bag.MAGIC, ending=".bag", open=ros1_bag.Ros1BagContainer),
     LogFormat(name="a .db3 file", magic=sqlite_bag.MAGIC, ending=".db3", open=sqlite_bag.SqliteBagContainer),
     LogFormat(name="one of these packed with zstd", magic=ZSTD_MAGIC, open=_open_zstd),

@@ -4,25 +4,263 @@ The top records are walked first, without the content of chunks. Chunks are then
 two threads. Counts in the file's summary and indexes have to agree with the messages that are read.
 """
 
-from collections.abc import Callable, Collection, Iterator, Mapping
+import threading
+from collections import Counter, deque
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import TypeVar
 
+import lz4.frame  # type: ignore[import-untyped]  # the package carries no annotations
 import numpy as np
+import zstandard
+from zlib_ng import zlib_ng
 
 from ...errors import LogError
 from ...result import Finding
 from ...signals.recording import StampArray
-from .channel import Batch, Channel, Container, Damage, Held, Survey, T, salvaged
-from .file_bytes import FileBytes
-from .mcap_chunks import ChunkReader, Opened, complete, map_in_order, total_counts
-from .mcap_kernel import gather
-from .mcap_layout import Layout, Walker
-from .mcap_records import Chunk, Definition
-from .mcap_salvage import salvage_layout
+from .channel import CHUNK_LIMIT_BYTES, Batch, ByteArray, Channel, Container, Damage, FileBytes, Held, Survey, T
+from .mcap_kernel import FRAME, FRAME_BYTES, RecordCounter, RecordCounts, gather
+from .mcap_layout import KNOWN, Chunk, Definition, Definitions, Kind, Layout, Walker
 
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+THREADS = 2
+AHEAD = 4
+"""Results that may wait: enough that no thread is idle, few enough that they weigh nothing."""
 _IDS = 2**16
+
+
+@dataclass(frozen=True, kw_only=True)
+class Opened:
+    """A chunk in memory, counted: its records fill `data`, which is valid until the same thread opens the next chunk.
+
+    `definitions` are those that were not known; `has_unknown_kinds` says that there are records of other
+    kinds than the format names.
+    """
+
+    chunk: Chunk
+    data: ByteArray
+    definitions: tuple[Definition, ...]
+    has_unknown_kinds: bool
+
+
+class _Space(threading.local):
+    """Buffers that a thread uses again for every chunk."""
+
+    def __init__(self) -> None:
+        self.packed = np.empty(0, dtype=np.uint8)
+        self.unpacked = np.empty(0, dtype=np.uint8)
+        self.counter = RecordCounter()
+        self.zstd = zstandard.ZstdDecompressor()
+
+
+class ChunkReader:
+    """Open chunks of one file, in any thread."""
+
+    def __init__(self, file: FileBytes, definitions: Definitions) -> None:
+        self._file, self._definitions = file, definitions
+        self._space = _Space()
+
+    def open(self, chunk: Chunk) -> Opened:
+        """Read and check one chunk; raise Damage when anything about it is wrong."""
+        if chunk.declared > CHUNK_LIMIT_BYTES:
+            what = f"a chunk unpacks to {chunk.declared}" if chunk.is_chunk else f"a message has {chunk.declared}"
+            raise Damage(chunk.start, f"{what} bytes, more than the {CHUNK_LIMIT_BYTES} that are allowed")
+        data = self.unpack(chunk)
+        if data.size != chunk.declared:
+            size = f"{data.size}" if data.size < chunk.declared else f"more than {chunk.declared}"
+            raise Damage(chunk.start, f"a chunk unpacks to {size} bytes, it says {chunk.declared}")
+        if chunk.crc and zlib_ng.crc32(data.data) != chunk.crc:
+            raise Damage(chunk.start, "the CRC of a chunk does not agree with its content")
+        record_counts = self._space.counter.count(data)
+        _check(chunk, record_counts)
+        definitions, has_unknown_kinds = self._others(chunk, data, record_counts)
+        return Opened(
+            chunk=replace(
+                chunk, counts=record_counts.counts, start_ns=record_counts.start_ns, end_ns=record_counts.end_ns
+            ),
+            data=data,
+            definitions=definitions,
+            has_unknown_kinds=has_unknown_kinds,
+        )
+
+    def unpack(self, chunk: Chunk) -> ByteArray:
+        """Return the content of a chunk, of one byte too many where it goes on beyond what is declared."""
+        space = self._space
+        space.packed = _at_least(space.packed, chunk.stored)
+        packed = space.packed[: chunk.stored]
+        self._file.read_into(chunk.body, packed.data)
+        try:
+            if chunk.compression == "zstd":
+                return self._unzstd(chunk, packed)
+            if chunk.compression == "lz4":
+                return np.frombuffer(_unlz4(packed, chunk.declared), dtype=np.uint8)
+        except (zstandard.ZstdError, RuntimeError, ValueError, MemoryError, EOFError) as error:
+            raise Damage(chunk.start, f"a chunk cannot be unpacked ({error})") from error
+        return packed
+
+    def _unzstd(self, chunk: Chunk, packed: ByteArray) -> ByteArray:
+        space, size = self._space, chunk.declared + 1
+        space.unpacked = _at_least(space.unpacked, size)
+        target, done = space.unpacked.data[:size], 0
+        with space.zstd.stream_reader(packed.data, read_across_frames=True) as reader:
+            while done < size and (count := reader.readinto(target[done:])):
+                done += count
+        return space.unpacked[:done]
+
+    def _others(
+        self, chunk: Chunk, data: ByteArray, record_counts: RecordCounts
+    ) -> tuple[tuple[Definition, ...], bool]:
+        found: list[Definition] = []
+        has_unknown_kinds = False
+        for position in record_counts.others:
+            kind, length = FRAME.unpack_from(data.data, position)
+            if kind in (Kind.SCHEMA, Kind.CHANNEL):
+                body = data[position + FRAME_BYTES : position + FRAME_BYTES + length].tobytes()
+                if self._definitions.is_new(kind, body):
+                    found.append((kind, body, chunk.start))
+            elif kind in KNOWN:
+                raise Damage(chunk.start, f"a record of kind {kind} is in a chunk")
+            else:
+                has_unknown_kinds = True
+        return tuple(found), has_unknown_kinds
+
+
+def _check(chunk: Chunk, record_counts: RecordCounts) -> None:
+    """Compare what a chunk holds with what its index says."""
+    if record_counts.fault:
+        raise Damage(chunk.start, record_counts.fault)
+    total = sum(record_counts.counts.values())
+    if (
+        chunk.counts is not None
+        and {key: count for key, count in chunk.counts.items() if count} != record_counts.counts
+    ):
+        raise Damage(chunk.start, f"a chunk holds {total} messages, its index has {sum(chunk.counts.values())}")
+    if (
+        total
+        and chunk.has_span
+        and not chunk.start_ns <= record_counts.start_ns <= record_counts.end_ns <= chunk.end_ns
+    ):
+        raise Damage(chunk.start, "a chunk holds messages from before or after the times that it names")
+
+
+def _unlz4(packed: ByteArray, declared: int) -> bytes:
+    rest: memoryview | bytes = packed.data
+    parts: list[bytes] = []
+    room = declared + 1
+    while len(rest) and room > 0:
+        unpacker = lz4.frame.LZ4FrameDecompressor()
+        parts.append(unpacker.decompress(rest, max_length=room))
+        room -= len(parts[-1])
+        if not unpacker.eof:
+            break
+        rest = unpacker.unused_data or b""
+    return parts[0] if len(parts) == 1 else b"".join(parts)
+
+
+def _at_least(buffer: ByteArray, size: int) -> ByteArray:
+    return buffer if buffer.size >= size else np.empty(size + size // 8, dtype=np.uint8)
+
+
+def map_in_order(work: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
+    """Yield `work(item)` for every item in order; an error is raised when its turn comes."""
+    pending: deque[Future[Result]] = deque()
+    with ThreadPoolExecutor(THREADS) as pool:
+        try:
+            for item in items:
+                pending.append(pool.submit(work, item))
+                if len(pending) == AHEAD:
+                    yield pending.popleft().result()
+            while pending:
+                yield pending.popleft().result()
+        finally:
+            for future in pending:
+                future.cancel()
+
+
+def total_counts(chunks: Iterable[Chunk]) -> Counter[int]:
+    """Return the messages per channel id of all chunks together, as far as they are known."""
+    total: Counter[int] = Counter()
+    for chunk in chunks:
+        total.update(chunk.counts or {})
+    return +total
+
+
+def complete(layout: Layout, file: FileBytes, opener: ChunkReader) -> Layout:
+    """Return the layout with the counts of all chunks known and all their channels defined.
+
+    Raises Damage where the summary, the indexes and the messages contradict each other.
+    """
+    known = _from_indexes(layout) or _count(layout, opener)
+    _check_statistics(known)
+    for chunk in known.chunks:
+        for channel_id in chunk.counts or {}:
+            if not layout.definitions.has_all((channel_id,)):
+                raise Damage(chunk.start, f"a message names channel {channel_id}, which is not defined")
+    if layout.data_crc and not is_protected(layout) and file.crc32(0, layout.data_stop) != layout.data_crc:
+        raise Damage(layout.data_stop, "the CRC of the data section does not agree with its content")
+    return known
+
+
+def is_protected(layout: Layout) -> bool:
+    """Return whether all that matters has a CRC of its own, so that the one of the whole data section is not needed."""
+    return bool(layout.chunks) and layout.summary_crc != 0 and all(chunk.crc for chunk in layout.chunks)
+
+
+def without_data(opened: Opened) -> Opened:
+    """Return what is known of an opened chunk, without its content, which the next chunk takes the place of."""
+    return replace(opened, data=np.empty(0, dtype=np.uint8))
+
+
+def _from_indexes(layout: Layout) -> Layout | None:
+    """Take the counts from the indexes if the statistics confirm them; messages outside of chunks were counted."""
+    total = total_counts(layout.chunks)
+    statistics = layout.statistics
+    if not layout.definitions.has_all(total):
+        return None
+    if statistics is None:
+        return None if any(chunk.is_chunk for chunk in layout.chunks) or layout.has_unknown_kinds else layout
+    if statistics.message_count != total.total() or not all(_has_times(chunk, layout) for chunk in layout.chunks):
+        return None
+    return replace(layout, chunks=tuple(replace(chunk, counts=chunk.counts or {}) for chunk in layout.chunks))
+
+
+def _has_times(chunk: Chunk, layout: Layout) -> bool:
+    """Return whether the recording times of a chunk are known: counted, or given by the chunk and by its index."""
+    return not chunk.is_chunk or not chunk.counts or (chunk.has_span and bool(layout.chunk_indexes))
+
+
+def _count(layout: Layout, opener: ChunkReader) -> Layout:
+    chunks: list[Chunk] = []
+    has_unknown_kinds = layout.has_unknown_kinds
+    for opened in map_in_order(lambda chunk: without_data(opener.open(chunk)), layout.chunks):
+        for definition in opened.definitions:
+            layout.definitions.add(*definition)
+        has_unknown_kinds |= opened.has_unknown_kinds
+        chunks.append(opened.chunk)
+    if has_unknown_kinds and layout.statistics is None:
+        raise Damage(0, "it holds records of unknown kinds, and no count says whether they were messages")
+    return replace(layout, chunks=tuple(chunks))
+
+
+def _check_statistics(layout: Layout) -> None:
+    statistics = layout.statistics
+    if statistics is None:
+        return
+    total = total_counts(layout.chunks)
+    chunks = sum(chunk.is_chunk for chunk in layout.chunks)
+    per_channel = {key: count for key, count in statistics.channel_message_counts.items() if count}
+    are_others = bool(per_channel) and per_channel != total
+    if (statistics.message_count, statistics.chunk_count) != (total.total(), chunks) or are_others:
+        raise Damage(
+            layout.data_stop,
+            f"its summary counts {statistics.message_count} messages in {statistics.chunk_count} chunks, "
+            f"the data hold {total.total()} in {chunks}{', of other channels' if are_others else ''}",
+        )
 
 
 def file_findings(layout: Layout) -> tuple[Finding, ...]:
@@ -50,11 +288,10 @@ def file_findings(layout: Layout) -> tuple[Finding, ...]:
 
 
 class McapContainer(Container):
-    """An MCAP file; with `salvage` damaged parts are left out and reported instead of refused."""
+    """An MCAP file."""
 
-    def __init__(self, path: Path, *, salvage: bool = False) -> None:
+    def __init__(self, path: Path) -> None:
         self._file = FileBytes(path)
-        self._salvage = salvage
 
     def close(self) -> None:
         """Close the file."""
@@ -70,10 +307,6 @@ class McapContainer(Container):
         with self._refusing():
             yield from self._read(tuple(dict.fromkeys(wanted)), handle)
 
-    def findings(self) -> tuple[Finding, ...]:
-        """Return what a salvage leaves out."""
-        return salvaged(self._file.name, self._known[0].lost) if self._salvage else ()
-
     @contextmanager
     def _refusing(self) -> Iterator[None]:
         try:
@@ -86,8 +319,9 @@ class McapContainer(Container):
 
     @cached_property
     def _known(self) -> tuple[Layout, ChunkReader]:
-        if self._salvage:
-            return salvage_layout(self._file)
+        return self._load()
+
+    def _load(self) -> tuple[Layout, ChunkReader]:
         layout = Walker(self._file).walk()
         opener = ChunkReader(self._file, layout.definitions)
         return complete(layout, self._file, opener), opener
@@ -97,9 +331,12 @@ class McapContainer(Container):
         """The ids of each channel: those that say the same are one."""
         definitions = self._known[0].definitions
         ids: dict[Channel, list[int]] = {}
-        for channel_id in sorted(definitions.usable if self._salvage else definitions.ids):
+        for channel_id in sorted(self._usable(definitions)):
             ids.setdefault(definitions.channel(channel_id), []).append(channel_id)
         return ids
+
+    def _usable(self, definitions: Definitions) -> frozenset[int]:
+        return definitions.ids
 
     @cached_property
     def _survey(self) -> Survey:
@@ -162,7 +399,7 @@ class Selection:
 
     def batches(self, opened: Opened) -> Iterator[Batch]:
         """Yield their messages in an opened chunk, a batch for each channel that has any."""
-        counts = opened.record_counts.counts
+        counts = opened.chunk.counts or {}
         sizes = [sum(counts.get(channel_id, 0) for channel_id in group) for group in self._ids.values()]
         stops: StampArray = np.cumsum(sizes, dtype=np.int64)
         next_row: StampArray = stops - np.array(sizes, dtype=np.int64)

@@ -1,5 +1,6 @@
 """Walk consecutive records in memory, at machine speed and without the interpreter's lock."""
 
+import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -8,13 +9,15 @@ import numpy as np
 from problems.compiled import inlined, unlocked
 
 from ...signals.recording import StampArray
-from .byte_order import little16, little32, little64
+from .byte_order import u16, u32, u64
 from .channel import ByteArray
-from .mcap_records import FRAME, FRAME_BYTES
 
 FINE, NO_FIT, SHORT_MESSAGE, BAD_TIME, FULL = range(5)
 MESSAGE_HEAD_BYTES = 22
-_FRAME, _MESSAGE, _CHUNK = 9, 5, 6
+FRAME = struct.Struct("<BQ")
+"""Every record: its kind and the number of bytes that follow."""
+FRAME_BYTES = FRAME.size
+_MESSAGE, _CHUNK = 5, 6
 _CHUNK_FIXED = 40
 _LAST_KIND = 15
 _CHAIN = 4
@@ -22,22 +25,6 @@ _IDS = 2**16
 _NEVER_NS = 2**63 - 1
 # Entries of the span of stamps.
 FIRST, LAST = 0, 1
-
-
-@inlined
-def _u16(data: ByteArray, at: int) -> int:
-    return int(np.int64(little16(data, at)))
-
-
-@inlined
-def _u32(data: ByteArray, at: int) -> int:
-    return int(np.int64(little32(data, at)))
-
-
-@inlined
-def _u64(data: ByteArray, at: int) -> int:
-    # A value of 2^63 and more comes out negative, and no length or time that is accepted is negative.
-    return int(np.int64(little64(data, at)))
 
 
 @inlined
@@ -63,20 +50,20 @@ def count_records(
     """
     position, other_count, id_count = start, 0, 0
     while position < end:
-        if end - position < _FRAME or _kind(data, position) == 0:
+        if end - position < FRAME_BYTES or _kind(data, position) == 0:
             return NO_FIT, position, other_count, id_count
-        length = _u64(data, position + 1)
-        if length < 0 or length > end - position - _FRAME:
+        length = u64(data, position + 1)
+        if length < 0 or length > end - position - FRAME_BYTES:
             return NO_FIT, position, other_count, id_count
         if _kind(data, position) == _MESSAGE:
             if length < MESSAGE_HEAD_BYTES:
                 return SHORT_MESSAGE, position, other_count, id_count
-            channel = _u16(data, position + 9)
+            channel = u16(data, position + 9)
             if counts[channel] == 0:
                 ids[id_count] = channel
                 id_count += 1
             counts[channel] += 1
-            log_ns = _u64(data, position + 15)
+            log_ns = u64(data, position + 15)
             if log_ns < 0:
                 return BAD_TIME, position, other_count, id_count
             span_ns[FIRST] = min(span_ns[FIRST], log_ns)
@@ -86,7 +73,7 @@ def count_records(
                 return FULL, position, other_count, id_count
             others[other_count] = position
             other_count += 1
-        position += _FRAME + length
+        position += FRAME_BYTES + length
     return FINE, position, other_count, id_count
 
 
@@ -107,41 +94,41 @@ def gather(
     """
     position = start
     while position < end:
-        length = _u64(data, position + 1)
+        length = u64(data, position + 1)
         if _kind(data, position) == _MESSAGE:
-            slot = slot_of[_u16(data, position + 9)]
+            slot = slot_of[u16(data, position + 9)]
             if slot >= 0:
                 row = next_row[slot]
                 next_row[slot] = row + 1
-                log_ns[row] = _u64(data, position + 15)
-                starts[row] = position + _FRAME + MESSAGE_HEAD_BYTES
+                log_ns[row] = u64(data, position + 15)
+                starts[row] = position + FRAME_BYTES + MESSAGE_HEAD_BYTES
                 sizes[row] = length - MESSAGE_HEAD_BYTES
-        position += _FRAME + length
+        position += FRAME_BYTES + length
 
 
 @unlocked
 def skim(data: ByteArray, start: int, end: int) -> int:
     """Return the place of the first record that is no message or does not end before `end`."""
     position = start
-    while end - position >= _FRAME and _kind(data, position) == _MESSAGE:
-        length = _u64(data, position + 1)
-        if length < 0 or length > end - position - _FRAME:
+    while end - position >= FRAME_BYTES and _kind(data, position) == _MESSAGE:
+        length = u64(data, position + 1)
+        if length < 0 or length > end - position - FRAME_BYTES:
             break
-        position += _FRAME + length
+        position += FRAME_BYTES + length
     return position
 
 
 @unlocked
 def find_chunk(data: ByteArray, start: int, end: int) -> int:
     """Return the first position at which something looks like the head of a chunk record, or -1."""
-    for position in range(start, end - _FRAME - _CHUNK_FIXED + 1):
+    for position in range(start, end - FRAME_BYTES - _CHUNK_FIXED + 1):
         if _kind(data, position) != _CHUNK:
             continue
-        name_bytes = _u32(data, position + _FRAME + 28)
-        if name_bytes not in (0, 3, 4) or position + _FRAME + _CHUNK_FIXED + name_bytes > end:
+        name_bytes = u32(data, position + FRAME_BYTES + 28)
+        if name_bytes not in (0, 3, 4) or position + FRAME_BYTES + _CHUNK_FIXED + name_bytes > end:
             continue
-        length = _u64(data, position + 1)
-        stored = _u64(data, position + _FRAME + 32 + name_bytes)
+        length = u64(data, position + 1)
+        stored = u64(data, position + FRAME_BYTES + 32 + name_bytes)
         spare = length - stored - _CHUNK_FIXED - name_bytes
         if stored >= 0 and 0 <= spare < 64:
             return position
@@ -154,21 +141,21 @@ def find_messages(data: ByteArray, start: int, end: int, is_known: ByteArray) ->
 
     The first is a message of a known channel, `is_known` (65536,); the last may end exactly at `end`.
     """
-    for first in range(start, end - _FRAME - MESSAGE_HEAD_BYTES + 1):
+    for first in range(start, end - FRAME_BYTES - MESSAGE_HEAD_BYTES + 1):
         if _kind(data, first) != _MESSAGE:
             continue
         position, links = first, 0
         while links < _CHAIN and position < end:
-            if end - position < _FRAME or not 0 < _kind(data, position) <= _LAST_KIND:
+            if end - position < FRAME_BYTES or not 0 < _kind(data, position) <= _LAST_KIND:
                 break
-            length = _u64(data, position + 1)
-            if length < 0 or length > end - position - _FRAME:
+            length = u64(data, position + 1)
+            if length < 0 or length > end - position - FRAME_BYTES:
                 break
             if _kind(data, position) == _MESSAGE and (
-                length < MESSAGE_HEAD_BYTES or is_known[_u16(data, position + 9)] == 0
+                length < MESSAGE_HEAD_BYTES or is_known[u16(data, position + 9)] == 0
             ):
                 break
-            position += _FRAME + length
+            position += FRAME_BYTES + length
             links += 1
         if links == _CHAIN or (links > 0 and position == end):
             return first

@@ -7,23 +7,25 @@ summary, if it is sound, defines channels that are lost otherwise.
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
-from .channel import CHUNK_LIMIT_BYTES, ByteArray, Damage
-from .file_bytes import FileBytes
-from .mcap_chunks import ChunkReader, Opened, counted, is_protected, map_in_order, total_counts, without_data
-from .mcap_kernel import RecordCounter, find_chunk, find_messages
-from .mcap_layout import Layout, Walker, message_chunk
-from .mcap_records import (
+from ...result import Finding
+from .channel import CHUNK_LIMIT_BYTES, ByteArray, Damage, FileBytes, salvaged
+from .mcap_file import ChunkReader, McapContainer, Opened, is_protected, map_in_order, total_counts, without_data
+from .mcap_kernel import FRAME, FRAME_BYTES, RecordCounter, find_chunk, find_messages
+from .mcap_layout import (
     CHUNK_HEAD_BYTES,
     FOOTER_BYTES,
-    FRAME,
-    FRAME_BYTES,
     KNOWN,
     MAGIC,
     Chunk,
+    Definitions,
     Kind,
+    Layout,
+    Walker,
+    message_chunk,
     parse_chunk,
 )
 
@@ -34,6 +36,25 @@ _SPARE_BYTES = 64
 """A record with more bytes than this behind its content has a damaged length."""
 _START_BYTES = FRAME_BYTES + 2
 _LONGEST = 2**32
+
+
+def open_mcap(path: Path, *, salvage: bool = False) -> McapContainer:
+    """Open an MCAP file; with `salvage` damaged parts are left out and reported instead of refused."""
+    return SalvagedMcap(path) if salvage else McapContainer(path)
+
+
+class SalvagedMcap(McapContainer):
+    """What is left of an MCAP file."""
+
+    def findings(self) -> tuple[Finding, ...]:
+        """Return what is left out."""
+        return salvaged(self._file.name, self._known[0].lost)
+
+    def _load(self) -> tuple[Layout, ChunkReader]:
+        return salvage_layout(self._file)
+
+    def _usable(self, definitions: Definitions) -> frozenset[int]:
+        return definitions.usable
 
 
 def next_chunk(file: FileBytes, opener: ChunkReader, begin: int, stop: int) -> int | None:
@@ -122,7 +143,7 @@ def salvage_layout(file: FileBytes) -> tuple[Layout, ChunkReader]:
                 raise opened
             for definition in opened.definitions:
                 layout.definitions.add(*definition)
-            chunks.append(counted(opened))
+            chunks.append(opened.chunk)
         except Damage as damage:
             walker.lose(chunk.start, chunk.stop, damage.reason, chunk)
     return replace(layout, chunks=tuple(chunks), lost=walker.describe_lost(layout, chunks)), walker.opener

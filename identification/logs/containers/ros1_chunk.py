@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from problems.compiled import compiled
 
 from ...signals.recording import StampArray
+from .byte_order import u32
 from .channel import CHUNK_LIMIT_BYTES, ByteArray, Damage
 
 _FEED_BYTES = 2**16
@@ -159,12 +160,6 @@ def walk_chunk(data: bytes, *, resume: bool) -> Walk:
 
 
 @compiled
-def _uint32(data: ByteArray, at: int) -> int:
-    low = np.int64(data[at]) | np.int64(data[at + 1]) << 8
-    return int(low | np.int64(data[at + 2]) << 16 | np.int64(data[at + 3]) << 24)
-
-
-@compiled
 def _is_name(data: ByteArray, at: int, a: int, b: int, c: int, d: int) -> bool:
     return bool(data[at] == a and data[at + 1] == b and data[at + 2] == c and data[at + 3] == d and data[at + 4] == 61)
 
@@ -175,7 +170,7 @@ def _record(data: ByteArray, at: int, row: NDArray[np.int64]) -> bool:
     size = data.size
     if at + 8 > size:
         return False
-    header = _uint32(data, at)
+    header = u32(data, at)
     if header < 8 or header > _HEADER_LIMIT or at + 8 + header > size:
         return False
     position, end = at + 4, at + 4 + header
@@ -183,21 +178,21 @@ def _record(data: ByteArray, at: int, row: NDArray[np.int64]) -> bool:
     while position < end:
         if position + 4 > end:
             return False
-        length = _uint32(data, position)
+        length = u32(data, position)
         position += 4
         if length < 2 or position + length > end:
             return False
         if length == 4 and data[position] == 111 and data[position + 1] == 112 and data[position + 2] == 61:
             row[_OP] = data[position + 3]
         elif length == 9 and _is_name(data, position, 99, 111, 110, 110):
-            row[_CONN] = _uint32(data, position + 5)
+            row[_CONN] = u32(data, position + 5)
         elif length == 13 and _is_name(data, position, 116, 105, 109, 101):
-            row[_TIME_S] = _uint32(data, position + 5)
-            row[_TIME_NS] = _uint32(data, position + 9)
+            row[_TIME_S] = u32(data, position + 5)
+            row[_TIME_NS] = u32(data, position + 9)
         position += length
     row[_AT] = at
     row[_START] = end + 4
-    row[_SIZE] = _uint32(data, end)
+    row[_SIZE] = u32(data, end)
     row[_NEXT] = row[_START] + row[_SIZE]
     is_message = row[_OP] == 2 and row[_TIME_S] >= 0 and row[_TIME_NS] < 1_000_000_000
     return bool(row[_NEXT] <= size and row[_CONN] >= 0 and (is_message or row[_OP] == 7))

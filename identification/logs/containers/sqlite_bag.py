@@ -5,7 +5,7 @@ import sqlite3
 from collections.abc import Callable, Collection, Iterator
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
-from itertools import chain, islice
+from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TypeVar, cast
@@ -15,8 +15,8 @@ import numpy as np
 
 from ...errors import LogError
 from ...result import Finding
-from .batches import ZSTD_MAGIC, Gatherer, pack, unpack_message, unpack_messages
-from .channel import CHUNK_LIMIT_BYTES, Batch, Channel, Container, Held, Survey, salvaged
+from .channel import CHUNK_LIMIT_BYTES, Batch, Channel, Container, Held, Survey, pack, salvaged
+from .zstd import ZSTD_MAGIC, unpack_message, unpack_messages
 
 T = TypeVar("T")
 Row = tuple[object, ...]
@@ -222,10 +222,9 @@ class SqliteBagContainer(Container):
             self.survey()
         self._check()
         self._was_read = True
-        gatherers = {channel: Gatherer(channel) for channel in topics.values()}
-        groups = (self._batches(rows, topics, gatherers) for rows in (self._rows(topics) if topics else ()))
-        rest = (gatherer.flush() for gatherer in gatherers.values())
-        for batch in chain.from_iterable(chain(groups, rest)):
+        for batch in (
+            batch for rows in (self._rows(topics) if topics else ()) for batch in self._batches(rows, topics)
+        ):
             unpacked = self._unpacked(batch)
             if unpacked.count:
                 yield unpacked.channel, handle(unpacked)
@@ -313,9 +312,7 @@ class SqliteBagContainer(Container):
         while rows := list(islice(sound, _FETCHED)):
             yield rows
 
-    def _batches(
-        self, rows: list[Row], topics: dict[int, Channel], gatherers: dict[Channel, Gatherer]
-    ) -> Iterator[Batch]:
+    def _batches(self, rows: list[Row], topics: dict[int, Channel]) -> Iterator[Batch]:
         numbers, topic_ids, log_ns, data = zip(*rows, strict=True)
         if set(map(type, log_ns)) != {int} or set(map(type, data)) != {bytes}:
             raise self._file.refusal(
@@ -323,11 +320,13 @@ class SqliteBagContainer(Container):
             )
         times = np.array(log_ns, dtype=np.int64)
         owners = np.array(topic_ids, dtype=np.int64)
-        for channel, gatherer in gatherers.items():
+        for channel in dict.fromkeys(topics.values()):
             own = [topic for topic, each in topics.items() if each == channel]
             chosen = np.flatnonzero(np.isin(owners, own))
             if chosen.size:
-                yield from gatherer.add(times[chosen], *pack([data[index] for index in chosen.tolist()]))
+                sizes, packed = pack([data[index] for index in chosen.tolist()])
+                starts = np.cumsum(sizes) - sizes
+                yield Batch(channel=channel, log_ns=times[chosen], data=packed, starts=starts, sizes=sizes)
 
     def _plain(self, channel: Channel, message: bytes) -> bytes:
         if not _is_packed(channel, message):

@@ -22,8 +22,7 @@ from rosbags.rosbag2 import StoragePlugin
 
 from identification.errors import LogError
 from identification.logs.containers import formats
-from identification.logs.containers.batches import pack
-from identification.logs.containers.channel import Batch, Channel, Container, Held, Survey
+from identification.logs.containers.channel import Batch, Channel, Container, Held, Survey, pack
 from identification.logs.containers.formats import LogFormat, is_table, open_container, sha256_of
 from identification.logs.containers.mcap_file import McapContainer
 from identification.logs.containers.ros1_bag import Ros1BagContainer

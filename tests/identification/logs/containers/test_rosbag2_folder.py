@@ -10,7 +10,7 @@ from rosbags.rosbag2 import CompressionMode, StoragePlugin
 from ruamel.yaml import YAML
 
 from identification.errors import LogError
-from identification.logs.containers import zstd_file
+from identification.logs.containers import zstd
 from identification.logs.containers.formats import open_container
 from tests.identification.logs.containers.database import write_db3
 from tests.identification.logs.containers.stored import (
@@ -313,7 +313,7 @@ def test_packed_files_that_are_damaged_or_bombs_are_refused(tmp_path: Path, monk
     with pytest.raises(LogError, match="compressed with zstd twice"):
         open_container(path)
     path.write_bytes(packed)
-    monkeypatch.setattr(zstd_file, "_SPARE_BYTES", 2**62)
+    monkeypatch.setattr(zstd, "_SPARE_BYTES", 2**62)
     with pytest.raises(LogError, match="more than the 0 bytes that temporary files may take"):
         open_container(path)
 

@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from identification.errors import LogError
-from identification.logs.containers import batches, sqlite_bag
+from identification.logs.containers import sqlite_bag, zstd
 from identification.logs.containers.sqlite_bag import SqliteBagContainer
 from tests.identification.logs.containers.database import TEXTS, change, write_db3
 from tests.identification.logs.containers.stored import (
@@ -131,7 +131,7 @@ def test_messages_compressed_one_by_one_are_unpacked(tmp_path: Path) -> None:
 def test_compressed_messages_that_are_damaged_or_bombs_are_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(batches, "CHUNK_LIMIT_BYTES", 100_000)
+    monkeypatch.setattr(zstd, "CHUNK_LIMIT_BYTES", 100_000)
     good = Stored(topic="/ft", log_ns=START_NS, data=zstandard.compress(b"good"))
     streaming = zstandard.ZstdCompressor(write_content_size=False)
     bad = {
