@@ -57,5 +57,5 @@ def u32(data: ByteArray, at: int) -> int:
 
 @inlined
 def u64(data: ByteArray, at: int) -> int:
-    """Return a number of 8 bytes, the lowest first; one of 2^63 and more comes out negative, as no length or time is."""
+    """Return a number of 8 bytes, the lowest first; 2^63 and more come out negative, as no length or time is."""
     return int(np.int64(little64(data, at)))
