@@ -289,8 +289,8 @@ def compare_logs(
     from autotune.validation.against_log import compare_with_log
     from autotune.validation.log_touches import compare_touches_of_log
     from identification.logs import read_checked_recording
+    from identification.logs.recording import build_frames
     from identification.logs.roles.cell import Cell
-    from identification.logs.roles.interpret import build_frames
     from identification.logs.span import LogSpan
 
     cell = Cell() if options["cell_path"] is None else read_cell(options["cell_path"]).cell

@@ -16,10 +16,9 @@ from .messages.decode import Series, Wanted
 from .numbers import number_fields, number_findings
 from .opened import OpenedLogs, digests, open_logs
 from .read import read_checked_recording
-from .roles.candidates import is_undeclared, missing_sentence, roles_of
 from .roles.cell import Cell, WrenchSource
-from .roles.choose import Choice, RoleSeries, candidates_of, choose, open_questions, source_of, spelled_as_in
-from .roles.registry import ROLES, TRANSFORMS, Role, layout_of
+from .roles.choose import Choice, candidates_of, choose, open_questions, source_of, spelled_as_in
+from .roles.registry import ROLES, TRANSFORMS, Role, is_undeclared, layout_of, missing_sentence, roles_of
 from .span import WHOLE, LogSpan, cut_series
 from .summary import Candidate, ChannelSummary, LogSummary, RoleSummary
 
@@ -217,15 +216,7 @@ def _channel_findings(info: ChannelInfo, series: Series, start_ns: int, *, salva
     if not roles or not series.log_ns.size or series.stamp_ns is None:
         return
     if series.fields:
-        choice = Choice(role=roles[0], info=info, fields=series.fields, header="header", reason="")
-        mine = RoleSeries(
-            choice=choice,
-            log_ns=series.log_ns,
-            stamp_ns=series.stamp_ns,
-            frame_ids=series.frame_ids,
-            values=series.values,
-        )
-        yield from role_faults(roles[0], [mine], [series.stamp_ns], None, start_ns, keeps_holes=salvage)
+        yield from role_faults(roles[0], [series], [series.stamp_ns], None, start_ns, keeps_holes=salvage)
 
 
 def _declared_findings(logs: OpenedLogs, choices: Mapping[Role, Choice], cell: Cell, *, salvage: bool) -> list[Finding]:
@@ -238,7 +229,7 @@ def _declared_findings(logs: OpenedLogs, choices: Mapping[Role, Choice], cell: C
         return [Finding.error("undecodable", str(error), "Check cell.yaml.")]
     for role in dict.fromkeys(role for part in parts for role in part):
         mine = [part[role] for part in parts if role in part]
-        stamps = [part.log_ns if part.stamp_ns is None else part.stamp_ns for part in mine]
+        stamps = [part.times_ns for part in mine]
         found += role_faults(role, mine, stamps, source_of(cell, role), logs.start_ns, keeps_holes=salvage)
     return found
 

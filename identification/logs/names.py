@@ -7,7 +7,7 @@ from enum import StrEnum
 
 from problems.frozen import FrozenDict, freeze
 
-from .roles.candidates import COMMAND_WORDS, PROCESSED_WORDS
+from .roles.registry import COMMAND_WORDS, PROCESSED_WORDS
 
 _FORCE = frozenset({"f", "force", "forces", "fext", "kraft"})
 _TORQUE = frozenset({"m", "mom", "moment", "moments", "torque", "torques", "tau", "trq", "drehmoment"})

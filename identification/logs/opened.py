@@ -2,7 +2,7 @@
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,9 +17,12 @@ from .messages.objects import build_object_parser, messages_of, strings_block
 from .messages.read import build_infos, read_series
 from .messages.transforms import list_frames, read_transform
 from .roles.cell import Cell
-from .roles.choose import Choice, RoleSeries
+from .roles.choose import Choice
 from .roles.registry import Role
 from .tables.read import TableLog, check_time_units
+
+_LONGEST_PAUSE_NS = 10**9
+"""A recorder that splits its files goes on at once; who records again takes longer."""
 
 
 class ContainerLog:
@@ -152,7 +155,7 @@ class OpenedLogs:
             parts.append(part.read(mine) if mine else {})
         return {channel: _joined([part[channel] for part in parts if channel in part]) for channel in channels}
 
-    def read_roles(self, choices: Collection[Choice]) -> list[dict[Role, RoleSeries]]:
+    def read_roles(self, choices: Collection[Choice]) -> list[dict[Role, Series]]:
         """Read the chosen channels, each file once; one mapping per file, with the roles that it holds."""
         return [_read_roles(part, [c for c in choices if part in self._having(c.info)]) for part in self.parts]
 
@@ -177,6 +180,36 @@ def open_logs(paths: Sequence[Path], cell: Cell, *, salvage: bool) -> Iterator[O
     finally:
         for part in parts:
             part.close()
+
+
+def separate_runs(paths: Sequence[Path], cell: Cell, *, salvage: bool = False) -> tuple[tuple[Path, ...], ...]:
+    """Group logs into recordings: what follows within a second of recording time, or overlaps, is one.
+
+    Tables without absolute time begin at 0 and go with each other.
+
+    Returns
+    -------
+    tuple of tuple of Path
+        The files of each recording, in the order in which they were named.
+
+    Raises
+    ------
+    LogError
+        A file is no log.
+    """
+    if len(paths) == 1:
+        return ((paths[0],),)
+    with open_logs(tuple(paths), cell, salvage=salvage) as logs:
+        spans = sorted((part.survey.start_ns, part.survey.end_ns, i) for i, part in enumerate(logs.parts))
+    runs: list[list[int]] = []
+    latest = 0
+    for start, end, index in spans:
+        if runs and start - latest <= _LONGEST_PAUSE_NS:
+            runs[-1].append(index)
+        else:
+            runs.append([index])
+        latest = max(latest, end)
+    return tuple(tuple(paths[index] for index in sorted(run)) for run in runs)
 
 
 def _times(container: Container, channels: Sequence[Channel]) -> dict[Channel, Series]:
@@ -237,7 +270,7 @@ def _joined(parts: Sequence[Series]) -> Series:
     )
 
 
-def _read_roles(part: OpenedLog, choices: Sequence[Choice]) -> dict[Role, RoleSeries]:
+def _read_roles(part: OpenedLog, choices: Sequence[Choice]) -> dict[Role, Series]:
     wanted: dict[Channel, Wanted] = {}
     for choice in choices:
         if choice.frames is None:
@@ -257,7 +290,7 @@ def _read_roles(part: OpenedLog, choices: Sequence[Choice]) -> dict[Role, RoleSe
     }
 
 
-def _role_series(choice: Choice, series: Series) -> RoleSeries:
+def _role_series(choice: Choice, series: Series) -> Series:
     at = {path: index for index, path in enumerate(series.fields)}
     columns = [at[path] for path in choice.fields if path is not None]
     if len(columns) == len(choice.fields) and columns == [*range(columns[0], columns[0] + len(columns))]:
@@ -265,10 +298,5 @@ def _role_series(choice: Choice, series: Series) -> RoleSeries:
     else:
         values = np.full((len(series.log_ns), len(choice.fields)), np.nan)
         values[:, [path is not None for path in choice.fields]] = series.values[:, columns]
-    return RoleSeries(
-        choice=choice,
-        log_ns=series.log_ns,
-        stamp_ns=series.stamp_ns if choice.header else None,
-        frame_ids=series.frame_ids,
-        values=values,
-    )
+    stamps = series.stamp_ns if choice.header else None
+    return replace(series, fields=choice.fields, stamp_ns=stamps, values=values)

@@ -1,7 +1,7 @@
 """Read from logs the channels that `identify` needs, in SI and in our frames."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -9,31 +9,23 @@ import numpy as np
 
 from ..errors import LogError
 from ..result import Finding
-from ..signals.recording import Recording
+from ..signals.recording import Recording, join_recordings
 from ..signals.repairs import without_pose_spikes
 from .checks.clocks import ChannelTimes, check_clocks
 from .checks.payload import check_payload
 from .checks.samples import joined
 from .joints import joint_findings, poses_of_joints, resolve_joints
+from .messages.decode import Series
 from .numbers import number_fields
 from .opened import OpenedLogs, digests, open_logs
-from .parts import join_recordings
 from .recording import build_recording, chosen_clocks, refuse, role_stamps, sample_findings
 from .roles.cell import Cell, Clock
-from .roles.choose import Choice, RoleSeries, choose_all, open_questions, spelled_as_in, with_meanings
-from .roles.interpret import make_continuous
+from .roles.choose import Choice, choose_all, open_questions, spelled_as_in, with_meanings
+from .roles.orientation import make_continuous
 from .roles.registry import ROBOT_STATES, ROLES, Role
 from .span import WHOLE, LogSpan, cut_roles
 
-Part = dict[Role, RoleSeries]
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Read:
-    """A recording, and the header and recording stamps of the channels that have clocks of their own."""
-
-    recording: Recording
-    times: Sequence[ChannelTimes]
+Part = dict[Role, Series]
 
 
 def read_recording(
@@ -73,7 +65,7 @@ def read_recording(
         A file is damaged, a channel is missing or ambiguous, or its samples cannot be used.
     """
     declared = (cell or Cell()).with_topics(wrench=wrench_topic, pose=pose_topic, command=command_topic)
-    return _read(paths, declared, salvage=salvage, span=span).recording
+    return _read(paths, declared, salvage=salvage, span=span)[0]
 
 
 def read_checked_recording(
@@ -88,14 +80,16 @@ def read_checked_recording(
     LogError
         As `read_recording`; the clocks differ by an unknown offset; or the payload changed within the log.
     """
-    read = _read(paths, cell, salvage=salvage, span=span)
-    recording = _on_one_clock(read)
+    recording = _on_one_clock(*_read(paths, cell, salvage=salvage, span=span))
     about_payload = check_payload(recording)
     refuse(about_payload)
     return replace(recording, findings=(*recording.findings, *about_payload))
 
 
-def _read(paths: Path | Sequence[Path], cell: Cell, *, salvage: bool, span: LogSpan) -> _Read:
+def _read(
+    paths: Path | Sequence[Path], cell: Cell, *, salvage: bool, span: LogSpan
+) -> tuple[Recording, list[ChannelTimes]]:
+    """Return a recording, and the header and recording stamps of the channels that have clocks of their own."""
     files = (paths,) if isinstance(paths, Path) else tuple(paths)
     with open_logs(files, cell, salvage=salvage) as logs:
         cell = spelled_as_in(cell, logs.infos)
@@ -104,7 +98,7 @@ def _read(paths: Path | Sequence[Path], cell: Cell, *, salvage: bool, span: LogS
         cell, cautions = with_meanings(cell, choices.values())
         _check_fields(choices.values(), logs)
         parts = _parts(logs.read_roles(tuple(choices.values())), choices, logs)
-        poses_of_joints(parts, cell, chain)
+        poses_of_joints(parts, choices, cell, chain)
         idle = _drop_idle_command(parts)
         clocks, about_clocks = chosen_clocks(parts, cell)
         parts, about_span = cut_roles(parts, [role_stamps(part, clocks, cell) for part in parts], span, logs.name)
@@ -119,8 +113,7 @@ def _read(paths: Path | Sequence[Path], cell: Cell, *, salvage: bool, span: LogS
         findings = (*about_log, *about_span, *chosen, *cautions, *idle, *questions, *about_clocks, *about_samples)
         beside = joint_findings(choices[Role.POSE], recording, cell, chain, logs)
         findings = (*findings, *recording.findings, *beside)
-    recording = replace(recording, sha256=digests(files), findings=findings, keeps_holes=salvage)
-    return _Read(recording=recording, times=times)
+    return replace(recording, sha256=digests(files), findings=findings, keeps_holes=salvage), times
 
 
 def _check_fields(choices: Iterable[Choice], logs: OpenedLogs) -> None:
@@ -138,7 +131,7 @@ def _check_fields(choices: Iterable[Choice], logs: OpenedLogs) -> None:
             )
 
 
-def _parts(read: Sequence[dict[Role, RoleSeries]], choices: Mapping[Role, Choice], logs: OpenedLogs) -> list[Part]:
+def _parts(read: Sequence[dict[Role, Series]], choices: Mapping[Role, Choice], logs: OpenedLogs) -> list[Part]:
     """Return what follows each other in time: the files, or all of them as one where each holds other roles."""
     held = [role for part in read for role in part]
     parts = [*read]
@@ -156,13 +149,13 @@ def _parts(read: Sequence[dict[Role, RoleSeries]], choices: Mapping[Role, Choice
 
 def _drop_idle_command(parts: Sequence[Part]) -> tuple[Finding, ...]:
     """Take a command out that a robot's state holds though nobody commands poses: it rests, or repeats the measured."""
-    if Role.COMMAND not in parts[0] or parts[0][Role.COMMAND].choice.info.channel.type_name not in ROBOT_STATES:
+    if Role.COMMAND not in parts[0] or parts[0][Role.COMMAND].channel.type_name not in ROBOT_STATES:
         return ()
     command, pose = (joined([part[role].values for part in parts]) for role in (Role.COMMAND, Role.POSE))
     is_same = bool(np.array_equal(command, pose, equal_nan=True))
     if not is_same and bool(np.any(command != command[:1])):
         return ()
-    topic = parts[0][Role.COMMAND].choice.info.channel.topic
+    topic = parts[0][Role.COMMAND].channel.topic
     for part in parts:
         del part[Role.COMMAND]
     why = "repeats the measured pose" if is_same else "stays the same"
@@ -188,13 +181,13 @@ def _continuous(recording: Recording) -> Recording:
     return replace(recording, pose=pose, command=command, findings=(*recording.findings, *found))
 
 
-def _on_one_clock(read: _Read) -> Recording:
+def _on_one_clock(recording: Recording, times: Sequence[ChannelTimes]) -> Recording:
     """Take the offset between the clocks of wrench and pose out, where they have clocks of their own."""
-    if not read.times or read.recording.pose.is_displacement:
-        return read.recording
-    report = check_clocks(read.recording, read.times)
+    if not times or recording.pose.is_displacement:
+        return recording
+    report = check_clocks(recording, times)
     refuse(report.findings)
-    findings = (*read.recording.findings, *report.findings)
+    findings = (*recording.findings, *report.findings)
     return replace(
         report.recording, findings=findings, wrench_lag_s=report.lag_left_s, wrench_shifted_s=report.shifted_s
     )
@@ -203,7 +196,7 @@ def _on_one_clock(read: _Read) -> Recording:
 def _times(parts: Sequence[Part], clocks: Mapping[Role, Clock]) -> list[ChannelTimes]:
     """Return the stamps of wrench, pose and command; nothing where one channel or the recorder's clock serves."""
     main = [role for role in (Role.WRENCH, Role.POSE, Role.COMMAND) if role in clocks]
-    channels = [part.choice.info.channel for role, part in parts[0].items() if role in (Role.WRENCH, Role.POSE)]
+    channels = [part.channel for role, part in parts[0].items() if role in (Role.WRENCH, Role.POSE)]
     if len(set(channels)) < 2 or any(clocks[role] is Clock.LOG for role in main):
         return []
     times = []
@@ -211,7 +204,7 @@ def _times(parts: Sequence[Part], clocks: Mapping[Role, Clock]) -> list[ChannelT
         pairs = [(s.stamp_ns, s.log_ns) for s in (part[role] for part in parts) if s.stamp_ns is not None]
         times.append(
             ChannelTimes(
-                topic=parts[0][role].choice.info.channel.topic,
+                topic=parts[0][role].channel.topic,
                 stamp_ns=joined([stamps for stamps, _ in pairs]),
                 log_ns=joined([log for _, log in pairs]),
             )

@@ -1,38 +1,59 @@
-"""The chosen channels as one recording: which clock stamps them, whether they can be used, what they mean."""
+"""The chosen channels as one recording: which clock stamps them, whether they can be used, what they are in SI."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
+
+from problems.arrays import BoolArray, FloatArray
 
 from ..errors import LogError
 from ..result import Finding
 from ..signals.frames import Frames
-from ..signals.recording import GainsSignal, PoseSignal, Recording, StampArray, WrenchSignal, no_wrench
+from ..signals.recording import (
+    AXES,
+    AppliedDeadband,
+    GainsSignal,
+    PoseSignal,
+    Recording,
+    StampArray,
+    TwistSignal,
+    WrenchSignal,
+    no_wrench,
+)
 from .checks.consistency import turn_findings, twist_findings
 from .checks.samples import role_faults
-from .roles.candidates import is_processed_name
-from .roles.cell import Cell, Clock, DesiredForceSource, Frame, GainsSource, PoseSource, TwistSource, WrenchSource
-from .roles.choose import RoleSeries, source_of
-from .roles.interpret import (
-    Columns,
-    applied_deadband,
-    build_frames,
-    interpret_gains,
-    interpret_pose,
-    interpret_twist,
-    interpret_wrench,
+from .containers.channel import Channel
+from .messages.decode import Series
+from .roles.cell import (
+    ANGLE_RAD,
+    FORCE_N,
+    LENGTH_M,
+    TORQUE_N_M,
+    Cell,
+    Clock,
+    DeclaredDeadband,
+    DesiredForceSource,
+    ExertedBy,
+    Frame,
+    GainsSource,
+    Mounting,
+    PoseSource,
+    TwistSource,
+    WrenchSource,
 )
-from .roles.registry import ROLES, Role
+from .roles.choose import source_of
+from .roles.orientation import canonical, orientation_quaternion
+from .roles.registry import ROLES, Role, is_processed_name
 
 _MAIN = (Role.WRENCH, Role.POSE, Role.COMMAND)
+_DOWN = np.array([0.0, 0.0, -1.0])
 _OF_SINGLE_ROWS = frozenset({"not-finite", "quaternion-norm", "turn-unit", "length-unit"})
 """Faults that a table of poses can have; the others compare neighbours in time."""
 
 
-def chosen_clocks(
-    parts: Sequence[Mapping[Role, RoleSeries]], cell: Cell
-) -> tuple[dict[Role, Clock], tuple[Finding, ...]]:
+def chosen_clocks(parts: Sequence[Mapping[Role, Series]], cell: Cell) -> tuple[dict[Role, Clock], tuple[Finding, ...]]:
     """Return the clock of each role: the declared one, else the header's, else for all of them the log's.
 
     Raises LogError when header stamps are declared for a channel that has none.
@@ -42,7 +63,7 @@ def chosen_clocks(
     for role, clock in declared.items():
         if clock is Clock.HEADER and series[role].stamp_ns is None:
             raise LogError(
-                f"Topic {_topic(series[role])} must have header stamps, as cell.yaml declares for the "
+                f"Topic {series[role].topic} must have header stamps, as cell.yaml declares for the "
                 f"{ROLES[role].label}, found none; declare `{ROLES[role].entry}: {{clock: log}}` or the "
                 "path of its header."
             )
@@ -53,7 +74,7 @@ def chosen_clocks(
     }
     by_log = [role for role in series if clocks[role] is Clock.LOG]
     findings = []
-    tables = {_topic(series[role]) for role in _MAIN if role in series and _is_table(series[role])}
+    tables = {series[role].topic for role in _MAIN if role in series and _is_table(series[role])}
     if len(tables) > 1 and not cell.rows_are_poses:
         findings.append(
             Finding.info(
@@ -64,7 +85,7 @@ def chosen_clocks(
         )
     # The time column of a table is what its writer took for the time; only messages have a time of recording beside.
     if bare and not all(_is_table(series[role]) for role in by_log):
-        topics = ", ".join(sorted({_topic(series[role]) for role in bare}))
+        topics = ", ".join(sorted({series[role].topic for role in bare}))
         findings.append(
             Finding.warning(
                 "log-clock",
@@ -77,7 +98,7 @@ def chosen_clocks(
 
 
 def sample_findings(
-    parts: Sequence[Mapping[Role, RoleSeries]],
+    parts: Sequence[Mapping[Role, Series]],
     clocks: Mapping[Role, Clock],
     cell: Cell,
     start_ns: int,
@@ -96,19 +117,18 @@ def sample_findings(
     return tuple(found)
 
 
-def _is_table(series: RoleSeries) -> bool:
-    return series.choice.info.channel.encoding == "table"
+def _is_table(series: Series) -> bool:
+    return series.channel.encoding == "table"
 
 
-def build_recording(series: dict[Role, RoleSeries], clocks: Mapping[Role, Clock], cell: Cell) -> Recording:
+def build_recording(series: dict[Role, Series], clocks: Mapping[Role, Clock], cell: Cell) -> Recording:
     """Interpret the samples of every role, which `sample_findings` has found usable.
 
     `series` is emptied: of a long log never all numbers are held as they were logged and as they are meant.
     """
     frames = build_frames(cell)
     stamps = role_stamps(series, clocks, cell)
-    columns = {role: _columns(series[role], stamps[role]) for role in series}
-    series.clear()
+    columns = {role: replace(series.pop(role), stamp_ns=stamps[role]) for role in [*series]}
     is_relative = cell.displacement is not None
     source = cell.pose or cell.displacement or PoseSource()
     pose = interpret_pose(columns.pop(Role.POSE), source, frames, is_displacement=is_relative)
@@ -142,7 +162,7 @@ def build_recording(series: dict[Role, RoleSeries], clocks: Mapping[Role, Clock]
     )
 
 
-def role_stamps(series: Mapping[Role, RoleSeries], clocks: Mapping[Role, Clock], cell: Cell) -> dict[Role, StampArray]:
+def role_stamps(series: Mapping[Role, Series], clocks: Mapping[Role, Clock], cell: Cell) -> dict[Role, StampArray]:
     """Return the stamps of each role on its clock, moved by the declared offset."""
     return {role: _stamps(role, series, clocks, cell) for role in series}
 
@@ -154,11 +174,7 @@ def refuse(findings: Iterable[Finding]) -> None:
             raise LogError(f"{finding.message} {finding.advice}")
 
 
-def _topic(series: RoleSeries) -> str:
-    return series.choice.info.channel.topic
-
-
-def _stamps(role: Role, series: Mapping[Role, RoleSeries], clocks: Mapping[Role, Clock], cell: Cell) -> StampArray:
+def _stamps(role: Role, series: Mapping[Role, Series], clocks: Mapping[Role, Clock], cell: Cell) -> StampArray:
     """Return the stamps of a role on its clock, moved by the declared offset.
 
     A role beside the main ones that has no header is stamped by the time of recording less the wrench's delay.
@@ -179,19 +195,11 @@ def _stamps(role: Role, series: Mapping[Role, RoleSeries], clocks: Mapping[Role,
     return stamps + np.int64(offset_ns) if offset_ns else stamps
 
 
-def _columns(series: RoleSeries, stamp_ns: StampArray) -> Columns:
-    frame = series.frame_ids[0] if series.frame_ids else ""
-    pair = series.choice.frames
-    return Columns(
-        topic=_topic(series),
-        frame_id=pair[0] if pair else frame,
-        stamp_ns=stamp_ns,
-        values=series.values,
-        has=tuple(path is not None for path in series.choice.fields),
-    )
+def _frame(series: Series) -> str:
+    return series.frame_ids[0] if series.frame_ids else ""
 
 
-def _wrench(columns: Columns, cell: Cell, frames: Frames, pose: PoseSignal) -> tuple[WrenchSignal, list[Finding]]:
+def _wrench(columns: Series, cell: Cell, frames: Frames, pose: PoseSignal) -> tuple[WrenchSignal, list[Finding]]:
     source = cell.wrench or WrenchSource()
     findings = []
     if source.gravity_compensated is None and is_processed_name(columns.topic):
@@ -213,14 +221,21 @@ def _wrench(columns: Columns, cell: Cell, frames: Frames, pose: PoseSignal) -> t
     return wrench, findings
 
 
-def _constant(source: DesiredForceSource, wrench: WrenchSignal) -> Columns:
+def nameless_series(stamp_ns: StampArray, values: FloatArray) -> Series:
+    """Return numbers (n, k) that are in no log, at stamps (n,)."""
+    nobody = Channel(topic="", type_name="", encoding="", schema_encoding="", schema=b"")
+    fields = ("",) * values.shape[1]
+    return Series(channel=nobody, fields=fields, log_ns=stamp_ns, stamp_ns=stamp_ns, frame_ids=(), values=values)
+
+
+def _constant(source: DesiredForceSource, wrench: WrenchSignal) -> Series:
     """Return a declared force at the wrench's stamps, of which one will do where it does not turn with the tool."""
     stamps = wrench.stamp_ns if source.expressed_in is Frame.BASE else wrench.stamp_ns[:1]
     values = np.tile([*(source.force or ()), *source.torque], (len(stamps), 1))
-    return Columns(topic="", frame_id="", stamp_ns=stamps, values=values, has=(True,) * 6)
+    return nameless_series(stamps, values)
 
 
-def _gains(columns: Mapping[Role, Columns], cell: Cell, wrench: WrenchSignal) -> GainsSignal | None:
+def _gains(columns: Mapping[Role, Series], cell: Cell, wrench: WrenchSignal) -> GainsSignal | None:
     source = cell.gains or GainsSource()
     if source.mass is not None and source.damping is not None:
         gains = GainsSignal(
@@ -234,3 +249,160 @@ def _gains(columns: Mapping[Role, Columns], cell: Cell, wrench: WrenchSignal) ->
     else:
         return None
     return replace(gains, lead_s=source.lead, deadband=applied_deadband(source.deadband))
+
+
+def build_frames(cell: Cell) -> Frames:
+    """Build the rotations that a cell declares.
+
+    The sensor frame takes the place of the flange's; the base is turned by the least turn that puts gravity along −z.
+    """
+    direction = np.array(cell.gravity_direction) / np.linalg.norm(cell.gravity_direction)
+    axis = np.cross(direction, _DOWN)
+    sine = float(np.linalg.norm(axis))
+    # Gravity along ±z leaves the axis open; any horizontal one does.
+    axis = np.array([1.0, 0.0, 0.0]) if sine == 0.0 else axis / sine
+    angle = np.arctan2(sine, float(direction @ _DOWN))
+    return Frames(R_FS=_mounted(cell.sensor), R_WB=Rotation.from_rotvec(angle * axis))
+
+
+def interpret_pose(series: Series, source: PoseSource, frames: Frames, *, is_displacement: bool) -> PoseSignal:
+    """Return the pose in metres, its orientation that of the sensor frame in the gravity-aligned base."""
+    length = LENGTH_M[source.units.position]
+    position = series.values[:, :3] * length * np.array(source.signs)
+    turns = series.values[:, 3:]
+    turned: tuple[str, ...] = ()
+    if turns.shape[1] and all(series.has[3:]):
+        quaternion = orientation_quaternion(source.orientation_as, turns, ANGLE_RAD[source.units.angle])
+        if not (_is_identity(frames.R_WB) and _is_identity(frames.R_FS)):
+            quaternion = canonical((frames.R_WB * Rotation.from_quat(quaternion) * frames.R_FS).as_quat())
+        turned = AXES[3:]
+    else:
+        quaternion = np.full((len(position), 4), np.nan)
+    if not is_displacement:
+        position = _turned(series.topic, frames.R_WB, position, series.has[:3])
+    return PoseSignal(
+        topic=series.topic,
+        frame_id=_frame(series),
+        stamp_ns=series.times_ns,
+        position_m=position,
+        quaternion_xyzw=quaternion,
+        is_displacement=is_displacement,
+        measured_axes=(*_measured(series.has[:3]), *turned),
+    )
+
+
+def interpret_wrench(
+    series: Series,
+    source: WrenchSource,
+    frames: Frames,
+    pose: PoseSignal,
+    *,
+    expressed_in: Frame,
+    gravity_compensated: bool,
+) -> WrenchSignal:
+    """Return the payload's wrench on the sensor in N and N·m, in the sensor frame.
+
+    Raises LogError when it is given in base axes and the pose lacks the orientation of the sensor.
+    """
+    scale = np.repeat([FORCE_N[source.units.force], TORQUE_N_M[source.units.torque]], 3) * np.array(source.signs)
+    values = series.values * scale * (-1.0 if source.exerted_by is ExertedBy.SENSOR else 1.0)
+    stamps, has = series.times_ns, series.has
+    if expressed_in is Frame.FLANGE:
+        values = _both_turned(series, frames.R_FS.inv(), values)
+    elif expressed_in is Frame.BASE:
+        inside, orientation = _orientation_at(pose, stamps, series.topic)
+        stamps = stamps[inside]
+        values = _both_turned(series, orientation.inv() * frames.R_WB, values[inside])
+    return WrenchSignal(
+        topic=series.topic,
+        frame_id=_frame(series),
+        stamp_ns=stamps,
+        force_n=values[:, :3],
+        torque_n_m=values[:, 3:],
+        gravity_compensated=gravity_compensated,
+        deadband=applied_deadband(source.deadband),
+        measured_axes=_measured(has),
+    )
+
+
+def applied_deadband(declared: DeclaredDeadband | None) -> AppliedDeadband | None:
+    """Return a declared deadband as signals have it."""
+    if declared is None:
+        return None
+    return AppliedDeadband(type=declared.type.value, force_n=declared.force_n, torque_n_m=declared.torque_n_m)
+
+
+def interpret_twist(series: Series, source: TwistSource, frames: Frames, pose: PoseSignal) -> TwistSignal:
+    """Return the flange's twist in m/s and rad/s in the gravity-aligned base."""
+    scale = np.repeat([LENGTH_M[source.units.linear], ANGLE_RAD[source.units.angular]], 3) * np.array(source.signs)
+    values, stamps = series.values * scale, series.times_ns
+    if source.expressed_in is Frame.BASE:
+        values = _both_turned(series, frames.R_WB, values)
+    else:
+        inside, orientation = _orientation_at(pose, stamps, series.topic)
+        if source.expressed_in is Frame.FLANGE:
+            orientation = orientation * frames.R_FS.inv()
+        stamps, values = stamps[inside], _both_turned(series, orientation, values[inside])
+    return TwistSignal(
+        topic=series.topic,
+        frame_id=_frame(series),
+        stamp_ns=stamps,
+        linear_m_s=values[:, :3],
+        angular_rad_s=values[:, 3:],
+        measured_axes=_measured(series.has),
+    )
+
+
+def interpret_gains(series: Series) -> GainsSignal:
+    """Return M_a and B_a per axis."""
+    return GainsSignal(
+        topic=series.topic, stamp_ns=series.times_ns, mass=series.values[:, :6], damping=series.values[:, 6:]
+    )
+
+
+def _mounted(mounting: Mounting) -> Rotation:
+    if not mounting.orientation:
+        return Rotation.identity()
+    numbers = np.array([mounting.orientation])
+    quaternion = orientation_quaternion(mounting.orientation_as, numbers, ANGLE_RAD[mounting.angle])
+    return Rotation.from_quat(quaternion[0])
+
+
+def _measured(has: Sequence[bool]) -> tuple[str, ...]:
+    return tuple(axis for axis, is_there in zip(AXES, has, strict=False) if is_there)
+
+
+def _is_identity(rotation: Rotation) -> bool:
+    return bool(rotation.single and rotation.magnitude() == 0.0)
+
+
+def _both_turned(series: Series, rotation: Rotation, values: FloatArray) -> FloatArray:
+    parts = (slice(0, 3), slice(3, 6))
+    return np.hstack([_turned(series.topic, rotation, values[:, part], series.has[part]) for part in parts])
+
+
+def _turned(topic: str, rotation: Rotation, vectors: FloatArray, has: Sequence[bool]) -> FloatArray:
+    """Turn vectors (n, 3); without a turn every bit stays as it is. A vector that is missing as a whole stays so."""
+    if _is_identity(rotation) or not any(has):
+        return vectors
+    if not all(has):
+        raise LogError(
+            f"Topic {topic} must hold all three components of a vector that has to be turned into another frame; "
+            "declare all of them, or the frame in which those that are there are meant."
+        )
+    return np.asarray(rotation.apply(vectors))
+
+
+def _orientation_at(pose: PoseSignal, stamp_ns: StampArray, topic: str) -> tuple[BoolArray, Rotation]:
+    """Return which stamps the pose covers, and its orientation there by slerp."""
+    if pose.is_displacement or not {*AXES[3:]} <= {*pose.measured_axes}:
+        raise LogError(
+            f"The orientation of the sensor must be known to turn topic {topic} into its frame, found no whole pose "
+            f"in topic {pose.topic}; declare the pose's orientation."
+        )
+    inside = (stamp_ns >= pose.stamp_ns[0]) & (stamp_ns <= pose.stamp_ns[-1])
+    if not np.any(inside):
+        raise LogError(f"Topics {topic} and {pose.topic} must cover the same time, found none in common.")
+    start = pose.stamp_ns[0]
+    slerp = Slerp((pose.stamp_ns - start) * 1e-9, Rotation.from_quat(pose.quaternion_xyzw))
+    return inside, slerp((stamp_ns[inside] - start) * 1e-9)

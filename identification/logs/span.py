@@ -1,7 +1,7 @@
 """The part of a log that is read: from and to a time after its start, or a stamp."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
 
 import numpy as np
@@ -13,7 +13,6 @@ from ..errors import LogError
 from ..result import Finding
 from ..signals.recording import StampArray
 from .messages.decode import Series
-from .roles.choose import RoleSeries
 from .roles.registry import Role
 
 Instant = float | str
@@ -78,8 +77,8 @@ WHOLE = LogSpan()
 
 
 def cut_roles(
-    parts: Sequence[dict[Role, RoleSeries]], stamps: Sequence[Mapping[Role, StampArray]], span: LogSpan, name: str
-) -> tuple[list[dict[Role, RoleSeries]], tuple[Finding, ...]]:
+    parts: Sequence[dict[Role, Series]], stamps: Sequence[Mapping[Role, StampArray]], span: LogSpan, name: str
+) -> tuple[list[dict[Role, Series]], tuple[Finding, ...]]:
     """Return what the parts of a recording hold within a span, without parts that lie outside, and say so.
 
     `stamps` are those of each role and part on their clocks. Raises LogError where nothing is left of a role.
@@ -93,10 +92,10 @@ def cut_roles(
     for part, times in zip(parts, stamps, strict=True):
         inside = {role: span.covers(times[role], zero) for role in part}
         if all(bool(inside[role].any()) for role in main):
-            kept.append({role: _cut(series, times[role], inside[role]) for role, series in part.items()})
-    empty = [series.choice for part in kept for series in part.values() if not series.log_ns.size]
+            kept.append({role: series.part(_held(role, inside[role])) for role, series in part.items()})
+    empty = [series.topic for part in kept for series in part.values() if not series.log_ns.size]
     if empty or not kept:
-        what = f"of topic {empty[0].info.channel.topic}" if empty else "of wrench and pose"
+        what = f"of topic {empty[0]}" if empty else "of wrench and pose"
         raise LogError(
             f"{name} must hold messages {what} from {span}, found none; it is {(end - zero) * 1e-9:.3f} s long and "
             f"starts at @{zero // 10**9}.{zero % 10**9:09d} (with @ a time is a stamp)."
@@ -106,27 +105,16 @@ def cut_roles(
 
 def cut_series(series: Series, span: LogSpan, zero_ns: int) -> Series:
     """Return what a channel holds within a span, by its header stamps where it has them."""
-    stamps = series.log_ns if series.stamp_ns is None else series.stamp_ns
-    inside = span.covers(stamps, zero_ns)
-    return replace(
-        series,
-        log_ns=series.log_ns[inside],
-        stamp_ns=None if series.stamp_ns is None else series.stamp_ns[inside],
-        values=series.values[inside],
-    )
+    return series.part(span.covers(series.times_ns, zero_ns))
 
 
-def _cut(series: RoleSeries, stamp_ns: StampArray, inside: NDArray[np.bool_]) -> RoleSeries:
-    before = np.flatnonzero(~inside[: int(np.argmax(inside))] if inside.any() else stamp_ns >= 0)
-    if series.choice.role in _HELD and before.size:
+def _held(role: Role, inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return which rows (n,) of a role are of a span: also the one that still holds where it begins."""
+    before = np.flatnonzero(~inside[: int(np.argmax(inside))] if inside.any() else ~inside)
+    if role in _HELD and before.size:
         inside = inside.copy()
         inside[before[-1]] = True
-    return replace(
-        series,
-        log_ns=series.log_ns[inside],
-        stamp_ns=None if series.stamp_ns is None else series.stamp_ns[inside],
-        values=series.values[inside],
-    )
+    return inside
 
 
 def _told(span: LogSpan, name: str) -> Finding:

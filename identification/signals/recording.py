@@ -1,7 +1,7 @@
 """Signals that identification works on, free of any log format."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,8 @@ WEIGHT_NEEDS_ORIENTATION = (
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 """Names of the six columns of a wrench, a twist, gains, and of what a pose has: translations, then rotations."""
+
+_GAP_PERIODS = 1.5
 
 
 def _frozen_array(values: NDArray[np.generic], dtype: type, width: int | None, name: str) -> NDArray[np.generic]:
@@ -209,3 +211,94 @@ def _require_axes(what: str, measured: tuple[str, ...], needed: tuple[str, ...],
     if missing:
         all_of_them = "all six axes" if needed == AXES else "an orientation"
         raise EstimateError(f"{what} must have {all_of_them}, found none for {', '.join(missing)}; {advice}.")
+
+
+def join_recordings(parts: Sequence[Recording]) -> Recording:
+    """Join recordings that hold the same topics in the same frames, in the order of their stamps.
+
+    What a part repeats of the one before (the same stamps with the same values) is dropped; parts that overlap
+    otherwise are refused with LogError, as are parts that differ in topics, frames or channels. Digests and findings
+    of all parts are kept, and a gap at a seam is a finding.
+    """
+    if not parts:
+        raise LogError("Joining needs at least one log, found none.")
+    ordered = sorted(parts, key=lambda part: int(part.wrench.stamp_ns[0]) if len(part.wrench.stamp_ns) else 0)
+    changes: dict[str, Any] = {
+        "sha256": {path: digest for part in ordered for path, digest in part.sha256.items()},
+        "clocks": _same("clocks", [dict(part.clocks) for part in ordered]),
+    }
+    findings = [finding for part in ordered for finding in part.findings]
+    for each in fields(Recording):
+        signals = [getattr(part, each.name) for part in ordered]
+        if any(hasattr(signal, "stamp_ns") for signal in signals):
+            lacking = [
+                ", ".join(part.sha256) or "one of them"
+                for part, signal in zip(ordered, signals, strict=True)
+                if signal is None
+            ]
+            if lacking:
+                raise LogError(
+                    f"All parts of a log must hold the same channels; the {each.name} is missing in "
+                    f"{', '.join(lacking)}. Join only logs of one run, or leave that part out."
+                )
+            changes[each.name] = _joined(each.name, signals, findings)
+    return replace(ordered[0], **changes, findings=tuple(dict.fromkeys(findings)))
+
+
+def _joined(role: str, signals: Sequence[Any], findings: list[Finding]) -> Any:
+    names = [each.name for each in fields(signals[0])]
+    rows = [name for name in names if isinstance(getattr(signals[0], name), np.ndarray)]
+    for name in names:
+        if name not in rows:
+            _same(f"the {name} of the {role}", [getattr(signal, name) for signal in signals])
+    whole = {name: getattr(signals[0], name) for name in rows}
+    for signal in signals[1:]:
+        whole = _appended(role, signals[0].topic, whole, {name: getattr(signal, name) for name in rows}, findings)
+    return replace(signals[0], **whole)
+
+
+def _same(what: str, values: Sequence[Any]) -> Any:
+    """Return what all parts agree in; raise LogError when they do not."""
+    for value in values[1:]:
+        if value != values[0]:
+            raise LogError(
+                f"All parts of a log must agree in {what}, found {values[0]!r} and {value!r}. Join only logs of "
+                "one run."
+            )
+    return values[0]
+
+
+def _appended(
+    role: str, topic: str, before: dict[str, Any], after: dict[str, Any], findings: list[Finding]
+) -> dict[str, Any]:
+    """Return two parts as one, without what the second repeats of the first."""
+    stamps, following = before["stamp_ns"], after["stamp_ns"]
+    if not len(stamps) or not len(following):
+        return after if not len(stamps) else before
+    repeated = int(np.searchsorted(following, stamps[-1], side="right"))
+    if repeated:
+        start = len(stamps) - repeated
+        same = start >= 0 and all(
+            np.array_equal(before[name][start:], after[name][:repeated], equal_nan=before[name].dtype.kind == "f")
+            for name in before
+        )
+        if not same:
+            raise LogError(
+                f"Parts of a log must follow each other; those of the {role} `{topic}` overlap by "
+                f"{(stamps[-1] - following[0]) * 1e-9:.3f} s with different samples. Join only logs of one run, each "
+                "once."
+            )
+        after = {name: value[repeated:] for name, value in after.items()}
+        following = after["stamp_ns"]
+    if len(following) and len(stamps) > 1:
+        gap, period = int(following[0] - stamps[-1]), float(np.median(np.diff(stamps)))
+        if gap > _GAP_PERIODS * period:
+            findings.append(
+                Finding.warning(
+                    "gap-between-parts",
+                    f"{gap * 1e-9:.4f} s of `{topic}` are missing between two parts of the log (its period is "
+                    f"{period * 1e-9:.6f} s).",
+                    "Give all parts of the log, and let the recorder split without losing messages.",
+                )
+            )
+    return {name: np.concatenate([before[name], after[name]]) for name in before}

@@ -15,7 +15,7 @@ def test_at_most_ten_are_told_and_the_rest_counted(count: int, end: str) -> None
 
 def test_a_sentence_about_a_log_of_a_thousand_topics_stays_short() -> None:
     from identification.logs.containers.channel import Channel, ChannelInfo
-    from identification.logs.roles.candidates import missing_sentence
+    from identification.logs.roles.registry import missing_sentence
 
     infos = [
         ChannelInfo(

@@ -12,10 +12,9 @@ from problems.arrays import FloatArray
 from ...result import Finding
 from ...signals.constant_runs import Runs, find_deadband, quantum, repeated_share, saturated_samples, stuck_runs
 from ...signals.recording import AXES, StampArray
+from ..messages.decode import Series
 from ..roles.cell import ANGLE_RAD, FORCE_N, LENGTH_M, TORQUE_N_M, PoseSource, Source, WrenchSource
-from ..roles.choose import RoleSeries
-from ..roles.interpret import orientation_quaternion
-from ..roles.orientation import COLUMN_MAJOR, ROW_MAJOR, is_rotation
+from ..roles.orientation import COLUMN_MAJOR, ROW_MAJOR, is_rotation, orientation_quaternion
 from ..roles.registry import Role
 from .stamps import stamp_faults
 
@@ -260,7 +259,7 @@ _Number = TypeVar("_Number", np.float64, np.int64)
 
 def role_faults(
     role: Role,
-    parts: Sequence[RoleSeries],
+    parts: Sequence[Series],
     stamps: Sequence[StampArray],
     source: Source | None,
     start_ns: int,
@@ -273,12 +272,12 @@ def role_faults(
     robot may rest for the whole of one. `source` is what the cell declares; `start_ns` is where the log starts on the
     recording clock.
     """
-    topic = parts[0].choice.info.channel.topic
+    topic = parts[0].topic
     for part, stamp_ns in zip(parts, stamps, strict=True):
         # A recording clock may start at 0; only a header stamp of 0 is one that was never set.
         shifted = stamp_ns - stamp_ns[:1] + 1 if stamp_ns is part.log_ns else stamp_ns
         yield from frame_faults(topic, part.frame_ids)
-        is_table = part.choice.info.channel.encoding == "table"
+        is_table = part.channel.encoding == "table"
         since_s = (part.log_ns - start_ns) / 1e9
         yield from stamp_faults(topic, shifted, since_s, keeps_holes=keeps_holes, is_table=is_table)
     ordered = sorted(parts, key=lambda part: int(part.log_ns[0]) if part.log_ns.size else 0)
@@ -357,9 +356,9 @@ def joined(arrays: Sequence[NDArray[_Number]]) -> NDArray[_Number]:
     return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
 
 
-def _without_unmeasured(series: RoleSeries, values: FloatArray) -> FloatArray:
+def _without_unmeasured(series: Series, values: FloatArray) -> FloatArray:
     """Return the values with a count in the columns that the log does not have, which is finite and not stuck."""
-    unmeasured = [path is None for path in series.choice.fields]
+    unmeasured = [not has for has in series.has]
     if not any(unmeasured):
         return values
     values = values.copy()

@@ -1,10 +1,11 @@
 """Compile what is wanted of a message type to a program for the kernel, and run it over batches of messages."""
 
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from rosbags.interfaces import Nodetype
 from rosbags.interfaces.typing import Typesdict
 
@@ -93,18 +94,39 @@ class Wanted:
 
 @dataclass(frozen=True, kw_only=True)
 class Series:
-    """The wanted numbers of a channel in order of recording.
+    """The wanted numbers of a channel in order of recording, of a role or of all that is wanted of it.
 
     `log_ns` (n,) recording clock; `stamp_ns` (n,) header stamps or None; `frame_ids` the different frame names in the
-    headers, sorted; `values` (n, len(fields)) as the messages hold them (no unit is converted), NaN and infinities too.
+    headers, sorted; `values` (n, len(fields)) as the messages hold them (no unit is converted), NaN and infinities too,
+    and NaN where a field is None: a role's number that the channel lacks.
     """
 
     channel: Channel
-    fields: tuple[str, ...]
+    fields: tuple[str | None, ...]
     log_ns: StampArray
     stamp_ns: StampArray | None
     frame_ids: tuple[str, ...]
     values: FloatArray
+
+    @property
+    def topic(self) -> str:
+        """The channel's topic."""
+        return self.channel.topic
+
+    @property
+    def times_ns(self) -> StampArray:
+        """The header stamps, those of recording where there are none, (n,)."""
+        return self.log_ns if self.stamp_ns is None else self.stamp_ns
+
+    @property
+    def has(self) -> tuple[bool, ...]:
+        """Which of the fields the channel has."""
+        return tuple(field is not None for field in self.fields)
+
+    def part(self, keep: NDArray[np.bool_]) -> "Series":
+        """Return the rows that a mask (n,) keeps."""
+        stamps = None if self.stamp_ns is None else self.stamp_ns[keep]
+        return replace(self, log_ns=self.log_ns[keep], stamp_ns=stamps, values=self.values[keep])
 
 
 def parse_path(path: str) -> tuple[Token, ...]:

@@ -4,22 +4,26 @@ from collections.abc import Callable, Iterable
 from dataclasses import MISSING, dataclass, fields, replace
 from typing import Any
 
-from problems.arrays import FloatArray
-
 from ...errors import LogError, listed
 from ...result import Finding
-from ...signals.recording import AXES, StampArray
+from ...signals.recording import AXES
 from ..containers.channel import ChannelInfo, Infos
-from .candidates import (
+from .cell import Cell, DesiredForceSource, GainsSource, JointsSource, PoseSource, Source, WrenchSource
+from .registry import (
+    JOINT_STATE,
+    ROBOT_STATES,
+    ROLES,
+    TRANSFORMS,
+    FieldPaths,
+    Role,
     ambiguous_sentence,
     is_command_name,
     is_processed_name,
     is_undeclared,
+    layout_of,
     missing_sentence,
     roles_of,
 )
-from .cell import Cell, DesiredForceSource, GainsSource, JointsSource, PoseSource, Source, WrenchSource
-from .registry import JOINT_STATE, ROBOT_STATES, ROLES, TRANSFORMS, FieldPaths, Role, layout_of
 
 FramesOf = Callable[[ChannelInfo], tuple[tuple[str, str], ...]]
 
@@ -40,17 +44,6 @@ class Choice:
     of_joints: bool = False
     layout: FieldPaths | None = None
     reason: str
-
-
-@dataclass(frozen=True, kw_only=True)
-class RoleSeries:
-    """What a log holds of one role: `values` (n, k) in the order of `choice.fields`, NaN where it has no path."""
-
-    choice: Choice
-    log_ns: StampArray
-    stamp_ns: StampArray | None
-    frame_ids: tuple[str, ...]
-    values: FloatArray
 
 
 def choose_all(infos: Infos, cell: Cell, log: str, frames_of: FramesOf) -> dict[Role, Choice]:

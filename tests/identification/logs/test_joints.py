@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 from autotune.formats.cell import read_cell
 from identification.errors import LogError
 from identification.logs import inspect_log, read_recording
+from identification.logs.joints import read_chain
 from identification.logs.roles.cell import Cell, WrenchFields, WrenchSource
-from identification.logs.roles.kinematics import read_chain
 from identification.signals.recording import PoseSignal, Recording
 from problems.errors import MissingExtraError, ParameterError
 from tests.identification.logs.message_builder import DELAY_NS, Topic, Tree, header, write_log, xyz, xyzw

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from identification.errors import LogError
-from identification.logs.parts import join_recordings
-from identification.signals.recording import PoseSignal, Recording, WrenchSignal
+from identification.signals.recording import PoseSignal, Recording, WrenchSignal, join_recordings
 
 
 def cut(signal: Any, first_s: float, last_s: float) -> Any:

@@ -4,7 +4,6 @@ import pytest
 
 from identification.errors import LogError
 from identification.logs.containers.channel import Channel, ChannelInfo
-from identification.logs.roles.candidates import is_command_name, is_processed_name, roles_of
 from identification.logs.roles.cell import (
     Cell,
     GainsSource,
@@ -26,6 +25,9 @@ from identification.logs.roles.registry import (
     WRENCH,
     WRENCH_STAMPED,
     Role,
+    is_command_name,
+    is_processed_name,
+    roles_of,
 )
 
 PAIRS = {"/tf": (("base", "tool0"), ("map", "base")), "/tool": (("base", "tool0"),), "/tf_static": (("map", "base"),)}

@@ -9,8 +9,7 @@ import pytest
 from autotune.formats.cell import check_cell_text
 from identification.errors import LogError
 from identification.logs import read_recording
-from identification.logs.opened import open_logs
-from identification.logs.parts import separate_runs
+from identification.logs.opened import open_logs, separate_runs
 from identification.logs.tables.rounding import find_rounding
 from problems.arrays import FloatArray
 

@@ -11,6 +11,15 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from identification.errors import LogError
+from identification.logs.containers.channel import Channel
+from identification.logs.messages.decode import Series
+from identification.logs.recording import (
+    build_frames,
+    interpret_gains,
+    interpret_pose,
+    interpret_twist,
+    interpret_wrench,
+)
 from identification.logs.roles.cell import (
     Cell,
     DeclaredDeadband,
@@ -24,16 +33,7 @@ from identification.logs.roles.cell import (
     WrenchUnits,
 )
 from identification.logs.roles.cell import PoseUnits as Units
-from identification.logs.roles.interpret import (
-    Columns,
-    build_frames,
-    interpret_gains,
-    interpret_pose,
-    interpret_twist,
-    interpret_wrench,
-    make_continuous,
-    orientation_quaternion,
-)
+from identification.logs.roles.orientation import make_continuous, orientation_quaternion
 from identification.signals.recording import AXES, PoseSignal, WrenchSignal
 from problems.contact.nonlinearities import DeadbandType
 from problems.errors import ParameterError
@@ -45,9 +45,16 @@ ROUNDING = 1e-12
 PLAIN = build_frames(Cell())
 
 
-def columns(values: Array, has: tuple[bool, ...] | None = None, stamps: NDArray[np.int64] = STAMPS) -> Columns:
+def columns(values: Array, has: tuple[bool, ...] | None = None, stamps: NDArray[np.int64] = STAMPS) -> Series:
     there = has or (True,) * values.shape[1]
-    return Columns(topic="/t", frame_id="f", stamp_ns=stamps[: len(values)], values=values, has=there)
+    return Series(
+        channel=Channel(topic="/t", type_name="", encoding="", schema_encoding="", schema=b""),
+        fields=tuple("number" if is_there else None for is_there in there),
+        log_ns=stamps[: len(values)],
+        stamp_ns=stamps[: len(values)],
+        frame_ids=("f",),
+        values=values,
+    )
 
 
 def turning(seed: int = 0, turns: float = 3.0) -> Rotation:

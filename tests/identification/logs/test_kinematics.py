@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from identification.errors import LogError
-from identification.logs.roles.kinematics import read_chain
+from identification.logs.joints import read_chain
 from tests.identification.logs.robots import ARM, JOINTS, PLANAR
 
 urdf = pytest.importorskip("pytransform3d.urdf", reason="the extra urdf is not installed")
