@@ -10,8 +10,9 @@ from typing import Protocol
 from ...errors import LogError
 from . import ros1_bag, sqlite_bag
 from .channel import Container
+from .mcap_file import McapContainer
 from .mcap_layout import MAGIC as MCAP_MAGIC
-from .mcap_salvage import open_mcap
+from .mcap_salvage import SalvagedMcap
 from .rosbag2_folder import Rosbag2FolderContainer
 from .zstd import ZSTD_MAGIC, ZstdFileContainer
 
@@ -55,6 +56,10 @@ class LogFormat:
     is_folder: Callable[[Path], bool] | None = None
 
 
+def _open_mcap(path: Path, *, salvage: bool = False) -> Container:
+    return SalvagedMcap(path) if salvage else McapContainer(path)
+
+
 def _open_zstd(path: Path, *, salvage: bool) -> Container:
     def open_inner(inner: Path) -> Container:
         if head_of(inner).startswith(ZSTD_MAGIC):
@@ -70,7 +75,7 @@ def _open_folder(path: Path, *, salvage: bool) -> Container:
 
 
 FORMATS = [
-    LogFormat(name="an MCAP file", magic=MCAP_MAGIC, ending=".mcap", open=open_mcap),
+    LogFormat(name="an MCAP file", magic=MCAP_MAGIC, ending=".mcap", open=_open_mcap),
     LogFormat(name="a ROS 1 bag", magic=ros1_bag.MAGIC, ending=".bag", open=ros1_bag.Ros1BagContainer),
     LogFormat(name="a .db3 file", magic=sqlite_bag.MAGIC, ending=".db3", open=sqlite_bag.SqliteBagContainer),
     LogFormat(name="one of these packed with zstd", magic=ZSTD_MAGIC, open=_open_zstd),

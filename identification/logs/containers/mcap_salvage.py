@@ -7,7 +7,6 @@ summary, if it is sound, defines channels that are lost otherwise.
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -36,11 +35,6 @@ _SPARE_BYTES = 64
 """A record with more bytes than this behind its content has a damaged length."""
 _START_BYTES = FRAME_BYTES + 2
 _LONGEST = 2**32
-
-
-def open_mcap(path: Path, *, salvage: bool = False) -> McapContainer:
-    """Open an MCAP file; with `salvage` damaged parts are left out and reported instead of refused."""
-    return SalvagedMcap(path) if salvage else McapContainer(path)
 
 
 class SalvagedMcap(McapContainer):

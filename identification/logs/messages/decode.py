@@ -1,33 +1,32 @@
-"""Compile what is wanted of a message type to a program for the kernel, and run it over batches of messages."""
+"""Compile what is wanted of a message type to a program for the kernel, and run it over batches of messages.
+
+What a type means is the definition that the log carries, completed by the standard types that it leaves out.
+"""
 
 import re
 from dataclasses import dataclass, field, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from rosbags.interfaces import Nodetype
 from rosbags.interfaces.typing import Typesdict
+from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
 
 from problems.arrays import FloatArray
 
 from ...errors import LogError, listed
 from ...signals.recording import StampArray
 from ..containers.channel import Batch, Channel
-from .definitions import HEADER, ROS_ENCODINGS, TIME, needed_types
 from .kernel import (
-    BOOL,
     ENCAPSULATION,
     END,
     FINE,
-    FLOAT32,
-    FLOAT64,
     FRAME,
     FRAMES_FULL,
-    INT8,
-    INT16,
-    INT32,
-    INT64,
+    KINDS,
     LEFT_OVER,
     MAX_DEPTH,
     NANOSECONDS,
@@ -43,28 +42,14 @@ from .kernel import (
     TIMES,
     TOO_FEW,
     TOO_SHORT,
-    UINT8,
-    UINT16,
-    UINT32,
-    UINT64,
     run_program,
 )
 
-KINDS = {
-    "bool": BOOL,
-    "byte": INT8,
-    "char": UINT8,
-    "int8": INT8,
-    "uint8": UINT8,
-    "int16": INT16,
-    "uint16": UINT16,
-    "int32": INT32,
-    "uint32": UINT32,
-    "int64": INT64,
-    "uint64": UINT64,
-    "float32": FLOAT32,
-    "float64": FLOAT64,
-}
+HEADER = "std_msgs/msg/Header"
+TIME = "builtin_interfaces/msg/Time"
+ROS_ENCODINGS = ("cdr", "ros1")
+FOREIGN = (TypesysError, ValueError, LookupError, AssertionError, RecursionError, SyntaxError)
+"""What rosbags raises for a definition that it cannot use."""
 _STEPS_AT_MOST = 4096
 _TOKEN = re.compile(r"\.([A-Za-z_]\w*)|\[(0|[1-9]\d{0,8})\]", re.ASCII)
 _FILLER = "structure_needs_at_least_one_member"
@@ -140,6 +125,55 @@ def parse_path(path: str) -> tuple[Token, ...]:
         tokens.append(match.group(1) if match.group(1) is not None else int(match.group(2)))
         position = match.end()
     return tuple(tokens)
+
+
+@cache
+def standard_types(encoding: str) -> Typestore:
+    """Return the types that are known without a definition."""
+    return get_typestore(Stores.ROS1_NOETIC if encoding == "ros1" else Stores.ROS2_HUMBLE)
+
+
+@cache
+def types_of(channel: Channel) -> Typesdict:
+    """Parse the definition that the log carries, empty when it carries none; raise LogError if it cannot be parsed."""
+    if not channel.schema or channel.schema_encoding not in ("ros2msg", "ros1msg", "ros2idl"):
+        return {}
+    try:
+        text = channel.schema.decode()
+        if channel.schema_encoding == "ros2idl":
+            return get_types_from_idl(text)
+        return get_types_from_msg(text, channel.type_name)
+    except FOREIGN as error:
+        raise LogError(
+            f"The definition of {channel.type_name} in the log, for topic {channel.topic}, cannot be parsed: {error}."
+        ) from error
+
+
+@cache
+def needed_types(channel: Channel) -> Typesdict:
+    """Return the definition of a ROS type and of all types inside it; raise LogError where one is missing."""
+    own = types_of(channel)
+    found: Typesdict = {}
+    missing = [channel.type_name]
+    while missing:
+        name = missing.pop()
+        if name in found:
+            continue
+        definition = own.get(name) or standard_types(channel.encoding).fielddefs.get(name)
+        if definition is None:
+            raise LogError(f"Type {name} of topic {channel.topic} is not defined in the log and is no standard type.")
+        found[name] = definition
+        for _, description in found[name][1]:
+            missing += _names_in(description)
+    return found
+
+
+def _names_in(description: Any) -> list[str]:
+    """Return the type that a field consists of, if it is no primitive one."""
+    kind, inside = description
+    if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+        return _names_in(inside[0])
+    return [inside] if kind == Nodetype.NAME else []
 
 
 class _NotKnownError(Exception):

@@ -15,6 +15,21 @@ from ..containers.byte_order import big32, little32, little64
 from ..containers.channel import ByteArray
 
 BOOL, INT8, UINT8, INT16, UINT16, INT32, UINT32, INT64, UINT64, FLOAT32, FLOAT64 = range(11)
+KINDS = {
+    "bool": BOOL,
+    "byte": INT8,
+    "char": UINT8,
+    "int8": INT8,
+    "uint8": UINT8,
+    "int16": INT16,
+    "uint16": UINT16,
+    "int32": INT32,
+    "uint32": UINT32,
+    "int64": INT64,
+    "uint64": UINT64,
+    "float32": FLOAT32,
+    "float64": FLOAT64,
+}
 SIZES = (1, 1, 1, 2, 2, 4, 4, 8, 8, 4, 8)
 FINE, TOO_SHORT, LEFT_OVER, ENCAPSULATION, TERMINATOR, TOO_FEW, NANOSECONDS, FRAMES_FULL = range(8)
 """What a kernel says of a message."""

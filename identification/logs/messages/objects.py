@@ -4,16 +4,17 @@ import json
 import keyword
 import struct
 from collections.abc import Callable, Sequence
-from functools import reduce
+from functools import cache, reduce
 from typing import Any
 
 import numpy as np
 from rosbags.serde import SerdeError
+from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys.store import Typestore
 
 from ...errors import LogError
 from ..containers.channel import Batch, Channel
-from .decode import MessageError, Series, Token, Wanted, parse_path
-from .definitions import ROS_ENCODINGS, store_for
+from .decode import FOREIGN, ROS_ENCODINGS, MessageError, Series, Token, Wanted, needed_types, parse_path
 
 _LIMIT_BYTES = 2**26
 _SECONDS, _NANOSECONDS = ("sec", "secs", "seconds"), ("nanosec", "nsec", "nsecs", "nanos")
@@ -128,7 +129,7 @@ def build_object_parser(channel: Channel) -> Callable[[bytes], object]:
             f"Topic {channel.topic} holds messages in the encoding {channel.encoding!r}; "
             "cdr, ros1, json and protobuf are read."
         )
-    store = store_for(channel)
+    store = _store_for(channel)
     decode = store.deserialize_ros1 if channel.encoding == "ros1" else store.deserialize_cdr
 
     def parse(data: bytes) -> object:
@@ -138,6 +139,18 @@ def build_object_parser(channel: Channel) -> Callable[[bytes], object]:
             raise LogError(f"it is no {channel.type_name}: {error}") from error
 
     return parse
+
+
+@cache
+def _store_for(channel: Channel) -> Typestore:
+    """Build a type store from the log's own definition, completed by standard types it leaves out."""
+    types = needed_types(channel)
+    store = get_typestore(Stores.EMPTY)
+    try:
+        store.register(types)
+    except FOREIGN as error:
+        raise LogError(f"The definition of {channel.type_name} in the log cannot be used: {error}.") from error
+    return store
 
 
 def _step(thing: Any, token: Token) -> Any:

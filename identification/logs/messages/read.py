@@ -11,8 +11,7 @@ from problems.arrays import FloatArray
 from ...errors import LogError
 from ...signals.recording import StampArray
 from ..containers.channel import Batch, Channel, ChannelInfo, Container, Held, Survey
-from .decode import MessageError, Series, Wanted, build_program
-from .definitions import has_header
+from .decode import HEADER, ROS_ENCODINGS, MessageError, Series, Wanted, build_program, needed_types
 from .objects import ObjectDecoder
 
 T = TypeVar("T")
@@ -127,7 +126,7 @@ def build_infos(survey: Survey) -> tuple[ChannelInfo, ...]:
 
 
 def _info(held: Held, span_s: float) -> ChannelInfo:
-    is_headed = has_header(held.channel)
+    is_headed = _has_header(held.channel)
     return ChannelInfo(
         channel=held.channel,
         count=held.count,
@@ -135,6 +134,17 @@ def _info(held: Held, span_s: float) -> ChannelInfo:
         frame=_frame(held) if is_headed and held.count else None,
         has_header=is_headed,
     )
+
+
+def _has_header(channel: Channel) -> bool:
+    """Return whether messages begin with a `std_msgs/msg/Header`."""
+    if channel.encoding not in ROS_ENCODINGS:
+        return False
+    try:
+        fields = needed_types(channel)[channel.type_name][1]
+    except LogError:
+        return False
+    return bool(fields) and fields[0][1][1] == HEADER
 
 
 def _frame(held: Held) -> str | None:

@@ -18,12 +18,23 @@ from problems.compiled import inlined, unlocked
 from ...errors import LogError
 from ...signals.recording import StampArray
 from ..containers.channel import Batch, ByteArray, Channel, Container
-from .decode import MessageError, Series, Wanted, fault, name_at, parse_path
-from .definitions import ROS_ENCODINGS, TRANSFORM, TRANSFORMS, is_standard, needed_types
+from .decode import (
+    ROS_ENCODINGS,
+    MessageError,
+    Series,
+    Wanted,
+    fault,
+    name_at,
+    needed_types,
+    parse_path,
+    standard_types,
+)
 from .kernel import FINE, FRAMES_FULL, LEFT_OVER, TOO_SHORT, aligned, bits64, opened, same, stamp, text, u32
 from .objects import LackingError, as_number, build_object_parser, either, header_of, messages_of, pick
 from .read import gather
 
+TRANSFORM = "geometry_msgs/msg/TransformStamped"
+TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 FIELDS = tuple(f"translation.{axis}" for axis in "xyz") + tuple(f"rotation.{axis}" for axis in "xyzw")
 Pair = tuple[str, str]
 # Columns of pairs, and entries of `found`.
@@ -106,7 +117,7 @@ def build_transform_decoder(channel: Channel, wanted: Pair | None) -> TransformD
 
 def _has_standard_layout(channel: Channel) -> bool:
     if channel.type_name == TRANSFORM:
-        return is_standard(channel)
+        return _is_standard(channel)
     types = needed_types(channel)
     descriptions = [description for _, description in types[channel.type_name][1]]
     below = Channel(
@@ -118,6 +129,19 @@ def _has_standard_layout(channel: Channel) -> bool:
     )
     return descriptions == [(Nodetype.SEQUENCE, ((Nodetype.NAME, TRANSFORM), 0))] and all(
         types[name][1] == fields[1] for name, fields in needed_types(below).items()
+    )
+
+
+def _is_standard(channel: Channel) -> bool:
+    """Return whether the log's own definition, if there is one, has the fields of the standard type."""
+    known = standard_types(channel.encoding).fielddefs
+    try:
+        types = needed_types(channel)
+    except LogError:
+        return False
+    return all(
+        name in known and [tuple(field) for field in known[name][1]] == [tuple(field) for field in fields]
+        for name, (_, fields) in types.items()
     )
 
 

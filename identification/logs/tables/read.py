@@ -1,7 +1,7 @@
 """Tables as series of numbers, and a table as a log of one channel whose fields are its columns: CSV and Parquet."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -17,11 +17,14 @@ from ..containers.channel import Channel, ChannelInfo, Held, Survey
 from ..containers.formats import head_of
 from ..messages.decode import Series, Wanted
 from .layout import NO_ROW, TableLayout
-from .rounding import RoundedTimes, find_rounding
 from .text import Text, look_at
 
 _PARQUET_MAGIC = b"PAR1"
 
+_FEWEST_ROUNDED = 20
+_FINEST_NS = 1000
+_COARSE_SHARE = 0.02
+_SLACK = 1.05
 _FEWEST_STEPS = 100
 _LONGEST_PERIOD_S, _SHORTEST_PERIOD_S = 0.2, 1e-5
 _SAME_SPAN = 2.0
@@ -117,6 +120,37 @@ def _names(names: Sequence[str]) -> str:
 
 def _is_parquet(path: Path) -> bool:
     return head_of(path).startswith(_PARQUET_MAGIC)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RoundedTimes:
+    """Stamps (n,) on the even clock that the rounded ones come from, its rate, and what they were rounded to."""
+
+    even_ns: StampArray
+    rate_hz: float
+    quantum_ns: int
+
+
+def find_rounding(stamp_ns: StampArray) -> RoundedTimes | None:
+    """Return the even clock of which stamps (n,) are the rounded readings; None where there is none, or no need of it.
+
+    All steps are multiples of one quantum that is no small share of the period, and no stamp is off a straight line by
+    more than rounding or cutting digits off explains. A lost row, or a clock that is not even, departs from the line.
+    """
+    if len(stamp_ns) < _FEWEST_ROUNDED:
+        return None
+    steps = np.diff(stamp_ns)
+    quantum = int(np.gcd.reduce(steps))
+    if int(steps.min()) < 0 or int(steps.min()) == int(steps.max()) or quantum < _FINEST_NS:
+        return None
+    since = (stamp_ns - stamp_ns[0]).astype(np.float64)
+    rows = np.arange(len(stamp_ns)) - 0.5 * (len(stamp_ns) - 1)
+    period = float(rows @ since) / float(rows @ rows)
+    line = since.mean() + period * rows
+    if quantum < _COARSE_SHARE * period or float(np.ptp(since - line)) > _SLACK * quantum:
+        return None
+    even: StampArray = stamp_ns[0] + np.rint(line).astype(np.int64)
+    return RoundedTimes(even_ns=even, rate_hz=1e9 / period, quantum_ns=quantum)
 
 
 class TableLog:

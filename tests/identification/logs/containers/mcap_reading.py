@@ -8,7 +8,7 @@ import numpy as np
 
 from identification.logs.containers.channel import Batch, Channel, Survey
 from identification.logs.containers.mcap_file import McapContainer
-from identification.logs.containers.mcap_salvage import open_mcap
+from identification.logs.containers.mcap_salvage import SalvagedMcap
 from identification.result import Finding
 from tests.identification.logs.containers.mcap_writer import Sent, Style, Writer, channel, schema
 
@@ -41,7 +41,7 @@ def messages_of(batch: Batch) -> list[Message]:
 
 def read_all(path: Path, *, salvage: bool = False, topics: Sequence[str] | None = None) -> Contents:
     """Read every channel, or those of some topics."""
-    with open_mcap(path, salvage=salvage) as container:
+    with (SalvagedMcap if salvage else McapContainer)(path) as container:
         survey = container.survey()
         wanted = [held.channel for held in survey.held if topics is None or held.channel.topic in topics]
         messages: dict[str, list[Message]] = {channel.topic: [] for channel in wanted}

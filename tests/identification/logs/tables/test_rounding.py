@@ -10,7 +10,7 @@ from autotune.formats.cell import check_cell_text
 from identification.errors import LogError
 from identification.logs import read_recording
 from identification.logs.opened import open_logs, separate_runs
-from identification.logs.tables.rounding import find_rounding
+from identification.logs.tables.read import find_rounding
 from problems.arrays import FloatArray
 
 HEAD = "format: autotune/cell\nversion: 1\n"
