@@ -88,17 +88,12 @@ class AxisResult:
 
 
 @dataclass(frozen=True, kw_only=True)
-class AxisView:
-    """One axis as the estimators see it: `axis` on the log's clock, its `holds`, the force's noise at rest.
+class AxisStart:
+    """What is known of an axis before its fit: `mass_kg` is where the search for M_p starts, `priors` what is given.
 
-    `mass_kg` is where the search for M_p starts. `in_units` turns the fit into the units of the axis.
+    `in_units` turns the fit into the units of the axis; `weighed` is M_p from gravity with its deviation.
     """
 
-    recording: Recording
-    log: AlignedLog
-    axis: AxisMotion
-    holds: tuple[Span, ...]
-    noise_rms_n: float
     mass_kg: float | None
     priors: Mapping[str, tuple[float, float]]
     in_units: Callable[[JointFit], JointFit]
@@ -112,7 +107,13 @@ def identify_axis(cell: CellSignals, axis: AxisMotion, progress: ProgressSlice |
     """
     holds, findings = _holds(cell, axis)
     gravity = cell.gravity
-    result = fit_axis(cell, _view(cell, axis, holds), progress or ProgressSlice())
+    start = AxisStart(
+        mass_kg=None if gravity is None else gravity.mass_kg,
+        priors=axis_priors(cell.given, axis.name),
+        in_units=partial(with_gain_error, share=0.0 if gravity is None else gravity.gain_error_share),
+        weighed=None if gravity is None else (gravity.mass_kg, gravity.mass_std_kg),
+    )
+    result = fit_axis(cell, axis, holds, start, progress or ProgressSlice())
     findings += result.findings
     if gravity is not None and result.fit is not None and not result.fit.is_weighed:
         disagreement = mass_findings(axis.name, gravity, result.fit)
@@ -120,21 +121,6 @@ def identify_axis(cell: CellSignals, axis: AxisMotion, progress: ProgressSlice |
         if disagreement:
             result = replace(result, estimate=_weakened(result.estimate))
     return replace(result, findings=tuple(findings))
-
-
-def _view(cell: CellSignals, axis: AxisMotion, holds: tuple[Span, ...]) -> AxisView:
-    gravity = cell.gravity
-    return AxisView(
-        recording=cell.recording,
-        log=cell.log,
-        axis=axis,
-        holds=holds,
-        noise_rms_n=cell.noise_rms_n,
-        mass_kg=None if gravity is None else gravity.mass_kg,
-        priors=axis_priors(cell.given, axis.name),
-        in_units=partial(with_gain_error, share=0.0 if gravity is None else gravity.gain_error_share),
-        weighed=None if gravity is None else (gravity.mass_kg, gravity.mass_std_kg),
-    )
 
 
 def _weakened(estimate: AxisEstimate) -> AxisEstimate:
@@ -152,59 +138,61 @@ def _weakened(estimate: AxisEstimate) -> AxisEstimate:
     )
 
 
-def fit_axis(cell: CellSignals, view: AxisView, progress: ProgressSlice) -> AxisResult:
-    """Find start values by the stages, then values and uncertainty by the joint fit."""
-    axis, findings = view.axis, list[Finding]()
-    robot_fit, robot = _robot(cell, view, findings)
-    coupling = _coupling(view, cell.motion)
+def fit_axis(
+    cell: CellSignals, axis: AxisMotion, holds: tuple[Span, ...], start: AxisStart, progress: ProgressSlice
+) -> AxisResult:
+    """Find start values by the stages, then values and uncertainty by the joint fit; `holds` press along the axis."""
+    findings = list[Finding]()
+    robot_fit, robot = _robot(cell, axis, findings)
+    coupling = _coupling(cell, axis)
     progress.advance_to(_STAGES_SHARE)
     try:
-        mass_kg = view.mass_kg if coupling is None or view.mass_kg is not None else coupling.mass_kg
+        mass_kg = start.mass_kg if coupling is None or start.mass_kg is not None else coupling.mass_kg
         if mass_kg is None:
             raise EstimateError(
                 "What moves is not known well enough to begin; record a commanded sweep along or about the axis, hands "
                 "off."
             )
         data = build_joint_data(
-            view.log,
+            cell.log,
             cell.motion,
             axis,
-            view.holds,
+            holds,
             coupling,
             None if robot_fit is None else robot_fit.model,
-            view.recording.command,
+            cell.recording.command,
             mass_kg,
-            view.noise_rms_n,
-            view.recording.wrench_lag_s,
-            view.recording.pose.stamp_ns,
+            cell.noise_rms_n,
+            cell.recording.wrench_lag_s,
+            cell.recording.pose.stamp_ns,
         )
         data = replace(
             data,
-            weighed=view.weighed,
-            shifted_s=view.recording.wrench_shifted_s,
+            weighed=start.weighed,
+            shifted_s=cell.recording.wrench_shifted_s,
             least_noise_n=cell.noise_rms_n if cell.gravity is None else 0.0,
         )
-        found = identify_joint(data, progress.part((0.5 if view.priors else 1.0) - _STAGES_SHARE))
+        found = identify_joint(data, progress.part((0.5 if start.priors else 1.0) - _STAGES_SHARE))
         if cell.gravity is None:
-            _check_lag(found, view.recording.wrench_lag_s)
-        fit = view.in_units(found)
-        with_priors = view.in_units(identify_joint(replace(data, priors=view.priors))) if view.priors else None
+            _check_lag(found, cell.recording.wrench_lag_s)
+        fit = start.in_units(found)
+        with_priors = start.in_units(identify_joint(replace(data, priors=start.priors))) if start.priors else None
     except EstimateError as error:
         findings.append(missing("coupling", f"Axis {axis.name}: {error}"))
         estimate, contradictions = settle_axis(axis.name, without_coupling(robot, str(error)), None, cell.given)
         mass_kg = _USUAL_MASS_KG if cell.gravity is None else cell.gravity.mass_kg
-        contacts = AxisContacts(axis=axis, holds=view.holds, coupling=usual_coupling(mass_kg))
+        contacts = AxisContacts(axis=axis, holds=holds, coupling=usual_coupling(mass_kg))
         return AxisResult(estimate=estimate, findings=(*findings, *contradictions), contacts=contacts, fit=None)
-    left_n = force_beside(axis, cell.motion.still, view.holds)
+    left_n = force_beside(axis, cell.motion.still, holds)
     findings += contact_findings(axis.name, first_rests(cell.motion.still, data.holds), fit, left_n)
     findings += [*latency_findings(axis.name, fit), *misfit_findings(axis.name, fit)]
     # With a robot but without a held command, what is logged is smooth between its samples.
-    is_logged = view.recording.command is not None and robot.denominator.value is not None
+    is_logged = cell.recording.command is not None and robot.denominator.value is not None
     why = COARSE_COMMAND if is_logged else NO_COMMAND
     alone = _estimate(axis, fit, robot, data.period_s, why)
     both = alone if with_priors is None else _estimate(axis, with_priors, robot, data.period_s, why)
     estimate, contradictions = settle_axis(axis.name, alone, both, cell.given)
-    contacts = AxisContacts(axis=axis, holds=view.holds, coupling=found.values[: len(COUPLING_NAMES)])
+    contacts = AxisContacts(axis=axis, holds=holds, coupling=found.values[: len(COUPLING_NAMES)])
     return AxisResult(estimate=estimate, findings=(*findings, *contradictions), contacts=contacts, fit=fit, data=data)
 
 
@@ -257,9 +245,9 @@ def _estimate(
     )
 
 
-def _robot(cell: CellSignals, view: AxisView, findings: list[Finding]) -> tuple[RobotFit | None, RobotEstimate]:
+def _robot(cell: CellSignals, axis: AxisMotion, findings: list[Finding]) -> tuple[RobotFit | None, RobotEstimate]:
     """Return the start of the joint fit, and what the command shows where that fit cannot use it."""
-    recording, axis = view.recording, view.axis
+    recording = cell.recording
     if recording.command is None:
         if axis.name in cell.robots:
             return None, cell.robots[axis.name]
@@ -274,7 +262,7 @@ def _robot(cell: CellSignals, view: AxisView, findings: list[Finding]) -> tuple[
         return None, unidentifiable_robot("no commanded pose in the log")
     period = cell.given.get("sample_time_s")
     try:
-        moved = commanded_motion(recording, recording.command, view.log, axis)
+        moved = commanded_motion(recording, recording.command, cell.log, axis)
         found = identify_logged_robot(
             moved.command_m,
             moved.position_m,
@@ -291,7 +279,7 @@ def _robot(cell: CellSignals, view: AxisView, findings: list[Finding]) -> tuple[
 def identify_axis_robot(cell: CellSignals, axis: AxisMotion) -> AxisResult:
     """Estimate the robot alone along an axis, from command and pose."""
     findings: list[Finding] = []
-    _, robot = _robot(cell, _view(cell, axis, ()), findings)
+    _, robot = _robot(cell, axis, findings)
     contacts = AxisContacts(axis=axis, holds=(), coupling=usual_coupling(_USUAL_MASS_KG))
     estimate = without_coupling(robot, "no motion along this axis alone, with the force on it")
     return AxisResult(estimate=estimate, findings=tuple(findings), contacts=contacts, fit=None)
@@ -317,12 +305,12 @@ def _logged_robot(found: LoggedRobot, period_s: float) -> RobotEstimate:
     )
 
 
-def _coupling(view: AxisView, motion: MotionSpans) -> CouplingFit | None:
+def _coupling(cell: CellSignals, axis: AxisMotion) -> CouplingFit | None:
     """Return a start for the joint fit, None where free motion does not show the coupling in the frequency domain."""
-    axis, period = view.axis, view.log.period_s
-    noise = Noise(force_rms_n=view.noise_rms_n, position_rms_m=_position_noise(axis.position_m, motion.still))
+    period = cell.log.period_s
+    noise = Noise(force_rms_n=cell.noise_rms_n, position_rms_m=_position_noise(axis.position_m, cell.motion.still))
     try:
-        return identify_coupling(free_motions(axis, unguided_spans(axis), period), period, view.log.pose_rate_hz, noise)
+        return identify_coupling(free_motions(axis, unguided_spans(axis), period), period, cell.log.pose_rate_hz, noise)
     except EstimateError:
         return None
 

@@ -9,7 +9,6 @@ import numpy as np
 
 from ..errors import LogError
 from ..result import Finding
-from ..signals.recording import StampArray
 from .containers.channel import Channel, ChannelInfo, Container
 from .containers.formats import is_table, open_container, sha256_of
 from .messages.decode import Series, Wanted
@@ -41,13 +40,8 @@ class ContainerLog:
 
     def read(self, channels: Mapping[Channel, Wanted]) -> dict[Channel, Series]:
         """Read channels; those of which only the time of recording is wanted are not decoded."""
-        decoded = {channel: wanted for channel, wanted in channels.items() if wanted.fields or wanted.header}
-        found = read_series(self._container, decoded) if decoded else {}
+        found = read_series(self._container, channels)
         self._remember()
-        timed = [channel for channel in channels if channel not in decoded]
-        if timed:
-            found |= _times(self._container, timed)
-            self._remember()
         return found
 
     def frames(self, channel: Channel) -> tuple[tuple[str, str], ...]:
@@ -210,25 +204,6 @@ def separate_runs(paths: Sequence[Path], cell: Cell, *, salvage: bool = False) -
             runs.append([index])
         latest = max(latest, end)
     return tuple(tuple(paths[index] for index in sorted(run)) for run in runs)
-
-
-def _times(container: Container, channels: Sequence[Channel]) -> dict[Channel, Series]:
-    """Read the time of recording of each message, in order."""
-    pieces: dict[Channel, list[StampArray]] = {channel: [] for channel in channels}
-    for channel, log_ns in container.read(tuple(channels), lambda batch: batch.log_ns.copy()):
-        pieces[channel].append(log_ns)
-    nothing = np.zeros(0, dtype=np.int64)
-    return {
-        channel: Series(
-            channel=channel,
-            fields=(),
-            log_ns=(log_ns := np.sort(np.concatenate([nothing, *parts]))),
-            stamp_ns=None,
-            frame_ids=(),
-            values=np.zeros((log_ns.size, 0)),
-        )
-        for channel, parts in pieces.items()
-    }
 
 
 def _opened(path: Path, cell: Cell, *, salvage: bool) -> OpenedLog:
