@@ -192,7 +192,8 @@ def read_log(
     '/ft_sensor/wrench'
 
     """
-    from identification.logs import inspect_log, read_checked_recording  # noqa: PLC0415 - compiles
+    from identification.logs.inspect import inspect_log  # noqa: PLC0415 - compiles
+    from identification.logs.read import read_checked_recording  # noqa: PLC0415 - compiles
 
     files = file_paths("paths", paths)
     for name, topic in (("wrench_topic", wrench_topic), ("pose_topic", pose_topic), ("command_topic", command_topic)):

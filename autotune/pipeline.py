@@ -16,9 +16,9 @@ from identification.errors import EstimateError, LogError
 from identification.evidence import Evidence
 from identification.given import Given, check_names
 from identification.identify import identify_with_evidence
-from identification.logs import read_checked_recording
 from identification.logs.containers.formats import sha256_of
 from identification.logs.opened import separate_runs
+from identification.logs.read import read_checked_recording
 from identification.logs.recording import build_frames
 from identification.logs.roles.cell import Cell
 from identification.logs.span import Instant, LogSpan

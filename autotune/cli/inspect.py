@@ -14,8 +14,8 @@ from ._options import LOGS, FilePath, GroupedCommand, cell_option, salvage_optio
 from ._terminal import print_message, print_table
 
 if TYPE_CHECKING:
-    from identification.logs import ChannelSummary, LogSummary
     from identification.logs.guess import CellGuess
+    from identification.logs.summary import ChannelSummary, LogSummary
 
 _NEEDED = ("wrench", "pose", "command")
 _EPILOG = """\b
@@ -59,8 +59,8 @@ def command(
     """
     from autotune.formats.cell import check_new, read_cell, write_cell_start
     from identification.errors import LogError
-    from identification.logs import inspect_log
     from identification.logs.guess import guess_cell
+    from identification.logs.inspect import inspect_log
     from identification.logs.roles.cell import Cell
     from identification.logs.span import LogSpan
 

@@ -288,7 +288,7 @@ def compare_logs(
     from autotune.formats.cell import read_cell
     from autotune.validation.against_log import compare_with_log
     from autotune.validation.log_touches import compare_touches_of_log
-    from identification.logs import read_checked_recording
+    from identification.logs.read import read_checked_recording
     from identification.logs.recording import build_frames
     from identification.logs.roles.cell import Cell
     from identification.logs.span import LogSpan

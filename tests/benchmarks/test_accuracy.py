@@ -12,7 +12,7 @@ from benchmarks.cell_logs import TURN, write_cell_log
 from benchmarks.cell_outcomes import Outcome, approach_axis, bandwidth_hz, surface_outcomes
 from benchmarks.cells import DrawnCell, Writing, draw_cell, simulate
 from benchmarks.insufficient_cells import CASES
-from identification.logs import read_checked_recording
+from identification.logs.read import read_checked_recording
 from identification.logs.roles.cell import Cell
 from identification.result import EnvironmentEstimate, Estimate, Status
 from identification.signals.recording import PoseSignal, Recording, WrenchSignal

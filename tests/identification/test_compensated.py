@@ -8,7 +8,7 @@ import pytest
 
 from identification.given import Given
 from identification.identify import identify_cell
-from identification.logs import read_recording
+from identification.logs.read import read_recording
 from identification.logs.roles.cell import Cell, PoseFields, PoseSource
 from identification.logs.tables.layout import TableLayout
 from identification.result import Estimate, Status

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from autotune.formats.cell import read_cell
 from identification.errors import EstimateError
-from identification.logs import read_recording
+from identification.logs.read import read_recording
 from identification.partial import identify_partial
 from identification.result import Estimate, Identified, Status
 from identification.robot.admittance_motion import admittance_motions, with_compensated_force

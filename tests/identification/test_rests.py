@@ -10,7 +10,8 @@ from scipy.spatial.transform import Rotation
 from autotune.formats.cell import check_cell_text
 from identification.errors import EstimateError, LogError
 from identification.identify import identify_cell
-from identification.logs import inspect_log, read_checked_recording
+from identification.logs.inspect import inspect_log
+from identification.logs.read import read_checked_recording
 from identification.result import Estimate, Identified, VectorEstimate
 from identification.signals.recording import Recording
 from problems.arrays import FloatArray

@@ -7,7 +7,8 @@ import pytest
 
 from autotune.errors import UsageError
 from autotune.formats.cell import cell_text, check_cell_text, read_cell, write_cell_start
-from identification.logs import inspect_log, read_recording
+from identification.logs.inspect import inspect_log
+from identification.logs.read import read_recording
 from identification.logs.roles.cell import Cell, PoseSource, WrenchSource
 from tests.identification.logs.log_builder import complete, pose_stream, wrench_stream, write_mcap
 from tests.identification.logs.message_builder import Topic, header, write_log

@@ -10,7 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from identification.errors import EstimateError, LogError
 from identification.identify import identify_cell
-from identification.logs import inspect_log, read_recording
+from identification.logs.inspect import inspect_log
+from identification.logs.read import read_recording
 from identification.logs.roles.cell import (
     Cell,
     Clock,

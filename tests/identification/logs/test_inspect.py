@@ -8,8 +8,9 @@ from typing import cast
 import numpy as np
 import pytest
 
-from identification.logs import Role, inspect_log, read_recording
-from identification.logs.roles.registry import ROLES, FieldPaths, RoleKind
+from identification.logs.inspect import inspect_log
+from identification.logs.read import read_recording
+from identification.logs.roles.registry import ROLES, FieldPaths, Role, RoleKind
 from tests.identification.logs.log_builder import START_NS, complete, pose_stream, wrench_stream, write_mcap
 
 

@@ -13,8 +13,9 @@ from scipy.spatial.transform import Rotation
 
 from autotune.formats.cell import read_cell
 from identification.errors import LogError
-from identification.logs import inspect_log, read_recording
+from identification.logs.inspect import inspect_log
 from identification.logs.joints import read_chain
+from identification.logs.read import read_recording
 from identification.logs.roles.cell import Cell, WrenchFields, WrenchSource
 from identification.signals.recording import PoseSignal, Recording
 from problems.errors import MissingExtraError, ParameterError

@@ -14,7 +14,8 @@ from scipy.spatial.transform import Rotation
 from autotune.formats.cell import read_cell
 from identification.errors import EstimateError
 from identification.identify import identify_cell
-from identification.logs import inspect_log, read_checked_recording, read_recording
+from identification.logs.inspect import inspect_log
+from identification.logs.read import read_checked_recording, read_recording
 from identification.logs.roles.cell import Cell, PoseSource
 from identification.signals.recording import Recording
 from identification.touches.trace import identify_trace

@@ -11,7 +11,8 @@ import pytest
 from numpy.typing import NDArray
 
 from identification.errors import LogError
-from identification.logs import inspect_log, read_recording
+from identification.logs.inspect import inspect_log
+from identification.logs.read import read_recording
 from identification.logs.roles.cell import Cell, WrenchSource
 from tests.identification.logs.log_builder import (
     START_NS,

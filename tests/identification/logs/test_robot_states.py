@@ -14,7 +14,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from scipy.spatial.transform import Rotation
 
 from identification.errors import LogError
-from identification.logs import inspect_log, read_recording
+from identification.logs.inspect import inspect_log
+from identification.logs.read import read_recording
 from identification.logs.roles.cell import Cell, ExertedBy, PoseFields, PoseSource, WrenchSource
 from identification.logs.roles.orientation import COLUMN_MAJOR, ROW_MAJOR
 from identification.logs.roles.registry import Role

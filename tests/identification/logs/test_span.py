@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from autotune.pipeline import IdentifyOptions
 from identification.errors import LogError
-from identification.logs import inspect_log, read_recording
+from identification.logs.inspect import inspect_log
+from identification.logs.read import read_recording
 from identification.logs.roles.cell import Cell, PoseFields, PoseSource, WrenchFields, WrenchSource
 from identification.logs.span import LogSpan
 from identification.logs.tables.layout import TableLayout

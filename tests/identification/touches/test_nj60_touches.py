@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from autotune.formats.cell import read_cell
-from identification.logs import read_recording
+from identification.logs.read import read_recording
 from identification.logs.roles.cell import Cell
 from identification.result import TouchCause
 from identification.signals.recording import Recording
