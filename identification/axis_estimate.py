@@ -88,7 +88,7 @@ class AxisResult:
 
 
 @dataclass(frozen=True, kw_only=True)
-class AxisStart:
+class AxisKnowledge:
     """What is known of an axis before its fit: `mass_kg` is where the search for M_p starts, `priors` what is given.
 
     `in_units` turns the fit into the units of the axis; `weighed` is M_p from gravity with its deviation.
@@ -107,7 +107,7 @@ def identify_axis(cell: CellSignals, axis: AxisMotion, progress: ProgressSlice |
     """
     holds, findings = _holds(cell, axis)
     gravity = cell.gravity
-    start = AxisStart(
+    start = AxisKnowledge(
         mass_kg=None if gravity is None else gravity.mass_kg,
         priors=axis_priors(cell.given, axis.name),
         in_units=partial(with_gain_error, share=0.0 if gravity is None else gravity.gain_error_share),
@@ -139,7 +139,7 @@ def _weakened(estimate: AxisEstimate) -> AxisEstimate:
 
 
 def fit_axis(
-    cell: CellSignals, axis: AxisMotion, holds: tuple[Span, ...], start: AxisStart, progress: ProgressSlice
+    cell: CellSignals, axis: AxisMotion, holds: tuple[Span, ...], start: AxisKnowledge, progress: ProgressSlice
 ) -> AxisResult:
     """Find start values by the stages, then values and uncertainty by the joint fit; `holds` press along the axis."""
     findings = list[Finding]()

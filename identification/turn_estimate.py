@@ -9,7 +9,7 @@ from scipy.signal import detrend
 from problems.progress import ProgressSlice
 
 from .axes.turning import LEVER_M, AxisTurn, Unrolled, rests_after, unroll
-from .axis_estimate import AxisResult, AxisStart, CellSignals, axis_priors, fit_axis
+from .axis_estimate import AxisResult, AxisKnowledge, CellSignals, axis_priors, fit_axis
 from .errors import EstimateError
 from .joint_fit.model import COUPLING_NAMES
 from .joint_fit.result import MECHANICAL_NAMES, JointFit
@@ -48,7 +48,7 @@ def identify_turn(
         replace(cell, recording=unrolled.recording, log=unrolled.log, noise_rms_n=_noise(cell, unrolled)),
         unrolled.axis,
         rests_after(unrolled.axis.spans, holds),
-        AxisStart(
+        AxisKnowledge(
             mass_kg=None if tensor.value is None or tensor.std is None else path_of((tensor.value, tensor.std))[0],
             priors={name: each if name == "delay_s" else path_of(each) for name, each in known},
             in_units=partial(fit_about_axis, turn=turn),
