@@ -9,6 +9,7 @@ from .axes.straight import AXIS_NAMES
 from .experiment_design.sweep import SweepLimits, fastest_sweep
 from .experiment_design.values import values_of
 from .joint_fit.estimates import COARSE_COMMAND
+from .payload.gravity_verdicts import WITHOUT_TORQUE
 from .result import AxisEstimate, EnvironmentEstimate, Estimate, Finding, Identified, Status, VectorEstimate
 
 _POSES = (
@@ -43,6 +44,7 @@ _COARSE = (
     "smoothed). "
     "Log the command that the robot receives, and the pose, at the control rate."
 )
+_TORQUE = "Record the sensor's torques with its forces."
 _COMMAND = "Record the position command with the pose, on one clock, at the control rate."
 
 
@@ -74,7 +76,10 @@ def advise(result: Identified) -> tuple[Finding, ...]:
         "payload mass": result.payload.mass_kg,
         "centre of mass": result.payload.com_m,
     }
-    lacks = [_Lack(name=name, estimate=each, advice=_POSES, needed=True) for name, each in payload.items()]
+    lacks = [
+        _Lack(name=name, estimate=each, advice=_TORQUE if each.note == WITHOUT_TORQUE else _POSES, needed=True)
+        for name, each in payload.items()
+    ]
     findings = list(_findings("", lacks, first))
     for name, axis in result.axes.items():
         findings += _findings(f"Axis {name}: ", list(_axis_lacks(name, axis, _sweep(result, name))), first)

@@ -6,13 +6,13 @@ import numpy as np
 
 from .conventions.search import rank_conventions
 from .payload.gravity import GravityFit, identify_gravity
-from .payload.gravity_verdicts import com_estimate, gravity_findings, mass_estimate
+from .payload.gravity_verdicts import WITHOUT_TORQUE, com_estimate, gravity_findings, mass_estimate
 from .payload.mounting import identify_mounting
 from .payload.static_poses import rows_as_poses
-from .result import Estimate, Finding, Identified, PayloadEstimate, SensorEstimate, Status
+from .result import Estimate, Finding, Identified, PayloadEstimate, SensorEstimate, Status, VectorEstimate
 from .signals.frames import Frames
 from .signals.recording import Recording
-from .verdicts import missing, unidentifiable, vector
+from .verdicts import missing, unidentifiable, unidentifiable_vector, vector
 
 _METHOD = "least squares over static poses"
 
@@ -20,10 +20,13 @@ _METHOD = "least squares over static poses"
 def identify_from_rows(recording: Recording, frames: Frames | None = None) -> Identified:
     """Identify mass, centre of mass and bias from a table whose rows are the means of rests.
 
+    Of forces alone mass and force bias.
+
     Parameters
     ----------
     recording
-        Wrench and orientation, one row per pose (`rows_are_poses`), without positions and times.
+        Force, torque (may be missing) and orientation, one row per pose (`rows_are_poses`), without positions and
+        times.
     frames
         What the cell declares; other signs, frames and orders are tried as for a log, and taken where only they fit.
 
@@ -50,7 +53,7 @@ def identify_from_rows(recording: Recording, frames: Frames | None = None) -> Id
     averaged = unidentifiable(note="each row is a mean, so it shows nothing of single samples")
     sensor = SensorEstimate(
         force_bias_n=vector(gravity.force_bias_S_n, gravity.force_bias_std_n, method=_METHOD),
-        torque_bias_n_m=vector(gravity.torque_bias_S_n_m, gravity.torque_bias_std_n_m, method=_METHOD),
+        torque_bias_n_m=torque_bias(gravity),
         force_noise_rms_n=averaged,
         gravity_residual_rms_n=residual_estimate(gravity),
         deadband_n=averaged,
@@ -81,6 +84,13 @@ def at_rest_only(
             ),
         ),
     )
+
+
+def torque_bias(gravity: GravityFit) -> VectorEstimate:
+    """Return the sensor's torque bias, unidentifiable without torques."""
+    if not gravity.has_torque:
+        return unidentifiable_vector(WITHOUT_TORQUE)
+    return vector(gravity.torque_bias_S_n_m, gravity.torque_bias_std_n_m, method=_METHOD)
 
 
 def residual_estimate(gravity: GravityFit) -> Estimate:

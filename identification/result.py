@@ -334,7 +334,7 @@ class NoiseSpectrum:
     """The sensor's noise at rest in bands of frequency, (k,) each, one-sided, the mean of the three axes.
 
     `frequency_hz` are the bands' centres. `resolution` is the step of Fx, Fy, Fz [N] and Tx, Ty, Tz [N·m] as logged,
-    None where none shows.
+    None where none shows. Of a log without torques theirs is empty.
     """
 
     frequency_hz: tuple[float, ...]

@@ -7,7 +7,7 @@ import numpy as np
 from .conventions.choice import ReadLog
 from .payload.gravity import GravityFit
 from .payload.mounting import identify_mounting
-from .rests import residual_estimate
+from .rests import residual_estimate, torque_bias
 from .result import Estimate, Finding, SensorEstimate, Status
 from .signals.frames import Frames
 from .signals.recording import PoseSignal
@@ -28,12 +28,12 @@ def describe_sensor(
     within = Estimate(value=rms, std=0.02 * rms, status=Status.IDENTIFIED, method="spread within rests")
     sensor = SensorEstimate(
         force_bias_n=vector(gravity.force_bias_S_n, gravity.force_bias_std_n, method=_METHOD),
-        torque_bias_n_m=vector(gravity.torque_bias_S_n_m, gravity.torque_bias_std_n_m, method=_METHOD),
+        torque_bias_n_m=torque_bias(gravity),
         force_noise_rms_n=within if noise is None else noise.force_rms(),
         gravity_residual_rms_n=residual_estimate(gravity),
         deadband_n=_deadband(read, noise),
         torque_noise_rms_n_m=None
-        if noise is None
+        if noise is None or not gravity.has_torque
         else vector(noise.rms[3:], noise.rms_std[3:], method="spread within rests, drift taken out"),
         noise=None if noise is None else noise.spectrum(),
         mounting_rad=mounting.mounting_S_rad,

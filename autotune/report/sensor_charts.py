@@ -34,6 +34,8 @@ def wrench_charts(evidence: Evidence, timeline: Timeline | None, mark: str) -> I
         panels=_panels(time, "F", "N", evidence.raw_S_n, evidence.compensated_S_n, shades),
         linked=True,
     )
+    if not np.isfinite(evidence.raw_torque_S_n_m).any():
+        return
     yield Chart(
         key=f"torque-{mark}",
         title="Torque of the sensor",
@@ -61,6 +63,7 @@ def logged_charts(recording: Recording) -> tuple[Chart, ...]:
             ("wrench-1", "Force", "F", "N", wrench.force_n),
             ("torque-1", "Torque", "T", "N·m", wrench.torque_n_m),
         )
+        if np.isfinite(values).any()
     )
 
 
@@ -107,10 +110,11 @@ def _phases(timeline: Timeline | None) -> str:
 def noise_chart(noise: NoiseSpectrum) -> Chart:
     """Draw the sensor's noise at rest, of force and torque."""
     x = Scale(label="frequency [Hz]", spacing="log")
+    of = "force and torque" if noise.torque_n2_m2_per_hz else "force"
     return Chart(
         key="noise",
         title="Noise of the sensor at rest",
-        alternative=f"Power density of the noise of force and torque from {noise.frequency_hz[0]:.2g} to "
+        alternative=f"Power density of the noise of {of} from {noise.frequency_hz[0]:.2g} to "
         f"{noise.frequency_hz[-1]:.3g} Hz, each the mean of three axes.",
         panels=tuple(
             Panel(
@@ -122,6 +126,7 @@ def noise_chart(noise: NoiseSpectrum) -> Chart:
                 ("force [N²/Hz]", noise.force_n2_per_hz),
                 ("torque [(N·m)²/Hz]", noise.torque_n2_m2_per_hz),
             )
+            if values
         ),
         linked=True,
     )

@@ -134,7 +134,7 @@ def runtime_payload(identified: Identified, mass_kg: float, *, is_chosen: bool) 
     if com is None or force is None or torque is None:
         raise EstimateError(
             "payload.com_m, sensor.force_bias_n and sensor.torque_bias_n_m must be identified, because the runtime "
-            "compensates gravity with them; record poses at rest."
+            "compensates gravity with them; record poses at rest, forces and torques."
         )
     return RuntimePayload(
         mass_kg=mass_kg,

@@ -93,8 +93,11 @@ def find_turns(
     """Return the axes of S about which the tool went to and fro, the point `origin_S_m` of S (its origin) at rest.
 
     Turns of more than 0.35 rad are changes of pose: they are left to the inertia tensor, and so is an axis that was
-    crossed less than three times. `log` and `motion` are those of the recording.
+    crossed less than three times. `log` and `motion` are those of the recording; without torques nothing is known of
+    a turn.
     """
+    if not log.has_torque:
+        return ()
     origin = np.zeros(3) if origin_S_m is None else np.asarray(origin_S_m, dtype=np.float64)
     by_axis: dict[int, list[Span]] = {}
     for span in motion.moving:

@@ -129,7 +129,8 @@ def score_hypotheses(poses: Sequence[StaticPose], groups: IntArray, frames: Fram
         [hypothesis.orientation(logged, frames).inv().apply(GRAVITY_B_M_S2) for hypothesis in HYPOTHESES]
     )
     force = np.array([pose.force_S_n for pose in poses])
-    torque = np.array([pose.torque_S_n_m for pose in poses])
+    # A torque that was not measured is alike under every hypothesis.
+    torque = np.nan_to_num(np.array([pose.torque_S_n_m for pose in poses]))
     keep = _inliers(gravity, force, torque, group_shares(groups))
     groups = groups[keep]
     means = np.array([group_means(each[keep], groups) for each in gravity])

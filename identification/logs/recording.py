@@ -49,7 +49,7 @@ from .roles.registry import ROLES, Role, is_processed_name
 
 _MAIN = (Role.WRENCH, Role.POSE, Role.COMMAND)
 _DOWN = np.array([0.0, 0.0, -1.0])
-_OF_SINGLE_ROWS = frozenset({"not-finite", "quaternion-norm", "turn-unit", "length-unit"})
+_OF_SINGLE_ROWS = frozenset({"not-finite", "quaternion-norm", "turn-unit", "length-unit", "no-rotation", "stuck-axis"})
 """Faults that a table of poses can have; the others compare neighbours in time."""
 
 

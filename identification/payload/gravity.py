@@ -44,7 +44,8 @@ class GravityFit:
     `pose_count` counts distinct orientations; `rejected` rests did not fit (something touched the payload), `inliers`
     are the numbers of those that did. Where the sensor was tared between rests, the biases are those after it and
     `bias_step` shows what they were before. `terms` show what the misfit follows: what is significant among them is in
-    the standard deviations.
+    the standard deviations. Without `has_torque` nothing is known of the centre of mass and the torque bias: both are 0
+    with an infinite deviation.
     """
 
     mass_kg: float
@@ -66,6 +67,7 @@ class GravityFit:
     inliers: tuple[int, ...]
     bias_step: BiasStep | None
     terms: tuple[ResidualTerm, ...]
+    has_torque: bool = True
 
     @property
     def com_is_excited(self) -> bool:
@@ -191,6 +193,7 @@ def _finished(
         if split is None
         else BiasStep.between(poses[split - 1], poses[split], force.values[4:], torque.values[6:]),
         terms=terms,
+        has_torque=bool(np.isfinite(kept[0].torque_S_n_m).all()),
     )
 
 
@@ -202,7 +205,7 @@ def _solve(
     means = group_means(rows.reshape(len(rows), -1), groups).reshape(-1, count)
     target = group_means(values, groups).reshape(-1)
     scale = np.where(np.arange(count) < gravity_columns, np.linalg.norm(GRAVITY_B_M_S2), 1.0)
-    condition = float(np.linalg.cond(means / scale))
+    condition = float(np.linalg.cond(means / scale)) if np.any(means) else np.inf
     if condition > _SINGULAR:
         nothing = np.full(count, np.inf)
         return _Solution(values=np.zeros(count), covariance=np.diag(nothing), rms=0.0, condition=np.inf)

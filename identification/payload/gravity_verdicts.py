@@ -10,6 +10,8 @@ from .gravity import GravityFit
 from .pose_fit import ResidualTerm, TermKind
 from .static_poses import GRAVITY_B_M_S2
 
+WITHOUT_TORQUE = "the log has no three torques: force and orientation show mass and force bias only"
+
 _METHOD = "least squares over static poses"
 _COM_IDENTIFIED_M = 5e-3
 _COM_WEAK_M = 25e-3
@@ -31,6 +33,8 @@ def mass_estimate(fit: GravityFit) -> Estimate:
 
 def com_estimate(fit: GravityFit) -> VectorEstimate:
     """Return the centre of mass with its verdict: identified within 5 mm, weak within 25 mm, per component at worst."""
+    if not fit.has_torque:
+        return unidentifiable_vector(WITHOUT_TORQUE)
     worst = float(np.max(fit.com_std_m))
     if not fit.com_is_excited or not worst <= _COM_WEAK_M:
         why = (
@@ -50,6 +54,9 @@ def com_estimate(fit: GravityFit) -> VectorEstimate:
 def gravity_findings(fit: GravityFit) -> tuple[Finding, ...]:
     """Return what the rests say beside mass and bias: contacts, a tare, drift, load that the sensor does not follow."""
     found: list[Finding] = []
+    if not fit.has_torque:
+        text = f"Centre of mass and torque bias are not identified: {WITHOUT_TORQUE}."
+        found.append(Finding(code="no-torque", severity="info", message=text, advice=""))
     if fit.rejected:
         found.append(
             Finding(

@@ -1,7 +1,7 @@
 """Inertia tensor of the payload from moves that turn the tool; the mass a second time, from its acceleration."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -13,6 +13,7 @@ from ..signals.aligned import AlignedLog
 from ..signals.segments import MotionSpans
 from ..verdicts import judged, unidentifiable
 from .gravity import GravityFit
+from .gravity_verdicts import WITHOUT_TORQUE
 from .inertia_rows import MotionRows, build_motion_rows
 from .static_poses import StaticPose
 
@@ -82,6 +83,8 @@ def identify_inertia(
     that the moves do not turn about are unidentifiable. What no distribution of mass can have is replaced by the
     consistent tensor of highest likelihood within the uncertainty, and refused beyond.
     """
+    if not gravity.has_torque:
+        return replace(_nothing(WITHOUT_TORQUE), findings=())
     solution = solve_motion(log, motion, poses, gravity)
     if solution is None:
         return _nothing("fewer than three moves turn the tool freely")
@@ -121,9 +124,9 @@ def inertial_sign(log: AlignedLog, motion: MotionSpans, poses: Sequence[StaticPo
     """Return the inertia over its standard deviation, of the axis that the moves show best; 0 without moves.
 
     Below −5 the forces of acceleration have the sign of the weight: gravity points the other way in the base than
-    assumed. Rests cannot show that from a wrench of the other body, moves can.
+    assumed. Rests cannot show that from a wrench of the other body, moves can, with their torques.
     """
-    solution = solve_motion(log, motion, poses, gravity)
+    solution = solve_motion(log, motion, poses, gravity) if gravity.has_torque else None
     if solution is None:
         return 0.0
     scores = solution.values[4:7] / np.sqrt(np.diag(solution.covariance)[4:7])

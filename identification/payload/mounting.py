@@ -42,13 +42,22 @@ class MountingFit:
 
 @dataclass(frozen=True, kw_only=True)
 class _Means:
-    """Orientations (k), their wrenches (k, 3), and the deviation of force and torque that noise leaves."""
+    """Orientations (k), their wrenches (k, 3), and the deviation of force and torque that noise leaves.
+
+    Without `has_torque` there are the equations of the force alone, without h and b_τ.
+    """
 
     orientation_BS: Rotation
     force: FloatArray
     torque: FloatArray
     force_floor: float
     torque_floor: float
+    has_torque: bool
+
+    @property
+    def freedom(self) -> int:
+        """Equations less unknowns."""
+        return 6 * len(self.force) - 15 if self.has_torque else 3 * len(self.force) - 9
 
 
 def identify_mounting(
@@ -93,6 +102,7 @@ def _free_means(poses: Sequence[StaticPose], gravity: GravityFit) -> _Means | No
         torque=group_means(np.array([pose.torque_S_n_m for pose in free]), groups),
         force_floor=float(np.median([pose.force_mean_std_n for pose in free])),
         torque_floor=float(np.median([pose.torque_mean_std_n_m for pose in free])),
+        has_torque=gravity.has_torque,
     )
 
 
@@ -102,49 +112,48 @@ def _solve(means: _Means) -> tuple[FloatArray, FloatArray, int, float] | None:
     Gauss–Newton on (m, b_f, h, b_τ, μ, β): for given angles the rest is linear. Force and torque are weighed by what
     they leave.
     """
-    count = len(means.force)
-    angles, weights = np.zeros(5), np.array([1.0, 1.0])
-    freedom = 6 * count - 15
-    rows, residual = np.zeros((0, 15)), np.zeros(0)
+    count, kinds, freedom = len(means.force), 2 if means.has_torque else 1, means.freedom
+    floors = np.array([means.force_floor, means.torque_floor][:kinds])
+    angles, weights = np.zeros(5), np.ones(kinds)
+    rows, residual = np.zeros((0, 0)), np.zeros(0)
     for _ in range(_ROUNDS):
         rows, residual = _linearised(means, angles, weights)
         scale = np.linalg.norm(rows, axis=0) + 1e-30
         if np.linalg.cond(rows / scale) > 1e7:
             return None
         step = np.linalg.lstsq(rows / scale, residual, rcond=None)[0] / scale
-        angles = angles + np.clip(step[10:], -0.3, 0.3)
-        left = (residual - rows @ step).reshape(2, -1) / weights[:, None]
-        spread = np.sqrt(np.sum(left**2, axis=1) / (0.5 * freedom))
-        weights = 1.0 / np.maximum(spread, [means.force_floor, means.torque_floor]).clip(min=_SMALLEST_SPREAD)
-        if float(np.max(np.abs(step[10:]))) < 1e-9:
+        angles = angles + np.clip(step[-5:], -0.3, 0.3)
+        left = (residual - rows @ step).reshape(kinds, -1) / weights[:, None]
+        spread = np.sqrt(np.sum(left**2, axis=1) / (freedom / kinds))
+        weights = 1.0 / np.maximum(spread, floors).clip(min=_SMALLEST_SPREAD)
+        if float(np.max(np.abs(step[-5:]))) < 1e-9:
             break
     rows, residual = _linearised(means, angles, weights)
     left = residual - rows @ np.linalg.lstsq(rows, residual, rcond=None)[0]
     covariance = max(1.0, float(left @ left) / freedom) * np.linalg.inv(rows.T @ rows)
-    widened = np.sqrt(np.maximum(np.diag(_sandwich(rows, left)) / np.diag(covariance), 1.0))
+    widened = np.sqrt(np.maximum(np.diag(_sandwich(rows, left, 3 * kinds)) / np.diag(covariance), 1.0))
     covariance = widened[:, None] * covariance * widened
     force = left[: 3 * count] / weights[0]
-    return angles, np.asarray(covariance[10:, 10:]), freedom, float(np.sqrt(np.mean(force**2)))
+    return angles, np.asarray(covariance[-5:, -5:]), freedom, float(np.sqrt(np.mean(force**2)))
 
 
-def _sandwich(rows: FloatArray, left: FloatArray) -> FloatArray:
-    """Return the covariance that holds where the six misfits of a pose depend on each other (HC3, by pose).
+def _sandwich(rows: FloatArray, left: FloatArray, size: int) -> FloatArray:
+    """Return the covariance that holds where the `size` misfits of a pose depend on each other (HC3, by pose).
 
     An orientation that is off turns force and moment together, and never along gravity.
     """
     inverse = np.linalg.inv(rows.T @ rows)
     meat = np.zeros_like(inverse)
-    for block, misfit in zip(_by_pose(rows), _by_pose(left[:, None])[:, :, 0], strict=True):
-        own = np.eye(6) - block @ inverse @ block.T
+    for block, misfit in zip(_by_pose(rows, size), _by_pose(left[:, None], size)[:, :, 0], strict=True):
+        own = np.eye(size) - block @ inverse @ block.T
         score = block.T @ np.linalg.pinv(own, rcond=1e-6) @ misfit
         meat += np.outer(score, score)
     return np.asarray(inverse @ meat @ inverse)
 
 
-def _by_pose(rows: FloatArray) -> FloatArray:
-    """Regroup rows (forces of all poses, then torques) into (k, 6, p)."""
-    halves = rows.reshape(2, -1, 3, rows.shape[1])
-    return np.concatenate([halves[0], halves[1]], axis=1)
+def _by_pose(rows: FloatArray, size: int) -> FloatArray:
+    """Regroup rows (forces of all poses, then torques if there are) into (k, size, p)."""
+    return np.concatenate([*rows.reshape(size // 3, -1, 3, rows.shape[1])], axis=1)
 
 
 def _linearised(means: _Means, angles: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -158,15 +167,20 @@ def _linearised(means: _Means, angles: FloatArray, weights: FloatArray) -> tuple
     gravity = np.asarray(to_sensor.apply(down))
     count = len(gravity)
     bias = np.broadcast_to(np.eye(3), (count, 3, 3))
-    nothing = np.zeros((count, 3, 3))
-    force_rows = np.concatenate([gravity[:, :, None], bias, nothing, nothing], axis=2)
-    torque_rows = np.concatenate([nothing[:, :, :1], nothing, -cross_matrix(gravity), bias], axis=2)
-    linear = np.concatenate([weights[0] * force_rows, weights[1] * torque_rows]).reshape(-1, 10)
-    wrench = np.concatenate([weights[0] * means.force, weights[1] * means.torque]).reshape(-1)
-    solved = np.linalg.lstsq(linear, wrench, rcond=None)[0]
     turned = np.concatenate(
         [cross_matrix(gravity), to_sensor.as_matrix() @ -cross_matrix(down)[:, :2]], axis=2
     )  # (count, 3, 5)
+    force_rows = weights[0] * np.concatenate([gravity[:, :, None], bias], axis=2)
+    if not means.has_torque:
+        linear, wrench = force_rows.reshape(-1, 4), weights[0] * means.force.reshape(-1)
+        mass = np.linalg.lstsq(linear, wrench, rcond=None)[0][0]
+        return np.hstack([linear, weights[0] * mass * turned.reshape(-1, 5)]), np.asarray(wrench)
+    nothing = np.zeros((count, 3, 3))
+    force_rows = np.concatenate([force_rows, nothing, nothing], axis=2)
+    torque_rows = np.concatenate([nothing[:, :, :1], nothing, -cross_matrix(gravity), bias], axis=2)
+    linear = np.concatenate([force_rows, weights[1] * torque_rows]).reshape(-1, 10)
+    wrench = np.concatenate([weights[0] * means.force, weights[1] * means.torque]).reshape(-1)
+    solved = np.linalg.lstsq(linear, wrench, rcond=None)[0]
     force_turned = weights[0] * solved[0] * turned
     torque_turned = weights[1] * (cross_matrix(solved[4:7]) @ turned)
     rows = np.hstack([linear, np.concatenate([force_turned, torque_turned]).reshape(-1, 5)])

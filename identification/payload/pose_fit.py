@@ -54,7 +54,8 @@ class BiasStep:
 class PoseEquations:
     """Rows (n, 3, p) and values (n, 3) of f = m g + b_f and of τ = −[g]× m c + b_τ, a block of three per pose.
 
-    Three more columns hold the bias that the `early` poses have on top.
+    Three more columns hold the bias that the `early` poses have on top. A torque that was not measured (NaN) says
+    nothing: its equations are 0 = 0.
     """
 
     force_rows: FloatArray
@@ -68,11 +69,13 @@ class PoseEquations:
         gravity = np.array([pose.gravity_S_m_s2 for pose in poses])
         bias = np.broadcast_to(np.eye(3), (len(poses), 3, 3))
         more = () if early is None else (early[:, None, None] * bias,)
+        torque = np.array([pose.torque_S_n_m for pose in poses])
+        known = np.isfinite(torque)[:, :, None]
         return cls(
             force_rows=np.concatenate([gravity[:, :, None], bias, *more], axis=2),
             force_n=np.array([pose.force_S_n for pose in poses]),
-            torque_rows=np.concatenate([-cross_matrix(gravity), bias, *more], axis=2),
-            torque_n_m=np.array([pose.torque_S_n_m for pose in poses]),
+            torque_rows=known * np.concatenate([-cross_matrix(gravity), bias, *more], axis=2),
+            torque_n_m=np.nan_to_num(torque),
         )
 
 

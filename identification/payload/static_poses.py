@@ -28,6 +28,8 @@ _BATCHES = 8
 class StaticPose:
     """Mean wrench over one rest, `gravity_S_m_s2`, `force_S_n`, `torque_S_n_m` (3,), and the noise within it.
 
+    A torque that was not measured is NaN, and its deviation 0.
+
     `quaternion_xyzw` (4,) is the mean orientation, base from sensor; `time_s` the middle of the rest in the log, NaN
     where it has no time;
     `force_noise_n` the spread of the samples, `force_mean_std_n` and `torque_mean_std_n_m` that of their mean, with
@@ -65,7 +67,7 @@ def collect_static_poses(log: AlignedLog, still: tuple[Span, ...]) -> tuple[Stat
                 torque_S_n_m=torque.mean(axis=0),
                 force_noise_n=float(np.sqrt(np.mean(np.var(force, axis=0)))),
                 force_mean_std_n=_mean_std(force),
-                torque_mean_std_n_m=_mean_std(torque),
+                torque_mean_std_n_m=_mean_std(torque) if log.has_torque else 0.0,
             )
         )
     return tuple(poses)
@@ -74,7 +76,8 @@ def collect_static_poses(log: AlignedLog, still: tuple[Span, ...]) -> tuple[Stat
 def rows_as_poses(recording: Recording) -> tuple[StaticPose, ...]:
     """Take each row of a table of poses as a rest; how much the samples of one scattered is not known.
 
-    Raises LogError where wrench and pose do not have as many rows, EstimateError where they are not raw and whole.
+    Raises LogError where wrench and pose do not have as many rows, EstimateError where force or orientation are not
+    raw and whole.
     """
     recording.require_raw()
     wrench, pose = recording.wrench, recording.pose
@@ -84,6 +87,7 @@ def rows_as_poses(recording: Recording) -> tuple[StaticPose, ...]:
             f"{len(pose.stamp_ns)} in {pose.topic}; give the rows that belong together."
         )
     turned = Rotation.from_quat(pose.quaternion_xyzw).inv()
+    torque = wrench.torque_n_m if wrench.has_torque else np.full_like(wrench.force_n, np.nan)
     return tuple(
         StaticPose(
             span=Span(start=row, stop=row + 1),
@@ -91,7 +95,7 @@ def rows_as_poses(recording: Recording) -> tuple[StaticPose, ...]:
             quaternion_xyzw=pose.quaternion_xyzw[row],
             gravity_S_m_s2=gravity,
             force_S_n=wrench.force_n[row],
-            torque_S_n_m=wrench.torque_n_m[row],
+            torque_S_n_m=torque[row],
             force_noise_n=0.0,
             force_mean_std_n=0.0,
             torque_mean_std_n_m=0.0,

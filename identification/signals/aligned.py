@@ -58,6 +58,7 @@ class AlignedLog:
     `force_S_n`, `torque_S_n_m` (n, 3) raw in the sensor frame; `position_B_m` (n, 3); `orientation_BS` n rotations
     base from sensor (the sensor frame is the flange's); `pose_rate_hz` limits which frequencies mean something. In
     `holes` nothing was recorded: force, torque and position are NaN there, the orientation is the last one before.
+    Without `has_torque` the torque is NaN throughout.
     """
 
     start_ns: int
@@ -69,6 +70,7 @@ class AlignedLog:
     orientation_BS: Rotation
     pose_rate_hz: float
     holes: tuple[Span, ...] = ()
+    has_torque: bool = True
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -84,9 +86,10 @@ def align(recording: Recording) -> AlignedLog:
     """Interpolate the pose on a uniform clock of the wrench's rate, over the time that both cover.
 
     The clock starts at a wrench stamp, so that a regular wrench keeps its samples: between them its noise would be
-    averaged. Position by cubic spline (NaN where not all three coordinates were logged), orientation by slerp, neither
-    across a hole. Raises LogError when the channels do not overlap by 30 samples, or have holes that the recording does
-    not keep; EstimateError when wrench or pose are not as sensor and robot show them (`Recording.require_raw`).
+    averaged. Position by cubic spline, orientation by slerp, neither across a hole; position and torque are NaN where
+    not all three of them were logged. Raises LogError when the channels do not overlap by 30 samples, or have holes
+    that the recording does not keep; EstimateError when wrench or pose are not as sensor and robot show them
+    (`Recording.require_raw`).
     """
     recording.require_raw()
     return on_one_clock(recording)
@@ -124,8 +127,8 @@ def on_one_clock(recording: Recording) -> AlignedLog:
     poses = _Pieces.of(pose.stamp_ns, start, time)
     holes = spans_of(~(forces.covered() & poses.covered()))
 
-    def on_clock(pieces: _Pieces, values: FloatArray, degree: int) -> FloatArray:
-        if values is pose.position_m and not pose.has_position:
+    def on_clock(pieces: _Pieces, values: FloatArray, degree: int, *, is_whole: bool = True) -> FloatArray:
+        if not is_whole:
             return np.full((count, values.shape[1]), np.nan)
         found = pieces.interpolated(values, degree)
         if holes and found is values:
@@ -139,11 +142,12 @@ def on_one_clock(recording: Recording) -> AlignedLog:
         period_s=period,
         time_s=time,
         force_S_n=on_clock(forces, wrench.force_n, 1),
-        torque_S_n_m=on_clock(forces, wrench.torque_n_m, 1),
-        position_B_m=on_clock(poses, pose.position_m, 3),
+        torque_S_n_m=on_clock(forces, wrench.torque_n_m, 1, is_whole=wrench.has_torque),
+        position_B_m=on_clock(poses, pose.position_m, 3, is_whole=pose.has_position),
         orientation_BS=poses.turned(pose),
         pose_rate_hz=1.0 / pose_period,
         holes=holes,
+        has_torque=wrench.has_torque,
     )
 
 

@@ -83,6 +83,11 @@ class WrenchSignal:
     def __post_init__(self) -> None:
         _freeze(self, force_n=3, torque_n_m=3)
 
+    @property
+    def has_torque(self) -> bool:
+        """Whether all three torques were logged, without which the centre of mass does not show."""
+        return {*AXES[3:]} <= {*self.measured_axes}
+
 
 def no_wrench(pose: "PoseSignal") -> WrenchSignal:
     """Return what replaces the wrench of a log without one: nothing measured, at the pose's stamps."""
@@ -187,7 +192,7 @@ class Recording:
         freeze(self, "sha256", "clocks")
 
     def require_raw(self) -> None:
-        """Raise EstimateError unless this holds a raw six-axis wrench and an orientation in the base frame."""
+        """Raise EstimateError unless this holds three raw forces and an orientation in the base frame."""
         if self.wrench.gravity_compensated:
             raise EstimateError(
                 f"Gravity is already removed from the force of topic {self.wrench.topic}, so the payload's mass, its "
@@ -195,8 +200,11 @@ class Recording:
                 "compensation."
             )
         what = f"The wrench of topic {self.wrench.topic}"
-        advice = "mass, centre of mass and bias are identified together, so record the raw wrench in all six"
-        _require_axes(what, self.wrench.measured_axes, AXES, advice)
+        advice = (
+            "mass and bias are identified together from them, so record all three (torques may be missing, which "
+            "leaves the centre of mass unknown)"
+        )
+        _require_axes(what, self.wrench.measured_axes, AXES[:3], advice)
         if self.pose.is_displacement:
             raise EstimateError(
                 f"Topic {self.pose.topic} shows a displacement from an unknown pose, so the direction of gravity in "
@@ -209,7 +217,7 @@ class Recording:
 def _require_axes(what: str, measured: tuple[str, ...], needed: tuple[str, ...], advice: str) -> None:
     missing = [axis for axis in needed if axis not in measured]
     if missing:
-        all_of_them = "all six axes" if needed == AXES else "an orientation"
+        all_of_them = "forces along x, y and z" if needed == AXES[:3] else "an orientation"
         raise EstimateError(f"{what} must have {all_of_them}, found none for {', '.join(missing)}; {advice}.")
 
 

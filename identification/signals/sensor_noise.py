@@ -76,7 +76,7 @@ class SensorNoise:
         return NoiseSpectrum(
             frequency_hz=tuple(float(np.mean(self.frequency_hz[inside])) for inside in shown),
             force_n2_per_hz=tuple(float(np.mean(force[inside])) for inside in shown),
-            torque_n2_m2_per_hz=tuple(float(np.mean(torque[inside])) for inside in shown),
+            torque_n2_m2_per_hz=tuple(float(np.mean(torque[inside])) for inside in shown) if np.any(torque) else (),
             resolution=self.resolution,
         )
 
@@ -90,7 +90,8 @@ def identify_sensor_noise(log: AlignedLog, still: Sequence[Span], wrench: Wrench
     rests = [slice(r.start + trim, r.stop - trim) for r in still if len(r) > 2 * trim + _SHORTEST_SEGMENT]
     if not rests:
         return None
-    signal = np.hstack([log.force_S_n, log.torque_S_n_m])
+    torque = log.torque_S_n_m if log.has_torque else np.zeros_like(log.force_S_n)
+    signal = np.hstack([log.force_S_n, torque])
     pieces = _quiet([np.asarray(detrend(signal[rest], axis=0)) for rest in rests])
     frequency, density, segments = _spectrum(pieces, 1.0 / log.period_s)
     samples = np.array([len(piece) for piece in pieces], dtype=np.float64)

@@ -10,6 +10,7 @@ import pytest
 from autotune.simulation.phases import Program
 from autotune.simulation.simulate import simulate_cell
 from autotune.simulation.truth import SimulatedCell
+from identification.advice import advise
 from identification.errors import EstimateError, LogError
 from identification.identify import identify_cell
 from identification.result import Estimate, Finding, Identified, Status, TouchCause, VectorEstimate
@@ -74,6 +75,29 @@ def complete(demo_recording: Recording) -> Identified:
 def test_a_complete_log_has_no_error_and_no_empty_number(complete: Identified) -> None:
     check_honesty(complete)
     assert [f for f in complete.findings if f.severity == "error"] == []
+
+
+def test_a_log_without_torques_shows_everything_along_straight_axes(
+    demo_recording: Recording, complete: Identified
+) -> None:
+    wrench = demo_recording.wrench
+    forces = dataclasses.replace(
+        wrench, torque_n_m=np.full_like(wrench.torque_n_m, np.nan), measured_axes=("x", "y", "z")
+    )
+    found = identify_cell(dataclasses.replace(demo_recording, wrench=forces))
+    assert found.payload.mass_kg.value == pytest.approx(complete.payload.mass_kg.value, rel=1e-3)
+    assert found.payload.com_m.value is None
+    assert found.payload.inertia_kg_m2 is None
+    assert found.sensor.torque_noise_rms_n_m is None
+    assert found.sensor.noise is not None
+    assert found.sensor.noise.torque_n2_m2_per_hz == ()
+    straight = {name: axis for name, axis in complete.axes.items() if name in "xyz"}
+    assert list(found.axes) == list(straight)
+    for name, axis in straight.items():
+        stiffness = found.axes[name].coupling.stiffness_n_per_m
+        assert stiffness.value == pytest.approx(axis.coupling.stiffness_n_per_m.value, rel=1e-2)
+    codes = [(each.code, each.severity) for each in advise(found) if "centre of mass" in each.message]
+    assert codes == [("unidentifiable", "error")]
 
 
 def test_contacts_are_reported_as_left_out_of_gravity(complete: Identified) -> None:

@@ -27,6 +27,7 @@ wrench: {fields: {force: [Fx, Fy, Fz], torque: [Mx, My, Mz]}}
 pose: {fields: {orientation: [qx, qy, qz, qw]}}
 """
 )
+FORCES = CELL.replace(", torque: [Mx, My, Mz]", "")
 
 
 def rows(count: int, seed: int = 3) -> FloatArray:
@@ -69,6 +70,41 @@ def test_a_row_per_pose_shows_mass_centre_and_bias(tmp_path: Path, count: int) -
     assert (found.axes, found.timelines) == ({}, ())
     assert found.sample_time_s.value is None
     assert [each.code for each in found.findings if each.severity == "error"] == ["payload-only"]
+
+
+@pytest.mark.parametrize("torque", ["", "torque: [Mx, My, Mz]"])
+def test_forces_alone_show_mass_and_their_bias(tmp_path: Path, torque: str) -> None:
+    """Without torques, and with those of a three-axis sensor, 0 throughout."""
+    table = rows(12)
+    table[:, 7:] = 0.0
+    cell = CELL.replace("torque: [Mx, My, Mz]", torque)
+    path = written(tmp_path / "poses.csv", table)
+    if torque:
+        with pytest.raises(LogError, match=r"left_out: \[rx, ry, rz\]"):
+            identified(path, cell)
+        cell = cell.replace("wrench: {", "wrench: {left_out: [rx, ry, rz], ")
+    found = identified(path, cell)
+    whole = identified(written(path, rows(12)))
+    # The force's own equations are the same with and without torques.
+    assert (found.payload.mass_kg, found.sensor.force_bias_n) == (whole.payload.mass_kg, whole.sensor.force_bias_n)
+    assert np.max(deviations(found.payload.mass_kg, MASS_KG)) < 4.0
+    assert (found.payload.com_m.value, found.sensor.torque_bias_n_m.value) == (None, None)
+    assert "no three torques" in found.payload.com_m.note
+
+
+def test_forces_alone_show_another_convention_and_a_sensor_that_is_turned(tmp_path: Path) -> None:
+    table = rows(20)
+    found = identified(written(tmp_path / "a.csv", table[:, [3, 0, 1, 2, *range(4, 10)]]), FORCES)
+    assert "convention-found" in [each.code for each in found.findings]
+    assert np.max(deviations(found.payload.mass_kg, MASS_KG)) < 4.0
+    # The axes of S as they are, seen from those assumed, turned by 3 degrees about x: f' = exp(mu)^T f.
+    turn = Rotation.from_rotvec([np.radians(3.0), 0.0, 0.0])
+    table[:, 4:7] = turn.inv().apply(table[:, 4:7])
+    found = identified(written(tmp_path / "b.csv", table), FORCES)
+    assert np.max(deviations(found.sensor.mounting_rad, turn.as_rotvec())) < 4.0
+    assert found.sensor.mounting_rad is not None
+    assert found.sensor.mounting_rad.std is not None
+    assert max(found.sensor.mounting_rad.std) < np.radians(0.5)
 
 
 def test_wrench_and_orientation_may_be_tables_of_their_own(tmp_path: Path) -> None:

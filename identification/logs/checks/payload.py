@@ -72,7 +72,7 @@ def find_tare_jumps(log: AlignedLog) -> tuple[TareJump, ...]:
 
     A contact or a hand takes longer, moves the robot or leaves a swing behind.
     """
-    wrench = np.hstack([log.force_S_n, log.torque_S_n_m])
+    wrench = np.hstack([log.force_S_n, log.torque_S_n_m if log.has_torque else np.zeros_like(log.force_S_n)])
     side, width = max(_FEWEST, round(_SIDE_S / log.period_s)), max(1, round(_STEP_S / log.period_s))
     if len(wrench) < 2 * side + width + 2:
         return ()
@@ -116,14 +116,14 @@ def _jump(before: FloatArray, after: FloatArray, noise: FloatArray, least: Float
 def check_payload(recording: Recording) -> tuple[Finding, ...]:
     """Report tare jumps, a payload or a bias that changed midway, kilonewtons and a flipped sign, with their times.
 
-    Needs a raw wrench, a whole pose, and for all but the tare jumps rests in at least 4 orientations; says nothing
+    Needs raw forces, a whole pose, and for all but the tare jumps rests in at least 4 orientations; says nothing
     where they are missing or where wrench and pose do not fit together. A tare jump is an error where the rests beside
     it do not determine both biases: contacts would be weighed wrongly.
     """
     wrench, pose = recording.wrench, recording.pose
     if wrench.gravity_compensated or wrench.deadband is not None or pose.is_displacement:
         return ()
-    if {*AXES} - {*wrench.measured_axes} or {*AXES[3 if recording.rows_are_poses else 0 :]} - {*pose.measured_axes}:
+    if {*AXES[:3]} - {*wrench.measured_axes} or {*AXES[3 if recording.rows_are_poses else 0 :]} - {*pose.measured_axes}:
         return ()
     if recording.rows_are_poses:
         return tuple(_unit_findings(wrench.topic, rows_as_poses(recording)))

@@ -88,8 +88,8 @@ def _stuck_axes(topic: str, stuck: Sequence[int], columns: FloatArray) -> Findin
         f"{'is' if one else 'are'} {values} in all {columns.shape[1]} samples.",
         f"Check the sensor's cable and driver and record again, or, {within}if the sensor does not measure "
         f"{'this axis' if one else 'these axes'}, leave {'it' if one else 'them'} out with "
-        f"`wrench: {{left_out: [{', '.join(AXES[axis] for axis in stuck)}]}}` in cell.yaml. The payload is identified "
-        "only from a raw wrench of all six axes.",
+        f"`wrench: {{left_out: [{', '.join(AXES[axis] for axis in stuck)}]}}` in cell.yaml. "
+        "The payload's mass needs all three forces, its centre of mass all three torques.",
     )
 
 
