@@ -157,7 +157,8 @@ def cell_text(summary: LogSummary, guess: CellGuess | None = None) -> str:
         lines += [f"# Neither names nor values say what these of {_plain(topic)} are:"]
         lines += [f"#   {_plain(each)}" for each in ranges]
     for role in summary.roles:
-        lines += ["", *_role_lines(role, guess.roles.get(role.role, ()))]
+        entry = "displacement" if guess.is_displacement and role.role is Role.POSE else role.entry
+        lines += ["", *_role_lines(replace(role, entry=entry), guess.roles.get(role.role, ()))]
     tables = [channel.topic for channel in summary.channels if channel.encoding == "table"]
     return "\n".join(lines) + "\n" + "\n".join(_table_lines(tables, guess)) + _END
 

@@ -10,12 +10,13 @@ from problems.arrays import FloatArray
 from problems.frozen import freeze
 
 from ..errors import LogError
+from .columns import is_unit, leaps, path_length, rises, unevenness
 from .messages.decode import Wanted
 from .names import Meaning, Named, NamedVector, read_names
 from .numbers import NumberFields, number_fields
 from .opened import OpenedLogs, open_logs
 from .roles.cell import Cell
-from .roles.orientation import COLUMN_MAJOR, ROW_MAJOR
+from .roles.orientation import COLUMN_MAJOR, ROW_MAJOR, read_by_weight
 from .roles.registry import JOINT_STATE, Role
 from .tables.layout import TableLayout
 from .tables.read import TableLog
@@ -23,13 +24,15 @@ from .tables.read import TableLog
 _FARTHEST_M = 20.0
 _LARGEST_RAD = 6.6
 _MOST_POSES = 500
-_LEAP_SHARE = 0.05
 _NORM_TOLERANCE = 2e-3
 _SHORTEST_STEP = {"ns": 2e4, "us": 50.0, "ms": 0.5}
 _EPOCH = {"ns": 1e17, "us": 1e14, "ms": 1e11}
 _N_MM_RATIO = 30.0
 _FEWEST = 3
 _NINE, _SIXTEEN = 9, 16
+_STEADY, _UNSTEADY = 3.0, 3.0
+_DEEPEST_M = 0.5
+_UNLOADED_SHARE = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,12 +48,14 @@ class Entry:
 class CellGuess:
     """Guessed entries: `roles` by role (the topic first), `tables` by file name, and remarks on what is open.
 
-    `others` maps a topic to its numbers without a guess, each with its range.
+    `others` maps a topic to its numbers without a guess, each with its range. With `is_displacement` the pose is a
+    travel along one axis from a place that is not known.
     """
 
     roles: Mapping[Role, tuple[Entry, ...]] = field(default_factory=dict)
     tables: Mapping[str, Entry] = field(default_factory=dict)
     others: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    is_displacement: bool = False
 
     def __post_init__(self) -> None:
         freeze(self, "roles", "tables", "others")
@@ -93,6 +98,7 @@ def guess_cell(paths: Sequence[Path], *, salvage: bool = False) -> CellGuess:
     tables: dict[str, Entry] = {}
     others: dict[str, tuple[str, ...]] = {}
     vectors: list[tuple[_Channel, NamedVector]] = []
+    traces: list[dict[Role, tuple[Entry, ...]]] = []
     untimed = Cell(table=TableLayout(rows="poses"))
     with open_logs(paths, untimed, salvage=salvage) as logs:
         units = {part.path.name: part.units for part in logs.parts if isinstance(part, TableLog)}
@@ -102,12 +108,18 @@ def guess_cell(paths: Sequence[Path], *, salvage: bool = False) -> CellGuess:
             if channel is None:
                 continue
             vectors += [(channel, vector) for vector in channel.named.vectors]
+            trace = _trace(channel)
+            if trace:
+                traces.append(trace)
             time = _time(channel) if found.topic in units else None
             if time is not None:
                 tables[found.topic] = time
-            left = tuple(_ranges(channel))
+            left = () if trace else tuple(_ranges(channel))
             if left:
                 others[found.topic] = left
+    if len(traces) == 1 and not vectors:
+        is_displacement = any("displacement" in each.evidence for each in traces[0][Role.POSE])
+        return CellGuess(roles=traces[0], tables=tables, others=others, is_displacement=is_displacement)
     return CellGuess(roles=dict(_roles(vectors)), tables=tables, others=others)
 
 
@@ -133,26 +145,90 @@ def _channel(logs: OpenedLogs, found: NumberFields, units: Sequence[str]) -> _Ch
 
 
 def _by_values(columns: Mapping[str, FloatArray]) -> Named:
-    """Find in columns without names a time, which always rises, and a quaternion, whose norm is 1 and which turns."""
+    """Find in columns without names a time, which always rises, and a quaternion, whose norm is 1 and which turns.
+
+    Of two columns neither is a time; of two that rise the one of even steps is.
+    """
     paths = tuple(columns)
-    times = {path: "" for path in paths[:2] if _rises(columns[path])}
+    rising = [path for path in paths[:2] if len(paths) > 2 and rises(columns[path])]
+    times = dict.fromkeys(sorted(rising, key=lambda path: unevenness(columns[path]))[:1], "")
     turns = []
     for at in range(len(paths) - 3):
         four = np.column_stack([columns[path] for path in paths[at : at + 4]])
-        if _is_unit(four) and np.any(np.ptp(four, axis=0) > 0.0):
+        if is_unit(four) and np.any(np.ptp(four, axis=0) > 0.0):
             turns.append(NamedVector(kind=Meaning.TURN, paths=paths[at : at + 4], words=(), unit=""))
     vectors = tuple(turns) if len(turns) == 1 else ()
     used = {*times, *(path for vector in vectors for path in vector.paths)}
     return Named(vectors=vectors, times=times, others=tuple(path for path in paths if path not in used))
 
 
-def _rises(values: FloatArray) -> bool:
-    steps = np.diff(values)
-    return bool(np.all(np.isfinite(values)) and np.all(steps >= 0.0) and values[-1] > values[0])
+def _trace(channel: _Channel) -> dict[Role, tuple[Entry, ...]]:
+    """Guess the displacement and the force of a test along one axis, from two names or from two columns without any."""
+    named = channel.named
+    places, forces = (
+        [each for each in named.singles if each.kind is kind] for kind in (Meaning.POSITION, Meaning.FORCE)
+    )
+    if len(places) == len(forces) == 1 and not named.vectors:
+        place, force, why = places[0], forces[0], "by name"
+    elif len(named.others) == 2 and not named.vectors and all(path.isdigit() for path in channel.columns):
+        paths = sorted(named.others, key=lambda path: path_length(channel.columns[path]))
+        lengths = [path_length(channel.columns[path]) for path in paths]
+        if not lengths[0] < _STEADY or lengths[1] < _UNSTEADY * lengths[0]:
+            return {}
+        place, force = (
+            NamedVector(kind=kind, paths=(path,), words=(), unit="")
+            for kind, path in zip((Meaning.POSITION, Meaning.FORCE), paths, strict=True)
+        )
+        why = f"of two columns one goes its way {lengths[0]:.2g} times, the other, the force, {lengths[1]:.2g} times"
+    else:
+        return {}
+    return _trace_entries(channel, place, force, why)
 
 
-def _is_unit(four: FloatArray) -> bool:
-    return bool(np.all(np.abs(np.linalg.norm(four, axis=1) - 1.0) < _NORM_TOLERANCE))
+def _trace_entries(
+    channel: _Channel, place: NamedVector, force: NamedVector, why: str
+) -> dict[Role, tuple[Entry, ...]]:
+    axis = "xyz".index(force.components or place.components or "z")
+    travel, load = (channel.columns[each.paths[0]] for each in (place, force))
+    topic = Entry(key="topic", value=channel.topic, evidence="")
+
+    def along(each: NamedVector) -> list[str | None]:
+        return [each.paths[0] if i == axis else None for i in range(3)]
+
+    assumed = "" if force.components or place.components else "; along which axis is not said, z is taken"
+    length = place.unit if place.unit in ("mm", "cm", "m", "in") else ""
+    deepest = float(np.nanmax(np.abs(travel)))
+    is_travel = abs(float(travel[0])) < _UNLOADED_SHARE * float(np.ptp(travel)) or not place.components
+    kind = f"a displacement{': it begins near 0' if place.components else ''}" if is_travel else "a place"
+    units: dict[str, object] = {"position": length or ("mm" if deepest > _DEEPEST_M else "m")}
+    pose = [
+        topic,
+        Entry(key="fields", value={"position": along(place)}, evidence=f"{why}{assumed}; {kind}"),
+        Entry(key="units", value=units, evidence="by name" if length else f"up to {deepest:.4g}"),
+    ]
+    by_name = force.unit in ("N", "kN", "lbf", "kgf")
+    # A surface pushes one way only, whatever the tool does after the blow.
+    together = float(np.nansum(load * np.abs(load))) * float(np.nanmean(travel - travel[0])) > 0.0
+    wrench = [
+        topic,
+        Entry(key="fields", value={"force": along(force)}, evidence=f"{why}; {_span(channel, force.paths)}"),
+        Entry(
+            key="units",
+            value={"force": force.unit if by_name else "N"},
+            evidence="by name" if by_name else "newtons are usual",
+        ),
+        Entry(
+            key="exerted_by",
+            value="sensor" if together else "payload",
+            evidence="it points where the displacement does: the tool's force on the surface"
+            if together
+            else "it points against the displacement: the surface's force on the tool",
+        ),
+    ]
+    if abs(float(load[0])) < _UNLOADED_SHARE * float(np.ptp(load)):
+        evidence = "it begins near 0, whatever the payload weighs"
+        wrench.append(Entry(key="gravity_compensated", value=True, evidence=evidence))
+    return {Role.POSE: tuple(pose), Role.WRENCH: tuple(wrench)}
 
 
 def _ranges(channel: _Channel) -> Iterator[str]:
@@ -172,15 +248,15 @@ def _ranges(channel: _Channel) -> Iterator[str]:
 def _time(channel: _Channel) -> Entry | None:
     """Guess the time column of a table and its unit, or that each row is a pose at rest."""
     turns = [vector.paths for vector in channel.named.vectors if vector.kind in (Meaning.TURN, Meaning.MATRIX)]
-    leaps = bool(turns) and len(channel.columns[turns[0][0]]) <= _MOST_POSES and _leaps(channel.of(turns[0]))
+    are_rests = bool(turns) and len(channel.columns[turns[0][0]]) <= _MOST_POSES and leaps(channel.of(turns[0]))
     has_force = any(vector.kind in (Meaning.FORCE, Meaning.WRENCH) for vector in channel.named.vectors)
-    if leaps and (has_force or not channel.named.times):
+    if are_rests and (has_force or not channel.named.times):
         evidence = "the orientation leaps from row to row, as no robot turns: each row is taken as the mean of a rest"
         return Entry(key="table", value={"rows": "poses"}, evidence=evidence)
     for path, named_unit in channel.named.times.items():
         unit = named_unit
         values = channel.columns[path]
-        if not _rises(values):
+        if not rises(values):
             continue
         step = float(np.median(np.diff(values)[np.diff(values) > 0.0]))
         if unit:
@@ -189,20 +265,14 @@ def _time(channel: _Channel) -> Entry | None:
             unit = next(name for name, least in _EPOCH.items() if values[0] > least)
             why = f"counted since 1970 in {unit}"
         else:
-            unit = "s" if leaps else next((name for name, least in _SHORTEST_STEP.items() if step >= least), "s")
+            unit = "s" if are_rests else next((name for name, least in _SHORTEST_STEP.items() if step >= least), "s")
             why = f"rows are {step:.4g} {unit} apart, of s, ms, us and ns the unit of a control loop"
         layout: dict[str, object] = {"time": path, "time_unit": unit}
         repeats = int(np.count_nonzero(np.diff(values) == 0.0))
         mean = (values[-1] - values[0]) / (len(values) - 1)
-        rises = f"it never falls, {repeats} rows repeat a time, {mean:.4g} {unit} apart on average"
-        return Entry(key="table", value=layout, evidence=f"{rises if repeats else 'it always rises'}; {why}")
+        rising = f"it never falls, {repeats} rows repeat a time, {mean:.4g} {unit} apart on average"
+        return Entry(key="table", value=layout, evidence=f"{rising if repeats else 'it always rises'}; {why}")
     return None
-
-
-def _leaps(values: FloatArray) -> bool:
-    moved = np.ptp(values, axis=0)
-    steps = np.median(np.abs(np.diff(values, axis=0)), axis=0)
-    return bool(np.median(steps[moved > 0.0] / moved[moved > 0.0]) > _LEAP_SHARE) if np.any(moved > 0.0) else False
 
 
 _PARTS: Mapping[Meaning, tuple[str, ...]] = {
@@ -227,8 +297,12 @@ def _role(vector: NamedVector) -> Role | None:
     return Role.COMMAND if vector.is_command else Role.POSE
 
 
+_Chosen = Mapping[str, tuple[_Channel, NamedVector]]
+
+
 def _roles(vectors: Sequence[tuple[_Channel, NamedVector]]) -> Iterator[tuple[Role, tuple[Entry, ...]]]:
     """Yield for each role the entries of the vectors that serve it, where names leave one of each."""
+    selected: dict[Role, _Chosen] = {}
     for role in (Role.WRENCH, Role.POSE, Role.COMMAND, Role.TWIST, Role.DESIRED_FORCE):
         mine = [(channel, vector) for channel, vector in vectors if _role(vector) is role]
         chosen: dict[str, tuple[_Channel, NamedVector]] = {}
@@ -239,7 +313,9 @@ def _roles(vectors: Sequence[tuple[_Channel, NamedVector]]) -> Iterator[tuple[Ro
         topics = {channel.topic for channel, _ in chosen.values()}
         needed = _MAIN_PART.get(role)
         if len(topics) == 1 and (needed is None or needed in chosen):
-            yield role, tuple(_entries(role, chosen))
+            selected[role] = chosen
+    for role, of_role in selected.items():
+        yield role, tuple(_entries(role, of_role, selected.get(Role.WRENCH, {})))
 
 
 def _one(found: Sequence[tuple[_Channel, NamedVector]]) -> tuple[_Channel, NamedVector] | None:
@@ -249,22 +325,30 @@ def _one(found: Sequence[tuple[_Channel, NamedVector]]) -> tuple[_Channel, Named
     return found[0] if len(found) == 1 else None
 
 
-def _entries(role: Role, chosen: Mapping[str, tuple[_Channel, NamedVector]]) -> Iterator[Entry]:
-    channel, first = next(iter(chosen.values()))
-    yield Entry(key="topic", value=channel.topic, evidence="")
+def _fields(chosen: _Chosen) -> dict[str, list[str]]:
+    """Return the paths of each part."""
     fields: dict[str, list[str]] = {}
     for part, (_, vector) in chosen.items():
         parts = _PARTS[vector.kind]
         split = 3 if len(parts) == 2 else len(vector.paths)
         paths = vector.paths[split:] if len(parts) == 2 and part == parts[1] else vector.paths[:split]
         fields[part] = list(paths)
+    return fields
+
+
+def _entries(role: Role, chosen: _Chosen, wrench: _Chosen) -> Iterator[Entry]:
+    channel, first = next(iter(chosen.values()))
+    yield Entry(key="topic", value=channel.topic, evidence="")
+    fields = _fields(chosen)
     ranges = "; ".join(f"{part} {_span(channel, paths)}" for part, paths in fields.items())
     said = "by name" if first.words or first.components else "four columns of norm 1"
     yield Entry(key="fields", value=fields, evidence=f"{said}; {ranges}")
     if role in (Role.WRENCH, Role.DESIRED_FORCE):
         yield from _wrench_entries(channel, chosen, fields)
     elif role is not Role.TWIST:
-        yield from _pose_entries(channel, chosen, fields)
+        force = wrench.get("force")
+        beside = channel.of(_fields(wrench)["force"]) if force is not None and force[0] is channel else None
+        yield from _pose_entries(channel, chosen, fields, beside)
 
 
 def _span(channel: _Channel, paths: Sequence[str]) -> str:
@@ -272,9 +356,7 @@ def _span(channel: _Channel, paths: Sequence[str]) -> str:
     return f"{np.nanmin(values):.4g} to {np.nanmax(values):.4g}"
 
 
-def _wrench_entries(
-    channel: _Channel, chosen: Mapping[str, tuple[_Channel, NamedVector]], fields: Mapping[str, list[str]]
-) -> Iterator[Entry]:
+def _wrench_entries(channel: _Channel, chosen: _Chosen, fields: Mapping[str, list[str]]) -> Iterator[Entry]:
     force = chosen["force"][1]
     units: dict[str, object] = {"force": force.unit if force.unit in ("N", "kN", "lbf", "kgf") else "N"}
     why = ["by name" if force.unit else "newtons are usual"]
@@ -298,7 +380,7 @@ def _wrench_entries(
 
 
 def _pose_entries(
-    channel: _Channel, chosen: Mapping[str, tuple[_Channel, NamedVector]], fields: Mapping[str, list[str]]
+    channel: _Channel, chosen: _Chosen, fields: Mapping[str, list[str]], force: FloatArray | None
 ) -> Iterator[Entry]:
     units: dict[str, object] = {}
     why = []
@@ -312,6 +394,10 @@ def _pose_entries(
             by_name = vector.unit if vector.unit in ("rad", "deg") else ""
             units["angle"] = by_name or ("deg" if largest > _LARGEST_RAD else "rad")
             why.append("angle by name" if by_name else f"angles up to {largest:.4g}")
+            if force is not None:
+                angles = np.radians(turns) if units["angle"] == "deg" else turns
+                are_rests = len(turns) <= _MOST_POSES and leaps(turns)
+                kind, about = read_by_weight(angles, force, (kind, about), are_rests=are_rests)
     if "position" in chosen:
         vector = chosen["position"][1]
         largest = float(np.nanmax(np.abs(channel.of(fields["position"]))))

@@ -18,6 +18,21 @@ _POSITION = frozenset(
 _TURN = frozenset(
     {"q", "quat", "quaternion", "orientation", "orient", "ori", "rot", "rotation", "r", "rotvec", "rv", "euler", "rpy"}
 )
+_LOAD = frozenset({"load", "last"})
+_DISPLACEMENT = frozenset(
+    {
+        "displacement",
+        "disp",
+        "travel",
+        "stroke",
+        "indentation",
+        "penetration",
+        "deflection",
+        "extension",
+        "weg",
+        "depth",
+    }
+)
 _VELOCITY = frozenset({"v", "vel", "velocity", "speed", "twist", "w", "omega", "geschwindigkeit"})
 _OTHER = frozenset(
     {"acc", "accel", "acceleration", "joint", "joints", "motor", "jerk", "temp", "imu", "std", "cov", "qd"}
@@ -102,11 +117,15 @@ class NamedVector:
 
 @dataclass(frozen=True, kw_only=True)
 class Named:
-    """The vectors among the names, the columns that may be the time with their units, and the names of the others."""
+    """The vectors among the names, the columns that may be the time with their units, and the names of the others.
+
+    `singles` are forces and displacements along one axis that no name says, as of a test of a surface.
+    """
 
     vectors: tuple[NamedVector, ...]
     times: Mapping[str, str]
     others: tuple[str, ...]
+    singles: tuple[NamedVector, ...] = ()
 
     def __post_init__(self) -> None:
         freeze(self, "times")
@@ -125,19 +144,44 @@ def read_names(paths: Sequence[str], units: Sequence[str] = ()) -> Named:
     """
     groups: dict[tuple[str, ...], _Group] = {}
     times: dict[str, str] = {}
+    singles: list[NamedVector] = []
     for path, below in zip(paths, units or [""] * len(paths), strict=True):
         words, component, unit = _split(path, below)
         if not component:
             if words and {*words} <= _TIME | _MEASURED:
                 times[path] = _TIME_UNITS.get(unit, "") or _TIME_UNITS.get(words[-1], "")
+            kind = _kind_of_single(words)
+            if kind is not None:
+                singles.append(NamedVector(kind=kind, paths=(path,), words=words, unit=UNITS.get(unit, "")))
             continue
         group = groups.setdefault(words, _Group())
         group.paths[component] = path
         group.units[unit] = None
     vectors = tuple(vector for words, group in groups.items() for vector in _vectors(words, group))
+    singles += [single for words, group in groups.items() for single in _one_component(words, group)]
     vectors = _with_torques(vectors)
     used = {path for vector in vectors for path in vector.paths} | {*times}
-    return Named(vectors=vectors, times=times, others=tuple(path for path in paths if path not in used))
+    others = tuple(path for path in paths if path not in used)
+    return Named(vectors=vectors, times=times, others=others, singles=tuple(singles))
+
+
+def _one_component(words: tuple[str, ...], group: _Group) -> Iterator[NamedVector]:
+    """Yield the force or the place along one axis, where x, y or z stands alone."""
+    known = [word for word in words if word in _KNOWN]
+    kind = _kind_of_three(known[-1] if known else "", words)
+    if len(group.paths) == 1 and kind in (Meaning.FORCE, Meaning.POSITION) and not {*words} & (_OTHER | _COMMANDS):
+        [(component, path)], [unit] = group.paths.items(), group.units
+        if component in ("x", "y", "z"):
+            found = NamedVector(kind=kind, paths=(path,), words=words, unit=UNITS.get(unit, ""), components=component)
+            yield found
+
+
+def _kind_of_single(words: Sequence[str]) -> Meaning | None:
+    if not words or _OTHER & {*words} or _COMMANDS & {*words}:
+        return None
+    if words[-1] in _FORCE | _LOAD:
+        return Meaning.FORCE
+    return Meaning.POSITION if words[-1] in _DISPLACEMENT else None
 
 
 def _split(path: str, unit: str) -> tuple[tuple[str, ...], str, str]:

@@ -80,11 +80,12 @@ def in_two_edits(
 
 
 def test_millimetres_degrees_and_milliseconds(tmp_path: Path, capsys: pytest.CaptureFixture[str], run: Run) -> None:
-    """Euler angles under names that do not say which: the one edit."""
+    """Euler angles under names that do not say which: the weight does, and nothing is to edit."""
     angles = run.turned.as_euler("xyz", degrees=True)
     values = np.column_stack([1e3 * run.time, 1e3 * run.place, angles, run.force, 1e3 * run.torque])
     path = columns(tmp_path / "a.csv", "time,x,y,z,rx,ry,rz,fx,fy,fz,tx,ty,tz", values)
-    begun = in_two_edits(tmp_path, capsys, [path], [("orientation_as: rotation_vector", "orientation_as: euler_xyz")])
+    begun = in_two_edits(tmp_path, capsys, [path])
+    assert "orientation_as: euler_xyz  # leaves 0." in begun
     assert "table: {time: time, time_unit: ms}  # it always rises; rows are 5 ms apart" in begun
     assert "units: {position: mm, angle: deg}  # positions up to " in begun
     assert "units: {force: N, torque: N·mm}  # newtons are usual; torques vary " in begun
@@ -225,3 +226,57 @@ def test_times_that_repeat_or_fall_are_said(tmp_path: Path, run: Run) -> None:
         )
         assert said in begun
         assert "it always rises" not in begun
+
+
+def contact_trace(*, noise_n: float = 0.3) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Time [s], travel [mm] at 30 mm/s against 12 N/mm at 0.5 mm, and a force [N] that rings at 25 Hz as it rises."""
+    time = np.arange(1200) / 1000.0
+    travel = np.minimum(30.0 * time, 3.0)
+    ringing = 1.0 + 0.6 * np.exp(-30.0 * np.maximum(time - 0.02, 0.0)) * np.cos(50.0 * np.pi * time)
+    force = np.where(travel > 0.5, 12.0 * (travel - 0.5) * ringing, 0.0)
+    return time, travel, force + noise_n * np.random.default_rng(0).standard_normal(len(time))
+
+
+@pytest.mark.parametrize(
+    ("names", "sign", "who", "edits"),
+    [
+        ("Time [s];Displacement [mm];Load [N]", -1.0, "payload", []),
+        ("", 1.0, "sensor", [("# table: {sample_rate_hz: 1000.0}", "table: {sample_rate_hz: 1000.0}")]),
+        ("", -1.0, "payload", []),
+    ],
+)
+def test_a_trace_of_one_contact(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    names: str,
+    sign: float,
+    who: str,
+    edits: Sequence[tuple[str, str]],
+) -> None:
+    """By name, and of two columns without names the one that rings; whose force it is shows in its sign."""
+    time, travel, force = contact_trace()
+    values = np.column_stack([*([] if edits else [time]), travel, sign * force])
+    log = columns(tmp_path / "trace.csv", names, values, separator=";")
+    cell, out = tmp_path / "cell.yaml", tmp_path / "identified.yaml"
+    assert main(["inspect", str(log), "--write-cell", str(cell), "--quiet"]) == 0
+    text = cell.read_text(encoding="utf-8")
+    assert f"exerted_by: {who}" in text
+    for before, after in edits:
+        text = text.replace(before, after)
+    cell.write_text(text, encoding="utf-8")
+    assert main(["identify", str(log), "--cell", str(cell), "-o", str(out), "--allow-partial", "--quiet"]) == 0
+    capsys.readouterr()
+    [surface] = read_identified(out).result.axes["z"].environments
+    secant = surface.secant_stiffness_n_per_m
+    assert secant.value is not None
+    assert secant.std is not None
+    assert abs(secant.value - 12e3) < 2.0 * secant.std
+
+
+def test_a_height_that_begins_elsewhere_is_a_place(tmp_path: Path) -> None:
+    time, travel, force = contact_trace()
+    log = columns(tmp_path / "z.csv", "t,z,Fz", np.column_stack([time, 0.62 + 1e-3 * travel, force]))
+    assert main(["inspect", str(log), "--write-cell", str(tmp_path / "cell.yaml"), "--quiet"]) == 0
+    cell = read_cell(tmp_path / "cell.yaml").cell
+    assert cell.displacement is None
+    assert cell.pose is not None
