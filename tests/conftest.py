@@ -1,5 +1,7 @@
 """Fixtures that every part of the tests may use."""
 
+import contextlib
+import io
 import os
 import subprocess
 import sys
@@ -11,6 +13,9 @@ from hypothesis import settings
 
 # As the command line does: the matrices are small, and threads that wait for each other cost tenfold.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+# The tests run beside each other already: processes inside a test would import everything once more.
+os.environ.setdefault("PYTHON_CPU_COUNT", "1")
 
 # What is told to the tests is told to a pipe, whatever their user likes to see.
 for _name in ("NO_COLOR", "FORCE_COLOR", "CLICOLOR", "CLICOLOR_FORCE", "COLUMNS"):
@@ -43,10 +48,31 @@ def shared_data() -> Path:
 
 @pytest.fixture
 def run_cli(tmp_path: Path) -> RunCli:
-    """Run `python -m autotune ARGUMENTS` as its own process, in an empty directory."""
+    """Run `autotune ARGUMENTS` in this process, in an empty directory; importing it anew would take 2 s each time."""
+
+    def run(*arguments: str | Path) -> "subprocess.CompletedProcess[str]":
+        from autotune.cli.main import main
+
+        out, err = (io.TextIOWrapper(io.BytesIO(), encoding="utf-8", write_through=True) for _ in range(2))
+        with contextlib.chdir(tmp_path), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+            code = main([*map(str, arguments)])
+        return subprocess.CompletedProcess(arguments, code, *(_written(stream) for stream in (out, err)))
+
+    return run
+
+
+def _written(stream: io.TextIOWrapper) -> str:
+    stream.seek(0)
+    return stream.read()
+
+
+@pytest.fixture
+def run_process(tmp_path: Path) -> RunCli:
+    """Run `python -m autotune ARGUMENTS` as its own process, as users do, in an empty directory."""
 
     def run(*arguments: str | Path, timeout_s: float = 120.0) -> "subprocess.CompletedProcess[str]":
-        environment = {name: value for name, value in os.environ.items() if not name.startswith("_AUTOTUNE")}
+        ours = ("_AUTOTUNE", "PYTHON_CPU_COUNT")
+        environment = {name: value for name, value in os.environ.items() if not name.startswith(ours)}
         environment["PYTHONPATH"] = str(ROOT)
         return subprocess.run(
             [sys.executable, "-m", "autotune", *map(str, arguments)],

@@ -141,8 +141,8 @@ def test_a_damaged_chunk_costs_a_salvaged_log_its_chunk_alone(
     assert {"salvaged", "hole"} <= {finding["code"] for finding in found["findings"]}
 
 
-def test_from_a_log_to_an_exported_controller(run_cli: RunCli, tmp_path: Path, plain_log: Path) -> None:
-    inspected = json_of(run_cli("inspect", plain_log, "--json"))
+def test_from_a_log_to_an_exported_controller(run_process: RunCli, tmp_path: Path, plain_log: Path) -> None:
+    inspected = json_of(run_process("inspect", plain_log, "--json"))
     assert inspected["missing"] == []
     rates = {c["topic"]: c["rate_hz"] for c in inspected["channels"] if c["roles"]}
     assert rates == {
@@ -150,7 +150,7 @@ def test_from_a_log_to_an_exported_controller(run_cli: RunCli, tmp_path: Path, p
         PLAIN.pose: pytest.approx(500.0, rel=1e-3),
         PLAIN.command: pytest.approx(1250.0, rel=1e-3),
     }
-    identified = json_of(run_cli("identify", plain_log, "--json"))
+    identified = json_of(run_process("identify", plain_log, "--json"))
     check_identified(identified)
     assert identified["provenance"]["channels"] == {
         "wrench": PLAIN.wrench,
@@ -158,13 +158,13 @@ def test_from_a_log_to_an_exported_controller(run_cli: RunCli, tmp_path: Path, p
         "command": PLAIN.command,
     }
     (tmp_path / "problem.yaml").write_text(PROBLEM, encoding="utf-8")
-    optimized = json_of(run_cli("optimize", "identified.yaml", "--problem", "problem.yaml", "--json"))
+    optimized = json_of(run_process("optimize", "identified.yaml", "--problem", "problem.yaml", "--json"))
     domain = optimized["certificate"]["domain"]["x"]
     assert domain["environment_stiffness_n_per_m"][0] < SimulatedCell().environment.stiffness_n_per_m
     assert domain["environment_stiffness_n_per_m"][1] > SimulatedCell().environment.stiffness_n_per_m
-    validated = json_of(run_cli("validate", "controller.yaml", "--identified", "identified.yaml", "--json"))
+    validated = json_of(run_process("validate", "controller.yaml", "--identified", "identified.yaml", "--json"))
     assert validated["passed"]
-    exported = json_of(run_cli("export", "controller.yaml", "--target", "json", "-o", "cell.json", "--json"))
+    exported = json_of(run_process("export", "controller.yaml", "--target", "json", "-o", "cell.json", "--json"))
     assert exported["checksum"] == validated["checksum"] == optimized["checksum"]
     assert read_controller(tmp_path / "cell.json").checksum == exported["checksum"]
 

@@ -88,8 +88,18 @@ def test_a_failure_ends_what_still_runs() -> None:
     assert time.monotonic() - begin < 0.7 * _PATIENCE_S
 
 
-def test_at_least_one_processor_serves() -> None:
-    assert 1 <= count_processors() <= (os.cpu_count() or 1)
+@pytest.mark.parametrize("told", [None, "", "0", "-2", "many"])
+def test_at_least_one_processor_serves(monkeypatch: pytest.MonkeyPatch, told: str | None) -> None:
+    if told is None:
+        monkeypatch.delenv("PYTHON_CPU_COUNT", raising=False)
+    else:
+        monkeypatch.setenv("PYTHON_CPU_COUNT", told)
+    assert count_processors() == len(os.sched_getaffinity(0))
+
+
+def test_the_environment_may_allow_another_number_of_processors(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PYTHON_CPU_COUNT", "3")
+    assert count_processors() == 3
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="processes are looked up in /proc")

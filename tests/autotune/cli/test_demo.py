@@ -19,8 +19,8 @@ from tests.autotune.tuning.cases import FAST_SPEC, FAST_WISHES
 RunCli = Callable[..., "subprocess.CompletedProcess[str]"]
 
 
-def test_the_demo_as_users_run_it(run_cli: RunCli, tmp_path: Path) -> None:
-    done = run_cli("demo", "out", "--json", timeout_s=300.0)
+def test_the_demo_as_users_run_it(run_process: RunCli, tmp_path: Path) -> None:
+    done = run_process("demo", "out", "--json", timeout_s=300.0)
     assert done.returncode == 0, done.stderr
     tree = json.loads(done.stdout)
     assert [line.removesuffix(" ...") for line in done.stderr.splitlines()] == list(STEPS)

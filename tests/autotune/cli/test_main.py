@@ -84,8 +84,8 @@ def raising(error: BaseException) -> Callable[[Output], None]:
 # --- through the real entry point ---------------------------------------------------------------------------------
 
 
-def test_help_lists_every_command_in_the_order_of_the_work(run_cli: RunCli) -> None:
-    done = run_cli("--help")
+def test_help_lists_every_command_in_the_order_of_the_work(run_process: RunCli) -> None:
+    done = run_process("--help")
     assert (done.returncode, done.stderr) == (0, "")
     listed = [line.split()[0] for line in done.stdout.partition("Commands:")[2].splitlines() if line.startswith("  ")]
     assert listed[: len(COMMANDS)] == list(COMMANDS)
@@ -104,31 +104,31 @@ def test_help_imports_nothing_heavy() -> None:
     assert not loaded & HEAVY
 
 
-def test_help_answers_at_once(run_cli: RunCli) -> None:
+def test_help_answers_at_once(run_process: RunCli) -> None:
     """0.3 s is promised; processor time is asked, of the best of three runs: other work does not count in it."""
     spent = []
     for _ in range(3):
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
-        assert run_cli("--help").returncode == 0
+        assert run_process("--help").returncode == 0
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
         spent.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
     assert min(spent) < 0.3
 
 
-def test_version(run_cli: RunCli) -> None:
-    done = run_cli("--version")
+def test_version(run_process: RunCli) -> None:
+    done = run_process("--version")
     assert (done.returncode, done.stdout) == (0, f"autotune {__version__}\n")
 
 
-def test_no_arguments_show_the_help_as_a_usage_error(run_cli: RunCli) -> None:
-    done = run_cli()
+def test_no_arguments_show_the_help_as_a_usage_error(run_process: RunCli) -> None:
+    done = run_process()
     assert (done.returncode, done.stdout) == (2, "")
     assert "Commands:" in done.stderr
 
 
 @pytest.mark.parametrize("arguments", [("no-such-command",), ("--no-such-option",), ("completion", "tcsh")])
-def test_usage_errors_are_one_line_and_exit_2(run_cli: RunCli, arguments: tuple[str, ...]) -> None:
-    done = run_cli(*arguments)
+def test_usage_errors_are_one_line_and_exit_2(run_process: RunCli, arguments: tuple[str, ...]) -> None:
+    done = run_process(*arguments)
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith("autotune: ")
     assert done.stderr.count("\n") == 1
@@ -136,16 +136,16 @@ def test_usage_errors_are_one_line_and_exit_2(run_cli: RunCli, arguments: tuple[
 
 
 @pytest.mark.parametrize("name", list(COMMANDS))
-def test_every_command_helps_with_an_example(run_cli: RunCli, name: str) -> None:
-    done = run_cli(name, "--help")
+def test_every_command_helps_with_an_example(run_process: RunCli, name: str) -> None:
+    done = run_process(name, "--help")
     assert (done.returncode, done.stderr) == (0, "")
     _usage, _, rest = done.stdout.partition("\n")
     assert f"autotune {name}" in rest
 
 
 @pytest.mark.parametrize("name", [name for name in COMMANDS if name != "completion"])
-def test_every_command_speaks_json_and_can_be_quiet(run_cli: RunCli, name: str) -> None:
-    told = run_cli(name, "--help").stdout
+def test_every_command_speaks_json_and_can_be_quiet(run_process: RunCli, name: str) -> None:
+    told = run_process(name, "--help").stdout
     assert [option for option in ("--json", "--quiet", "--debug") if option not in told] == []
 
 
@@ -157,8 +157,8 @@ def test_importing_a_command_imports_nothing_heavy(name: str) -> None:
 
 
 @pytest.mark.parametrize(("shell", "mark"), [("bash", "complete -o"), ("zsh", "compdef"), ("fish", "complete --")])
-def test_completion_script(run_cli: RunCli, shell: str, mark: str) -> None:
-    done = run_cli("completion", shell)
+def test_completion_script(run_process: RunCli, shell: str, mark: str) -> None:
+    done = run_process("completion", shell)
     assert done.returncode == 0
     assert mark in done.stdout
     assert "_AUTOTUNE_COMPLETE" in done.stdout

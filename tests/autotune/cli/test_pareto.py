@@ -88,7 +88,7 @@ def test_a_wrong_request_is_exit_2_before_the_search(
 ) -> None:
     prepare(tmp_path)
     (tmp_path / "taken.pareto.yaml").write_text("somebody's own\n", encoding="utf-8")
-    done = run_cli(*BASE, *arguments, timeout_s=30.0)
+    done = run_cli(*BASE, *arguments)
     assert done.returncode == 2, done.stderr
     assert told in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1

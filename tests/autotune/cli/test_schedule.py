@@ -22,7 +22,7 @@ def prepare(folder: Path, more: str = "") -> None:
 @pytest.mark.slow
 def test_the_table_is_printed_written_and_validates(run_cli: RunCli, tmp_path: Path) -> None:
     prepare(tmp_path)
-    done = run_cli(*BASE, "--schedule", "payload=8,16:22", "-o", "cell", timeout_s=600.0)
+    done = run_cli(*BASE, "--schedule", "payload=8,16:22", "-o", "cell")
     assert done.returncode == 0
     assert done.stderr.startswith("The runtime will compensate another mass than the identified one")
     assert "in m8;" in done.stderr
@@ -34,7 +34,7 @@ def test_the_table_is_printed_written_and_validates(run_cli: RunCli, tmp_path: P
     tree = load_yaml(tmp_path / "cell" / "schedule.yaml")
     assert lines[5] == f"written: cell, 3 controllers and schedule.yaml, checksum {tree['checksum'][:8]}"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["cell", "identified.yaml", "problem.yaml"]
-    valid = run_cli("validate", "cell/schedule.yaml", timeout_s=300.0)
+    valid = run_cli("validate", "cell/schedule.yaml")
     assert (valid.returncode, valid.stderr) == (0, "")
     told = [line.split(":")[0].split()[-1] for line in valid.stdout.splitlines()[:-1]]
     assert told == ["m8.yaml", "m16-22.yaml", "all.yaml"]
@@ -43,7 +43,7 @@ def test_the_table_is_printed_written_and_validates(run_cli: RunCli, tmp_path: P
     assert wrong.returncode == 6
     assert "all.yaml must have the checksum" in json.loads(wrong.stdout)["error"]["message"]
     # What was altered by hand is not overwritten.
-    again = run_cli(*BASE, "--schedule", "payload=8", "-o", "cell", timeout_s=30.0)
+    again = run_cli(*BASE, "--schedule", "payload=8", "-o", "cell")
     assert again.returncode == 2
     assert "holds something else than an unaltered schedule" in again.stderr
 
@@ -51,7 +51,7 @@ def test_the_table_is_printed_written_and_validates(run_cli: RunCli, tmp_path: P
 @pytest.mark.slow
 def test_infeasible_classes_are_exit_5_and_nothing_is_left(run_cli: RunCli, tmp_path: Path) -> None:
     prepare(tmp_path, "  max_peak_force_n: 31\n")
-    done = run_cli(*BASE, "--schedule", "payload=16,16.5", timeout_s=600.0)
+    done = run_cli(*BASE, "--schedule", "payload=16,16.5")
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (5, "", 1)
     assert done.stderr.startswith("autotune: 2 of 2 classes have no controller. m16: Axis x: ")
     assert "; m16.5: Axis x: " in done.stderr

@@ -12,7 +12,6 @@ import pytest
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat, PublicFormat
 
-from autotune.cli.main import main
 from autotune.formats.canonical import short
 from autotune.formats.controller import read_controller, write_controller
 from autotune.formats.controller_record import ControllerStatus
@@ -53,19 +52,6 @@ THROUGH_THE_COMMAND_LINE = [
 
 
 @pytest.fixture
-def run_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> RunCli:
-    """Run the command line in this process, which has its imports behind it: most of the time of a short run."""
-    monkeypatch.chdir(tmp_path)
-
-    def run(*arguments: str | Path) -> "subprocess.CompletedProcess[str]":
-        code = main([*map(str, arguments)])
-        told = capsys.readouterr()
-        return subprocess.CompletedProcess(arguments, code, told.out, told.err)
-
-    return run
-
-
-@pytest.fixture
 def good(tmp_path: Path) -> Path:
     write_controller(tmp_path / "controller.yaml", small_controller())
     return tmp_path / "controller.yaml"
@@ -82,7 +68,7 @@ def test_a_true_file_passes_and_every_check_is_told(run_cli: RunCli, good: Path)
     assert [path.name for path in good.parent.iterdir()] == ["controller.yaml"]
 
 
-def test_a_log_without_weight_and_command_is_compared_by_its_peaks(run_here: RunCli, good: Path) -> None:
+def test_a_log_without_weight_and_command_is_compared_by_its_peaks(run_cli: RunCli, good: Path) -> None:
     """A cell of scipy's integrator with a plant of the certified set, under the law of the file."""
     gains = small_controller().axes["x"]
     cell = Cell(coupling_damping=150.0, drag=330.0, wall=1.1e5)
@@ -102,7 +88,7 @@ def test_a_log_without_weight_and_command_is_compared_by_its_peaks(run_here: Run
     rows = np.column_stack([log[:, :2], rest, noisy])
     np.savetxt(good.parent / "log.csv", rows, delimiter=",", header="t,x,y,z,qx,qy,qz,qw,fx", comments="")
     (good.parent / "cell.yaml").write_text(COMPENSATED_YAML)
-    done = run_here("validate", good, "--samples", "0", "--log", "log.csv", "--cell", "cell.yaml", "--json")
+    done = run_cli("validate", good, "--samples", "0", "--log", "log.csv", "--cell", "cell.yaml", "--json")
     assert done.returncode == 0, done.stderr
     (contact,) = json.loads(done.stdout)["log"]["contacts"]
     assert contact["is_inside"]
@@ -111,25 +97,25 @@ def test_a_log_without_weight_and_command_is_compared_by_its_peaks(run_here: Run
     assert contact["predicted_peak_n"] == pytest.approx(-np.min(log[:, 2]), rel=0.02)
 
 
-def test_json_is_one_object_and_quiet_is_silent(run_here: RunCli, good: Path) -> None:
-    done = run_here("validate", "controller.yaml", "--json", *FEW)
+def test_json_is_one_object_and_quiet_is_silent(run_cli: RunCli, good: Path) -> None:
+    done = run_cli("validate", "controller.yaml", "--json", *FEW)
     tree = json.loads(done.stdout)
     assert (done.returncode, done.stderr, tree["passed"]) == (0, "", True)
     assert [check["name"] for check in tree["checks"]] == [*EVERY_CHECK, *SIMULATED]
     assert tree["checksum"] == read_controller(good).checksum
     assert (tree["signed_by"], tree["log"]) == (None, None)
     assert tree["monte_carlo"]["x"]["samples"] == 4
-    quiet = run_here("validate", "controller.yaml", "--quiet", "--samples", "0")
+    quiet = run_cli("validate", "controller.yaml", "--quiet", "--samples", "0")
     assert (quiet.returncode, quiet.stdout, quiet.stderr) == (0, "", "")
 
 
 @pytest.mark.parametrize("name", THROUGH_THE_COMMAND_LINE)
 def test_a_false_file_with_a_right_checksum_is_exit_6_and_the_check_names_numbers(
-    run_here: RunCli, tmp_path: Path, name: str
+    run_cli: RunCli, tmp_path: Path, name: str
 ) -> None:
     change, check, told = FALSE_CLAIMS[name]
     write_controller(tmp_path / "controller.yaml", change(small_controller()))
-    done = run_here("validate", "controller.yaml")
+    done = run_cli("validate", "controller.yaml")
     assert done.returncode == 6
     assert done.stderr.count("\n") == 1
     assert done.stderr.startswith("autotune: Axis x, ")
@@ -156,33 +142,33 @@ def test_a_false_file_with_json_is_one_object_and_exit_6(run_cli: RunCli, tmp_pa
     ],
     ids=["a gain", "the status", "the end is missing", "empty"],
 )
-def test_an_altered_file_is_exit_6(run_here: RunCli, good: Path, old: str, new: str) -> None:
+def test_an_altered_file_is_exit_6(run_cli: RunCli, good: Path, old: str, new: str) -> None:
     text = good.read_text(encoding="utf-8")
     altered = re.sub(old, new, text, count=1)
     assert altered != text
     good.write_text(altered, encoding="utf-8")
-    done = run_here("validate", "controller.yaml")
+    done = run_cli("validate", "controller.yaml")
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (6, "", 1)
     assert done.stderr.startswith("autotune: controller.yaml")
 
 
-def test_an_unvalidated_file_is_exit_6(run_here: RunCli, tmp_path: Path) -> None:
+def test_an_unvalidated_file_is_exit_6(run_cli: RunCli, tmp_path: Path) -> None:
     write_controller(tmp_path / "c.yaml", replace(small_controller(), status=ControllerStatus.UNVALIDATED))
-    done = run_here("validate", "c.yaml")
+    done = run_cli("validate", "c.yaml")
     assert (done.returncode, done.stdout) == (6, "")
     assert "not validated" in done.stderr
 
 
-def test_the_identified_plant_is_compared_with_the_domain(run_here: RunCli, good: Path) -> None:
+def test_the_identified_plant_is_compared_with_the_domain(run_cli: RunCli, good: Path) -> None:
     write_plant(good.parent)
-    inside = run_here("validate", "controller.yaml", "--identified", "identified.yaml", *FEW)
+    inside = run_cli("validate", "controller.yaml", "--identified", "identified.yaml", *FEW)
     assert (inside.returncode, inside.stderr) == (0, "")
     assert "axis x, identified plant: lies inside the certified domain" in inside.stdout
     assert "0.14 N noise" in inside.stdout
     plant = identified_plant()
     heavy = replace(plant, payload=replace(plant.payload, mass_kg=known(20.0, 0.1)))
     write_identified(good.parent / "heavy.yaml", heavy, {"tool": "by hand"})
-    outside = run_here("validate", "controller.yaml", "--identified", "heavy.yaml", "--samples", "0")
+    outside = run_cli("validate", "controller.yaml", "--identified", "heavy.yaml", "--samples", "0")
     assert outside.returncode == 6
     assert "payload mass [kg] is 20, certified for [16, 16]" in outside.stderr
 
@@ -202,14 +188,14 @@ def test_the_identified_plant_is_compared_with_the_domain(run_here: RunCli, good
         (["controller.yaml", "--public-key", "controller.yaml"], "must hold an Ed25519 public key"),
     ],
 )
-def test_a_wrong_request_is_exit_2(run_here: RunCli, good: Path, arguments: list[str], told: str) -> None:
-    done = run_here("validate", *arguments)
+def test_a_wrong_request_is_exit_2(run_cli: RunCli, good: Path, arguments: list[str], told: str) -> None:
+    done = run_cli("validate", *arguments)
     assert good.exists()
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
     assert told in done.stderr
 
 
-def test_a_file_is_signed_once_it_holds_and_the_signature_is_demanded(run_here: RunCli, good: Path) -> None:
+def test_a_file_is_signed_once_it_holds_and_the_signature_is_demanded(run_cli: RunCli, good: Path) -> None:
     key = Ed25519PrivateKey.from_private_bytes(bytes(range(32)))
     folder = good.parent
     (folder / "key.pem").write_bytes(key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()))
@@ -217,57 +203,57 @@ def test_a_file_is_signed_once_it_holds_and_the_signature_is_demanded(run_here: 
     public = key.public_key().public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo)
     (folder / "pub.pem").write_bytes(public)
     check = ("validate", "controller.yaml", "--samples", "0", "--public-key", "pub.pem")
-    unsigned = run_here(*check)
+    unsigned = run_cli(*check)
     assert (unsigned.returncode, unsigned.stdout) == (6, "")
     assert "controller.yaml must be signed" in unsigned.stderr
-    signed = run_here("validate", "controller.yaml", "--samples", "0", "--sign", "key.pem", "--json")
+    signed = run_cli("validate", "controller.yaml", "--samples", "0", "--sign", "key.pem", "--json")
     assert signed.returncode == 0
     assert json.loads(signed.stdout)["signed_by"] == fingerprint(key.public_key())
-    again = run_here("validate", "controller.yaml", "--samples", "0", "--sign", "key.pem")
+    again = run_cli("validate", "controller.yaml", "--samples", "0", "--sign", "key.pem")
     assert again.returncode == 0
     assert "controller.yaml.sig: replaced the signature of sha256 " in again.stderr
-    demanded = run_here(*check)
+    demanded = run_cli(*check)
     assert (demanded.returncode, demanded.stderr) == (0, "")
     assert demanded.stdout.endswith(f", signed by the key {fingerprint(key.public_key())}\n")
     good.write_text(good.read_text(encoding="utf-8") + "# looked at\n", encoding="utf-8")
-    changed = run_here(*check)
+    changed = run_cli(*check)
     assert (changed.returncode, changed.stdout, changed.stderr.count("\n")) == (6, "", 1)
     assert "is not a signature of controller.yaml" in changed.stderr
 
 
 @pytest.mark.parametrize("is_link", [False, True])
-def test_what_is_no_signature_is_not_replaced(run_here: RunCli, good: Path, is_link: bool) -> None:
+def test_what_is_no_signature_is_not_replaced(run_cli: RunCli, good: Path, is_link: bool) -> None:
     beside, kept = good.with_name("controller.yaml.sig"), good.with_name("kept")
     (beside, kept)[is_link].write_text("of somebody else", encoding="utf-8")
     if is_link:
         beside.symlink_to(kept)
-    done = run_here("validate", "controller.yaml", "--samples", "0", "--sign", "absent.pem")
+    done = run_cli("validate", "controller.yaml", "--samples", "0", "--sign", "absent.pem")
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
     assert "controller.yaml.sig" in done.stderr
     assert beside.read_text(encoding="utf-8") == "of somebody else"
 
 
-def test_a_file_that_does_not_hold_is_not_signed(run_here: RunCli, tmp_path: Path) -> None:
+def test_a_file_that_does_not_hold_is_not_signed(run_cli: RunCli, tmp_path: Path) -> None:
     write_controller(tmp_path / "controller.yaml", FALSE_CLAIMS["delay too small"][0](small_controller()))
     key = Ed25519PrivateKey.from_private_bytes(bytes(range(32)))
     (tmp_path / "key.pem").write_bytes(key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()))
     (tmp_path / "key.pem").chmod(0o600)
-    assert run_here("validate", "controller.yaml", "--sign", "key.pem").returncode == 6
+    assert run_cli("validate", "controller.yaml", "--sign", "key.pem").returncode == 6
     assert not (tmp_path / "controller.yaml.sig").exists()
 
 
-def test_a_log_is_compared_contact_by_contact(run_here: RunCli, good: Path, good_log: Path) -> None:
+def test_a_log_is_compared_contact_by_contact(run_cli: RunCli, good: Path, good_log: Path) -> None:
     write_mcap(recorded(), good.parent / "own.mcap")
     asked = ("validate", "controller.yaml", "--samples", "0", "--log")
-    done = run_here(*asked, "own.mcap")
+    done = run_cli(*asked, "own.mcap")
     assert (done.returncode, done.stderr) == (0, "")
     assert "2 of 2 traces lie inside the predicted band all the time\n" in done.stdout
-    tree = json.loads(run_here(*asked, "own.mcap", "--json").stdout)
+    tree = json.loads(run_cli(*asked, "own.mcap", "--json").stdout)
     assert (tree["passed"], tree["log"]["inside_share"], tree["log"]["payload_from"]) == (True, 1.0, "log")
     for contact in tree["log"]["contacts"]:
         error = contact["predicted_peak_n"] - contact["measured_peak_n"]
         assert contact["peak_error_n"] == error
         assert contact["peak_error_percent"] == pytest.approx(100.0 * error / contact["measured_peak_n"])
-    other = run_here(*asked, good_log)
+    other = run_cli(*asked, good_log)
     assert (other.returncode, other.stdout, other.stderr.count("\n")) == (3, "", 1)
     assert "was recorded with another controller" in other.stderr

@@ -86,17 +86,17 @@ def kill(worker: "subprocess.Popen[str]") -> None:
 
 @pytest.mark.parametrize("sampler", ["tpe", "nsga2"])
 def test_the_same_seed_makes_the_same_trials_and_a_pause_changes_none(tmp_path: Path, sampler: Sampler) -> None:
-    plan = replace(small_plan(24), sampler=sampler)
+    plan = replace(small_plan(16), sampler=sampler)
     storages = [open_storage(None, tmp_path / f"{i}.db") for i in range(3)]
-    for trials in (9, 24):
+    for trials in (9, 16):
         run_study(small_problem(), replace(plan, trials=trials), storages[0], start=START, name="shared")
     run_study(small_problem(), plan, storages[1], start=START, name="shared")
-    run_study(small_problem(), replace(plan, seed=4), storages[2], start=START, name="shared")
+    run_study(small_problem(), replace(plan, seed=4, trials=8), storages[2], start=START, name="shared")
     paused, whole, other = ([(t.params, t.values, t.state) for t in trials_of(s)] for s in storages)
     assert paused == whole
-    assert len(whole) == 24
+    assert len(whole) == 16
     assert whole[0] == other[0]  # the solver's design, whatever the seed
-    assert whole[5:] != other[5:]
+    assert whole[5:8] != other[5:]
 
 
 def test_the_solvers_design_is_first_and_then_stands_in_every_other_structure(tmp_path: Path) -> None:
@@ -240,7 +240,7 @@ def test_a_structure_changes_what_it_names_and_nothing_else() -> None:
 
 def check_kill_and_resume(url: str, tmp_path: Path) -> None:
     """Kill a worker in the middle of a trial; the next one goes on, and tries the lost trial again."""
-    trials = 40
+    trials = 16
     with quiet_optuna():
         storage = open_storage(url, tmp_path / "unused.db", heartbeat_s=1)
         worker = start_worker(url, trials)
@@ -265,7 +265,7 @@ def check_kill_and_resume(url: str, tmp_path: Path) -> None:
 
 def check_two_workers(url: str, tmp_path: Path) -> None:
     """Two processes share one study, begun by both at once: all trials are done, none twice."""
-    trials = 40
+    trials = 16
     workers = [start_worker(url, trials) for _ in range(2)]
     for worker in workers:
         told, wrong = worker.communicate(timeout=120)

@@ -81,7 +81,7 @@ def test_through_the_command_line_nothing_is_searched(
     run_cli: RunCli, tmp_path: Path, options: tuple[str, str], told: str
 ) -> None:
     write_plant(tmp_path)
-    done = run_cli("optimize", "identified.yaml", *options, timeout_s=60.0)
+    done = run_cli("optimize", "identified.yaml", *options)
     assert done.returncode == 2
     assert told in done.stderr
     assert len(done.stderr) < 400
