@@ -7,6 +7,7 @@ import importlib
 import pickle
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -22,6 +23,7 @@ from autotune.runtime.load import load_controller
 from problems.contact.transient import build_sampled_contact, simulate_contact
 from problems.model.sampled import build_sampled_plant
 
+RunCli = Callable[..., "subprocess.CompletedProcess[str]"]
 PUBLIC = (
     *("AdmittanceTarget", "Approach", "AutotuneError", "CertificateError", "Check", "Design", "Estimate"),
     *("EstimateError", "Finding", "Identification", "InfeasibleError", "Log", "LogError", "NoiseLimit"),
@@ -208,14 +210,11 @@ def test_the_runtime_refuses_a_payload_that_nobody_knows(design: at.Design, tmp_
     [("c", 6, "give the payload"), ("ros2_control", 2, "no centre of mass"), ("json", 0, "checksum")],
 )
 def test_an_export_that_needs_the_payload_is_refused(
-    design: at.Design, tmp_path: Path, target: str, code: int, told: str
+    run_cli: RunCli, design: at.Design, tmp_path: Path, target: str, code: int, told: str
 ) -> None:
     design.save(tmp_path / "controller.yaml")
     out = tmp_path / {"c": "cell.c", "json": "cell.json"}.get(target, "cell.yaml")
-    arguments = ["export", "controller.yaml", "--target", target, "-o", str(out)]
-    done = subprocess.run(
-        [sys.executable, "-m", "autotune", *arguments], cwd=tmp_path, capture_output=True, text=True, check=False
-    )
+    done = run_cli("export", "controller.yaml", "--target", target, "-o", out)
     assert done.returncode == code
     assert told in done.stdout + done.stderr
     assert out.exists() == (code == 0)

@@ -66,7 +66,9 @@ def differences(value: Callable[[AdmittanceController], float], controller: Admi
     return found
 
 
-def agree(slope: Gradient, value: Callable[[AdmittanceController], float], controller: AdmittanceController) -> None:
+def assert_agree(
+    slope: Gradient, value: Callable[[AdmittanceController], float], controller: AdmittanceController
+) -> None:
     """The value to 1e-6, the slopes beside the largest of them, each by the size of its parameter."""
     assert slope.value == pytest.approx(value(controller), rel=1e-6)
     sizes = np.array([max(getattr(controller, name), 1e-2) for name in NAMES])
@@ -99,7 +101,7 @@ def test_margins(
     if slope is None:
         assert not np.isfinite(margin_of(margins))
         return
-    agree(slope, lambda c: margin_of(find_margins(plant, c)), controller)
+    assert_agree(slope, lambda c: margin_of(find_margins(plant, c)), controller)
 
 
 @pytest.mark.parametrize("controller", CONTROLLERS)
@@ -115,7 +117,9 @@ def test_a_known_frequency_saves_the_search(controller: AdmittanceController) ->
 @pytest.mark.parametrize("band_hz", [(0.1, 5.0), (2.0, 2.0)])
 def test_admittance(controller: AdmittanceController, band_hz: tuple[float, float]) -> None:
     free = sampled(0.0)
-    agree(admittance_gradient(free, controller, band_hz), lambda c: smallest_admittance(free, c, band_hz), controller)
+    assert_agree(
+        admittance_gradient(free, controller, band_hz), lambda c: smallest_admittance(free, c, band_hz), controller
+    )
 
 
 @pytest.mark.parametrize("controller", CONTROLLERS)
@@ -125,7 +129,7 @@ def test_peaks(controller: AdmittanceController, stiffness: float, approach: App
     pair = build_sampled_contact(sampled(stiffness))
     run = simulate_contact(pair, controller, approach)
     at_sensor = peak_gradient(pair.contact, controller, approach, run.time_of_sensor_peak_s, "sensor")
-    agree(at_sensor, lambda c: simulate_contact(pair, c, approach).peak_sensor_force_n, controller)
+    assert_agree(at_sensor, lambda c: simulate_contact(pair, c, approach).peak_sensor_force_n, controller)
     inside = peak_gradient(pair.contact, controller, approach, run.time_of_peak_s, "contact")
     assert inside.value == pytest.approx(run.peak_contact_force_n, rel=2e-3)
     sizes = np.array([max(getattr(controller, name), 1e-2) for name in NAMES])
@@ -138,4 +142,4 @@ def test_peaks(controller: AdmittanceController, stiffness: float, approach: App
 def test_the_end_of_the_passive_band(controller: AdmittanceController, order: int) -> None:
     plant = sampled(1.1e5, order=order)
     slope = passivity_gradient(plant, controller, passive_below_hz(plant, controller))
-    agree(slope, lambda law: passive_below_hz(plant, law), controller)
+    assert_agree(slope, lambda law: passive_below_hz(plant, law), controller)

@@ -42,7 +42,7 @@ def minimal(sampled: SampledPlant, controller: AdmittanceController) -> Structur
     return Structure.like(sampled, controller, controller_states=[int(i) for i in kept])
 
 
-def agree(found: FloatArray, expected: FloatArray) -> None:
+def assert_agree(found: FloatArray, expected: FloatArray) -> None:
     """Compare to 1e-10 of the largest entry: the same operations in another order."""
     size = np.max(np.abs(expected), initial=0.0)
     np.testing.assert_allclose(found, expected, rtol=1e-10, atol=1e-10 * size if size > 0.0 else 1e-300)
@@ -56,14 +56,14 @@ def test_the_matrices_are_those_of_the_numeric_form(plant: Plant, controller: Ad
     arguments = arguments_of(sampled, controller)
     plant_found = values_of(form.plant, *arguments[:4])
     for name in set(plant_found) - {"gamma_old"}:
-        agree(plant_found[name], getattr(sampled, name))
+        assert_agree(plant_found[name], getattr(sampled, name))
     # A difference of two columns of this size; with a small fraction it is much smaller.
     both = np.max(np.abs(sampled.gamma + sampled.gamma_old))
     np.testing.assert_allclose(plant_found["gamma_old"], sampled.gamma_old, rtol=0.0, atol=1e-14 * both)
     found = values_of(form.loop, *arguments)
     assert found["a"].shape == loop.a.shape
     for name in ("a", "b", "b_push", "c_force", "d_force", "c_command", "d_command"):
-        agree(found[name], getattr(loop, name))
+        assert_agree(found[name], getattr(loop, name))
 
 
 @LAW
@@ -352,7 +352,7 @@ def test_a_state_left_out_is_a_parameter_of_zero(
     sampled = build_sampled_plant(cell(one_pole()), PERIOD_S)
     form = build_symbolic_form(Structure.like(sampled, controller, controller_states=states))
     found = values_of(form.loop, *arguments_of(sampled, controller))["a"]
-    agree(found, build_loop(sampled, left).a)
+    assert_agree(found, build_loop(sampled, left).a)
 
 
 def test_outputs_are_named() -> None:

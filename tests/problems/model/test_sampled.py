@@ -62,7 +62,7 @@ def iterate(loop: SampledLoop, desired: FloatArray) -> FloatArray:
     return np.array(out)
 
 
-def agree(ours: FloatArray, theirs: FloatArray) -> None:
+def assert_agree(ours: FloatArray, theirs: FloatArray) -> None:
     """Compare two responses relative to what they have reached so far: some of the random loops are unstable.
 
     300 products with matrices of size 10, each exact to 1e-15 of a state whose parts (K_s x) exceed F by up to 1e3; the
@@ -83,7 +83,7 @@ def test_a_step_of_the_desired_force_gives_what_python_control_gives(
 ) -> None:
     step = np.ones(SAMPLES)
     theirs = step_response(closed_loop(plant, controller, PERIOD_S, whole_samples(plant)), step)
-    agree(iterate(loop_of(plant, controller), step), theirs)
+    assert_agree(iterate(loop_of(plant, controller), step), theirs)
 
 
 @LAW
@@ -101,7 +101,7 @@ def test_a_fraction_of_a_sample_is_what_a_finer_grid_gives(
     if whole + p == 0:
         delayed = replace(delayed, coupling=replace(plant.coupling, damping_n_s_per_m=0.0))
     fine = fine_step_response(delayed, controller, PERIOD_S, (whole, p, q), SAMPLES)
-    agree(iterate(loop_of(delayed, controller), np.ones(SAMPLES)), fine)
+    assert_agree(iterate(loop_of(delayed, controller), np.ones(SAMPLES)), fine)
 
 
 @LAW
@@ -121,7 +121,7 @@ def test_a_hand_on_the_payload_gives_what_scipys_held_plant_gives(
         ours.append(loop.c_force @ state)
         expected.append(force)
         state, theirs = loop.a @ state + loop.b_push, a @ theirs + b @ inputs
-    agree(np.array(ours), np.array(expected))
+    assert_agree(np.array(ours), np.array(expected))
 
 
 @LAW
@@ -265,7 +265,7 @@ def test_forces_do_not_know_the_unit_of_length(plant: Plant, controller: Admitta
     """The same F for millimetres, and for a rotation about an axis 0.16 m away read as force at that radius."""
     one, other = loop_of(plant, controller), loop_of(*in_other_units(plant, controller, factor))
     assert spectral_radius(other) == pytest.approx(spectral_radius(one), abs=1e-6)  # two poles that meet: a square root
-    agree(iterate(other, np.ones(SAMPLES)), iterate(one, np.ones(SAMPLES)))
+    assert_agree(iterate(other, np.ones(SAMPLES)), iterate(one, np.ones(SAMPLES)))
 
 
 def test_in_contact_all_eigenvalues_count() -> None:
