@@ -45,7 +45,9 @@ def test_the_examples_of_the_python_page_run(
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(mpl.rcParams, "backend", "agg")
     # A second of proof is enough to show that it is there; it is spent by the search, and again by `validate`.
-    monkeypatch.setitem(ProofOptions.__init__.__kwdefaults__, "further_s", 1.0)
+    defaults = ProofOptions.__init__.__kwdefaults__
+    assert defaults is not None
+    monkeypatch.setitem(defaults, "further_s", 1.0)
 
     def printed(code: str) -> str:
         exec(code, {})

@@ -13,6 +13,7 @@ from autotune.demo import STEPS, DemoResult, MadeHere, run_demo
 from autotune.formats.controller import read_controller
 from autotune.formats.identified import read_identified
 from autotune.formats.yaml12 import load_yaml
+from autotune.report import page
 from tests.autotune.cli.conftest import SHORT
 from tests.autotune.tuning.cases import FAST_SPEC, FAST_WISHES
 
@@ -101,6 +102,7 @@ def test_people_see_a_summary(
         found.checksum[:8],
     ):
         assert expected in told
+    monkeypatch.setattr(page, "render_page", lambda *_arguments, **_options: "drawn once already")
     assert main(["demo", "anywhere", "--quiet"]) == 0
     quiet = capsys.readouterr()
     assert (quiet.out, quiet.err) == ("", "")

@@ -133,9 +133,9 @@ def test_lost_commands_do_not_make_the_robot_slower(recording: Recording) -> Non
 
 
 def moved(corner_hz: float | None = None, late_samples: int = 0, shifted_s: float = 0.0) -> JointData:
-    """A sweep of 8 s between two rests: x' = ω (u − x), the payload on its spring, τ f' = F − f, all held over h."""
+    """A sweep of 5 s between two rests: x' = ω (u − x), the payload on its spring, τ f' = F − f, all held over h."""
     rest = np.zeros(round(1.5 / H_S))
-    command = np.concatenate([rest, 4.0 * sweep(8.0, 1.0 / H_S), rest])
+    command = np.concatenate([rest, 4.0 * sweep(5.0, 1.0 / H_S), rest])
     k, b, p, m = LOAD.vector()
     tau = 1e-3 if corner_hz is None else 1.0 / (2.0 * np.pi * corner_hz)
     # x, x_p, v_p, f over u; F = K_s (x_p − x) + B_s (v_p − x').
