@@ -81,7 +81,6 @@ def read_identified(path: Path | str) -> IdentifiedFile:
 
 
 _ROUNDING = 1e-6
-_CHECKED = ("stiffness_n_per_m", "damping_n_s_per_m", "drag_n_s_per_m", "mass_kg")
 
 
 def _check_values(document: Document, result: Identified) -> None:

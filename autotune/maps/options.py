@@ -13,7 +13,6 @@ from problems.maps.maps import MapAxis, Spacing
 from problems.maps.parameters import MapParameter, MapQuantity, find_parameter
 
 STABLE_DAMPING, STABLE_LEAD = "stable-damping", "stable-lead"
-SHOWS = (*(quantity.value for quantity in MapQuantity), STABLE_DAMPING, STABLE_LEAD)
 PICTURES, TABLES = (".png", ".svg"), (".csv", ".json")
 
 # Of translational axes; about the others a number is in SI.

@@ -53,7 +53,6 @@ class ChannelClock:
     topic: str
     offset_s: float
     offset_std_s: float
-    latency_spread_s: float
     drift_ppm: float
     drift_std_ppm: float
     jumps: tuple[ClockJump, ...]
@@ -84,7 +83,6 @@ def measure_clock(topic: str, stamp_ns: StampArray, log_ns: StampArray) -> Chann
         topic=topic,
         offset_s=base * 1e-9 + offset,
         offset_std_s=float(np.hypot(offset_std, max(spread, 0.0))),
-        latency_spread_s=max(spread, 0.0),
         drift_ppm=1e6 * slope,
         drift_std_ppm=1e6 * slope_std,
         jumps=jumps,

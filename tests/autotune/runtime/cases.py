@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from autotune.runtime import AXES, START, AxisLaw, AxisLimits, CollisionResponse, Limits, Payload, RuntimeController
-from autotune.simulation.axis import _advance
+from autotune.simulation.simulate import _advance
 from problems.arrays import FloatArray
 from problems.contact.events import contact_force
 from problems.contact.kernel_types import HeldInputs, Inputs

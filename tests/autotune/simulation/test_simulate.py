@@ -7,9 +7,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.signal import cont2discrete, lfilter
 
-from autotune.simulation.axis import AxisRun, run_axis
 from autotune.simulation.phases import Program, Script, build_script
-from autotune.simulation.simulate import CellRun, simulate_cell
+from autotune.simulation.simulate import AxisRun, CellRun, run_axis, simulate_cell
 from autotune.simulation.truth import SimulatedCell
 from problems.arrays import FloatArray
 from problems.errors import ParameterError

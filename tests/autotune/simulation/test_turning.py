@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from autotune.simulation.axis import AxisRun, run_axis
 from autotune.simulation.phases import Program, build_script
-from autotune.simulation.simulate import GRAVITY_B_M_S2, WORKING_ORIENTATION, CellRun, simulate_cell
+from autotune.simulation.simulate import GRAVITY_B_M_S2, WORKING_ORIENTATION, AxisRun, CellRun, run_axis, simulate_cell
 from autotune.simulation.truth import SimulatedCell
 from problems.arrays import FloatArray
 from tests.autotune.simulation.runs import silent

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from autotune.validation.simulated_responses import sampled_admittance
+from autotune.validation.requirements import sampled_admittance
 from problems.design.requirements import smallest_admittance
 from problems.model.controller import AdmittanceController
 from problems.model.plant import NO_FILTER, WrenchFilter

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from autotune.validation.simulated_responses import passive_band_hz, speed_rms, worst_speed_rms
+from autotune.validation.requirements import passive_band_hz, speed_rms, worst_speed_rms
 from problems.model.controller import AdmittanceController
 from problems.model.plant import FREE_SPACE, Plant, WrenchFilter
 from problems.model.robot import RobotModel
