@@ -12,7 +12,7 @@ from ..result import Finding
 from .containers.channel import Channel, Held
 from .messages.decode import Wanted
 from .messages.objects import build_object_parser
-from .messages.read import FirstMessage, read_series
+from .messages.read import decode_first
 from .opened import OpenedLog, OpenedLogs
 from .roles.registry import FLOAT_ARRAY, JOINT_STATE
 
@@ -111,7 +111,7 @@ def _entries(held: Held, name: str) -> list[str]:
     while len(paths) < _MOST_ENTRIES:
         path = f"{name}[{len(paths)}]"
         try:
-            read_series(FirstMessage(held), {held.channel: Wanted(fields=(path,), header="")})
+            decode_first(held, Wanted(fields=(path,), header=""))
         except LogError:
             break
         paths.append(path)

@@ -1,6 +1,6 @@
 """Read from a log the numbers that are wanted of some channels, in one pass, and what is known of each before that."""
 
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from typing import TypeVar
 
 import numpy as np
@@ -14,13 +14,12 @@ from ..containers.channel import Batch, Channel, ChannelInfo, Container, Held, S
 from .decode import HEADER, ROS_ENCODINGS, MessageError, Series, Wanted, build_program, needed_types
 from .objects import ObjectDecoder
 
-T = TypeVar("T")
 Number = TypeVar("Number", np.int64, np.float64)
 _GROWTH = 1.5
 _LEAST_ROOM = 1024
 
 
-class Gathering:
+class _Gathering:
     """The numbers of one channel while it is read; `room` is the number of rows that are expected."""
 
     def __init__(self, wanted: Wanted, room: int) -> None:
@@ -85,8 +84,7 @@ def read_series(container: Container, wanted: Mapping[Channel, Wanted]) -> dict[
     message is not as its type says: with its number, topic and byte.
     """
     decoders = {channel: build_decoder(channel, each) for channel, each in wanted.items()}
-    gatherings = gather(container, decoders, wanted)
-    return {channel: gatherings.pop(channel).finish(channel) for channel in wanted}
+    return gather(container, decoders, wanted)
 
 
 def build_decoder(channel: Channel, wanted: Wanted) -> Callable[[Batch], Series]:
@@ -106,10 +104,10 @@ def _recording_times(batch: Batch) -> Series:
 
 def gather(
     container: Container, decoders: Mapping[Channel, Callable[[Batch], Series]], wanted: Mapping[Channel, Wanted]
-) -> dict[Channel, Gathering]:
+) -> dict[Channel, Series]:
     """Read the channels once and put together what their decoders make of each batch."""
     counted = {held.channel: held.count for held in container.survey().held}
-    gatherings = {channel: Gathering(each, counted.get(channel, 0)) for channel, each in wanted.items()}
+    gatherings = {channel: _Gathering(each, counted.get(channel, 0)) for channel, each in wanted.items()}
     counts = dict.fromkeys(wanted, 0)
 
     def handle(batch: Batch) -> tuple[int, Series]:
@@ -125,7 +123,7 @@ def gather(
             f"Message {number} of topic {fault.channel.topic} is damaged or no {fault.channel.type_name}: "
             f"{fault.reason}; record again or leave this topic out."
         ) from fault
-    return gatherings
+    return {channel: gatherings.pop(channel).finish(channel) for channel in wanted}
 
 
 def build_infos(survey: Survey) -> tuple[ChannelInfo, ...]:
@@ -159,28 +157,19 @@ def _has_header(channel: Channel) -> bool:
 
 def _frame(held: Held) -> str | None:
     try:
-        series = read_series(FirstMessage(held), {held.channel: Wanted(fields=())})
+        frames = decode_first(held, Wanted(fields=())).frame_ids
     except LogError:
         return None
-    frames = series[held.channel].frame_ids
     return frames[0] if frames else None
 
 
-class FirstMessage(Container):
-    """A container that holds the first message of one channel."""
-
-    def __init__(self, held: Held) -> None:
-        self._held = held
-
-    def survey(self) -> Survey:
-        """Return the one message."""
-        return Survey(container="message", held=(self._held,), start_ns=0, end_ns=0, findings=())
-
-    def read(self, wanted: Collection[Channel], handle: Callable[[Batch], T]) -> Iterator[tuple[Channel, T]]:
-        """Read the one message."""
-        held = self._held
-        if held.channel in wanted and held.count:
-            data = np.frombuffer(held.first_message, dtype=np.uint8)
-            zero = np.zeros(1, dtype=np.int64)
-            size = np.array([data.size], dtype=np.int64)
-            yield held.channel, handle(Batch(channel=held.channel, log_ns=zero, data=data, starts=zero, sizes=size))
+def decode_first(held: Held, wanted: Wanted) -> Series:
+    """Decode the first message of a channel; raise LogError where it is not as its type says, or lacks a number."""
+    data = np.frombuffer(held.first_message, dtype=np.uint8)
+    zero, size = np.zeros(1, dtype=np.int64), np.array([data.size], dtype=np.int64)
+    try:
+        return build_decoder(held.channel, wanted)(
+            Batch(channel=held.channel, log_ns=zero, data=data, starts=zero, sizes=size)
+        )
+    except MessageError as fault:
+        raise LogError(f"The first message of topic {held.channel.topic} cannot be decoded: {fault.reason}.") from fault

@@ -53,7 +53,7 @@ def read_transform(container: Container, channel: Channel, parent: str, child: s
     where the topic holds no transform of these frames, or a message is not as its type says.
     """
     decoder = build_transform_decoder(channel, (parent, child))
-    series = gather(container, {channel: decoder}, {channel: Wanted(fields=FIELDS)})[channel].finish(channel)
+    series = gather(container, {channel: decoder}, {channel: Wanted(fields=FIELDS)})[channel]
     if not series.log_ns.size:
         pairs = ", ".join(f"{first} to {second}" for first, second in sorted(decoder.pairs)[:10])
         raise LogError(
