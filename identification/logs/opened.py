@@ -13,7 +13,7 @@ from .containers.channel import Channel, ChannelInfo, Container
 from .containers.formats import is_table, open_container, sha256_of
 from .messages.decode import Series, Wanted
 from .messages.objects import build_object_parser, messages_of, strings_block
-from .messages.read import build_infos, read_series
+from .messages.read import build_decoder, build_infos, gather, recording_times
 from .messages.transforms import list_frames, read_transform
 from .roles.cell import Cell
 from .roles.choose import Choice
@@ -40,7 +40,11 @@ class ContainerLog:
 
     def read(self, channels: Mapping[Channel, Wanted]) -> dict[Channel, Series]:
         """Read channels; those of which only the time of recording is wanted are not decoded."""
-        found = read_series(self._container, channels)
+        decoders = {
+            channel: build_decoder(channel, wanted) if wanted.fields or wanted.header else recording_times
+            for channel, wanted in channels.items()
+        }
+        found = gather(self._container, decoders, channels)
         self._remember()
         return found
 

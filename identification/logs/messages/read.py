@@ -89,12 +89,10 @@ def read_series(container: Container, wanted: Mapping[Channel, Wanted]) -> dict[
 
 def build_decoder(channel: Channel, wanted: Wanted) -> Callable[[Batch], Series]:
     """Return what decodes batches of a channel; raise LogError where its type has no such numbers."""
-    if not wanted.fields and not wanted.header:
-        return _recording_times
     return build_program(channel, wanted) or ObjectDecoder(channel, wanted)
 
 
-def _recording_times(batch: Batch) -> Series:
+def recording_times(batch: Batch) -> Series:
     """Return when the messages of a batch were recorded, without decoding them."""
     nothing = np.empty((batch.count, 0))
     return Series(
