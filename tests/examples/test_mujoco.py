@@ -1,0 +1,169 @@
+"""The MuJoCo cell is what it says it is, and one small log of it is identified and its contact predicted."""
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import autotune as at
+from autotune.recording import FirstLog
+
+pytest.importorskip("mujoco", reason="the extra mujoco is not installed")
+
+from examples.mujoco.cell import P_0, R_0, Hand, MujocoCell, Running, Wall
+from examples.mujoco.chain import estimates, record, truths
+from examples.mujoco.page import page
+from examples.mujoco.study import Drawn, contacts, draw, kept
+
+GRAVITY = 9.81
+CLEAN = MujocoCell(
+    force_noise_n=0.0,
+    torque_noise_n_m=0.0,
+    resolution_n=0.0,
+    position_noise_m=0.0,
+    bias=(0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+    period_s=2e-3,
+)
+
+
+def rested(cell: MujocoCell, wall: Wall, way_m: float, seconds: float) -> Running:
+    running = Running(cell, wall)
+    for _ in range(round(seconds / cell.period_s)):
+        running.send((0.0, 0.0, way_m))
+    return running
+
+
+def test_at_rest_the_sensor_shows_the_weight_and_its_torque() -> None:
+    seen = Running(CLEAN, Wall()).read()
+    weight = np.array([0.0, 0.0, CLEAN.mass_kg * GRAVITY])  # the tool's z points down
+    # The coupling gives way by a few tenths of a millimetre and 0.1 mrad.
+    np.testing.assert_allclose(seen.wrench_S[:3], weight, atol=2e-4 * weight[2])
+    np.testing.assert_allclose(seen.wrench_S[3:], np.cross(CLEAN.com_S_m, weight), atol=2e-2)
+    np.testing.assert_allclose(seen.position_m, P_0, atol=1e-4)
+
+
+@pytest.mark.parametrize("wall", [Wall(stiffness_n_per_m=2e4), Wall(stiffness_n_per_m=2e5, inclination_rad=0.2)])
+def test_a_quasi_static_push_finds_the_stiffness_of_the_wall(wall: Wall) -> None:
+    near = replace(wall, distance_m=0.0, edge_m=(0.05, 0.03))
+    low, high = (rested(CLEAN, near, way, 1.0).read() for way in (1e-3, 2e-3))
+    # The contact is a spring to the last digits; what is left is that of the approach to rest.
+    found = (high.contact_n - low.contact_n) / (high.depth_m - low.depth_m)
+    assert found == pytest.approx(wall.stiffness_n_per_m, rel=1e-4)
+    along = (low.wrench_S[2] - high.wrench_S[2]) / math.cos(wall.inclination_rad)
+    assert along == pytest.approx(high.contact_n - low.contact_n, rel=1e-3)
+
+
+def test_drag_is_force_per_speed() -> None:
+    running = Running(CLEAN, Wall(distance_m=1.0))
+    for k in range(500):
+        running.send((0.0, 0.0, 2e-4 * k))  # 0.1 m/s
+    assert CLEAN.mass_kg * GRAVITY - running.read().wrench_S[2] == pytest.approx(0.1 * CLEAN.drag_n_s_per_m, rel=1e-3)
+
+
+@pytest.mark.parametrize("delay_s", [2.63e-3, 4.0e-3])
+def test_a_step_arrives_after_the_delay_and_is_answered_by_a_second_order(delay_s: float) -> None:
+    cell = replace(CLEAN, delay_s=delay_s, servo_mass_kg=1e7)
+    running, way = Running(cell, Wall()), []
+    start = np.array(running.read().position_m)
+    for _ in range(60):
+        running.send((1e-3, 0.0, 0.0))
+        way.append(float((np.array(running.read().position_m) - start) @ R_0[:, 0]))
+    time = np.maximum(cell.period_s * np.arange(1, 61) - delay_s, 0.0)
+    omega, zeta = 2.0 * math.pi * cell.servo_hz, cell.servo_damping_ratio
+    swing = omega * math.sqrt(1.0 - zeta**2)
+    decay = np.exp(-zeta * omega * time)
+    closed = 1e-3 * (1.0 - decay * (np.cos(swing * time) + zeta * omega / swing * np.sin(swing * time)))
+    # The payload is 2e-6 of the inertia behind the servo, and pulls on it with up to twice its weight.
+    np.testing.assert_allclose(way, closed, atol=1e-8)
+
+
+def test_dry_friction_in_the_coupling_stands_against_the_motion_with_its_whole_force() -> None:
+    cell = replace(CLEAN, coupling_friction_n=2.0, stiffness_n_per_m=1e4, damping_n_s_per_m=200.0)
+    running, way, felt = Running(cell, Wall(stiffness_n_per_m=1e6, distance_m=0.0)), 0.0, []
+    for speed in (8e-3, -4e-3):
+        for _ in range(200):
+            way += speed * cell.period_s
+            running.send((0.0, 0.0, way))
+        force = running.read().wrench_S[2]
+        apart, rate = running.data.joint("cz").qpos[0], running.data.joint("cz").qvel[0]
+        felt.append(force - cell.stiffness_n_per_m * apart - cell.damping_n_s_per_m * rate)
+    # Going down the payload is held back by the wall, and slides up in the coupling.
+    assert felt == pytest.approx([-2.0, 2.0], rel=1e-9)
+
+
+def test_a_hand_on_the_handle_is_carried_by_the_sensor() -> None:
+    hand = Hand()
+    running = Running(CLEAN, Wall(), hand=hand)
+    before = running.read().wrench_S[0]
+    for _ in range(500):
+        running.send((5e-3, 0.0, 0.0))
+    # At rest arm and grip are springs one behind the other, stretched by 5 mm; the coupling gives way by 1 in 1000.
+    series = 1.0 / (1.0 / hand.arm_n_per_m + 1.0 / hand.grip_n_per_m)
+    assert running.read().wrench_S[0] - before == pytest.approx(-5e-3 * series, rel=0.03)
+
+
+def test_a_log_of_the_cell_is_identified_and_its_contact_predicted(tmp_path: Path) -> None:
+    cell, wall = MujocoCell(period_s=2e-3, delay_s=5.1e-3), Wall(distance_m=0.01)
+    program = FirstLog(
+        axis="z", rest_s=0.8, pose_count=4, pose_move_s=0.5, pose_hold_s=0.7, sweep_s=4.0, sweep_speed_m_s=0.01,
+        contact_count=1, contact_hold_s=1.3, contact_force_n=40.0, damping_n_s_per_m=4000.0, stop_force_n=400.0,
+    )  # fmt: skip
+    path = tmp_path / "cell.mcap"
+    peak = record(cell, wall, program, path)
+    found = at.identify(path)
+    truth, told = truths(cell, wall), estimates(found)
+    for name, share in {"mass": 0.005, "K_s": 0.04, "K_e": 0.05, "T_d": 0.1, "bandwidth": 0.05}.items():
+        assert told[name].value == pytest.approx(truth[name], rel=share), name  # docs/accuracy.md's targets
+    gains = {"mass": program.mass_kg, "damping": program.damping_n_s_per_m}
+    predicted = at.predict(found, gains=gains, surface="z1", approach_force=program.contact_force_n)
+    assert predicted.peak_force == pytest.approx(peak, rel=0.03)
+
+
+def _told(drawn: Drawn, deviations: float) -> dict[str, Any]:
+    """Return what a study keeps of estimates that all lie so many of their deviations, of 1 %, above the truth."""
+    return {
+        name: {"value": truth + 0.01 * abs(truth) * deviations, "std": 0.01 * abs(truth), "status": "identified"}
+        for name, truth in truths(drawn.cell, drawn.wall).items()
+    }
+
+
+def test_the_page_counts_what_the_intervals_hold_and_what_was_refused(tmp_path: Path) -> None:
+    folders = {seed: tmp_path / str(seed) for seed in range(4)}
+    late = "The stamps of /ft are late against those of /pose."
+    kept_of = {
+        0: {"estimates": _told(draw(0), 1.0), "findings": []},
+        1: {"estimates": _told(draw(1), -4.0), "findings": [late]},
+        2: {"refused": "no sweep"},
+    }
+    for seed, held in kept_of.items():
+        folders[seed].mkdir()
+        (folders[seed] / "identified.json").write_text(json.dumps(held), encoding="utf-8")
+    row = {"name": "wall of the log", "modelled": True, "predicted": 50.0, "contact_n": 55.0, "sensor_n": 54.0}
+    others = [{**row, "name": each.name, "fault": "SPEED"} for each in contacts(draw(0))[1:]]
+    pressed = {"eased": "", "certified": 52.0, "contacts": [{**row, "fault": ""}, *others]}
+    (folders[0] / "contacts.json").write_text(json.dumps(pressed), encoding="utf-8")
+    text = page(folders)
+    assert "## Parameters: 3 cells, 1 logs refused" in text
+    assert "| K_s | 2 | 0 | 1 | 2.5 | 4 | **1 of 2** | -4.0 (cell 1) |" in text
+    assert "K_s, B_s, B_p, T_d and bandwidth have a value in 2 cells; in 1 of them" in text
+    assert "disagree in 1 of 3 cells" in text
+    assert "Cell 2 (B_p 38, joints 39 N) refused: no sweep" in text
+    assert "| wall of the log | 1 | +10.0 | +10.0 | +10.0 | 1 | 0 |" in text
+    assert "| half as stiff | 1 | – | – | – | 0 | 1 |" in text
+    assert "| 0 | 52.0 | 50.0 → **55.0** | 50.0 → SPEED |" in text
+
+
+def test_a_study_goes_on_where_it_was(tmp_path: Path) -> None:
+    made = []
+
+    def make() -> dict[str, Any]:
+        made.append(1)
+        return {"value": 3.5}
+
+    path = tmp_path / "kept.json"
+    assert [kept(path, make), kept(path, make)] == [{"value": 3.5}] * 2
+    assert made == [1]
