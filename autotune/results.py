@@ -166,9 +166,7 @@ def _refusal(names: Sequence[str], findings: Sequence[Finding]) -> str:
     missing = [finding for finding in findings if finding.severity == "error"]
     missing = sorted(missing, key=lambda finding: finding.code not in _CONTRADICTIONS)
     first = missing[0]
-    alike = [finding.message for finding in missing[1:] if finding.code == first.code]
-    rest = [finding.code for finding in missing[1:] if finding.code != first.code]
-    others = (f" Also: {' '.join(alike)}" if alike else "") + (f" (And {', '.join(rest)}.)" if rest else "")
+    others = f" Also: {' '.join(finding.message for finding in missing[1:])}" if missing[1:] else ""
     noticed = [finding.message for finding in findings if finding.code in _EXPLAINING and finding.severity != "info"]
     others += f" Noticed: {' '.join(noticed)}" if noticed else ""
     return f"{', '.join(names)}: {first.message} {first.advice}".rstrip() + others + _ALL_THE_SAME

@@ -46,7 +46,8 @@ class JointData:
 
     `position_m`, `force_n` (n,) on one clock of period `period_s`, the force without weight and bias; `command` on
     the same clock, or None. `rests`, spans at rest for the noise; `moving`, all spans of motion along this axis;
-    `free`, those without a hand; `rings`, where the payload swings after something let go; `holds`, rests under
+    `free`, those without a hand, and `mixed`, those in which one does work; `rings`, where the payload swings after
+    something let go; `holds`, rests under
     force. `coupling` is K_s, B_s, B_p, M_p (4,), `robot` r(s) of one or two poles and T_d. `latency_s` is how late the
     wrench may be stamped, mean and standard deviation, after `shifted_s` was taken off its stamps when it was read;
     `measured`, first tick at which the pose was measured and every how many it was (between them it is interpolated).
@@ -67,6 +68,7 @@ class JointData:
     coupling: FloatArray
     robot: RobotModel | None
     mass_kg: float | None = None
+    mixed: Sequence[Span] = ()
     rings: Sequence[Span] = ()
     latency_s: tuple[float, float] = (0.0, _USUAL_LAG_S)
     measured: tuple[int, int] = (0, 1)
@@ -136,6 +138,7 @@ def build_joint_data(
     known = command is not None and robot is not None
     holes = (*log.holes, *(uncovered(command, log) if known and command is not None else ()))
     free = unguided_spans(axis)
+    mixed = [span for span in axis.spans if span not in free]
     steady = [s for s in motion.moving if keeps_orientation(log, s)]
     pressed = {(s.start, s.stop) for s in holds}
     return JointData(
@@ -146,6 +149,7 @@ def build_joint_data(
         rests=tuple(s for s in motion.still if (s.start, s.stop) not in pressed),
         moving=_most_telling(_off_holes(axis.spans, holes, log.period_s), axis, log.period_s, _MOST_MOVING_S),
         free=_most_telling(_off_holes(free, holes, log.period_s), axis, log.period_s, _MOST_FREE_S),
+        mixed=_off_holes(mixed, holes, log.period_s),
         rings=_off_holes(find_ringing(axis, steady, free, holds, noise_rms_n, log.period_s), holes, log.period_s),
         holds=_few_of_each_place(_approached(holds, holes, log.period_s), axis),
         coupling=usual_coupling(mass_kg) if coupling is None else _values(coupling),

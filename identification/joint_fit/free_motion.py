@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 from scipy.signal import detrend
@@ -14,14 +15,16 @@ from .latency import forces_left
 from .model import ParameterLayout
 from .noise import Smoother, Whitener, fit_smoother, fit_whitener
 from .segments import Segment, contact_segment
-from .solve import Point, Problem, Signals, linearise, minimise
+from .solve import Block, Point, Problem, Signals, linearise, minimise
 from .start import start_coupling
+from .windows import SHORTEST_S, joined, outside, telling_pieces, windows_of
 
 STEPS_FIRST, STEPS_LATER = 8, 4
-_SHORTEST_FREE_S = 1.0
 _LIGHTEST_SHARE = 0.2
 _LIGHT_KG = 0.1
-_LARGEST_MISFIT, _LARGEST_RING_MISFIT = 0.4, 0.2
+_LARGEST_MISFIT, _LARGEST_RING_MISFIT, _LARGEST_WINDOW_MISFIT = 0.4, 0.2, 0.2
+_PIECE_STARTS, _ROUNDS = 4, 3
+_OUTLYING, _OUTLYING_SHARE, _OUTLYING_END = 8.0, 0.1, 1.3
 _POSE_EDGE_S = 0.3
 _FREE_EDGE_S = 0.12
 _SETTLING_S = 0.3
@@ -115,43 +118,130 @@ def _pose_spans(data: JointData) -> tuple[slice, ...]:
 
 
 def fit_free_motion(data: JointData, base: Problem, values: FloatArray) -> tuple[Problem, Point]:
-    """Fit the most informative spans alone, let the best one choose its like, and fit those together."""
-    edge = round(_FREE_EDGE_S / data.period_s)
-    path = base.path(values)
-    cuts = [contact_segment(hold, path, data.force_n, values[:4], data.period_s) for hold in data.holds]
-    contacts = [cut[0] for cut in cuts if cut is not None]
-    candidates = []
-    for span in data.free:
-        segment = Segment(start=max(0, span.start - edge), stop=min(len(data.force_n), span.stop + edge))
-        touched = any(c.start < segment.stop and segment.start < c.stop for c in contacts)
-        if len(segment) * data.period_s >= _SHORTEST_FREE_S and not touched:
-            candidates.append(segment)
+    """Fit the most informative spans alone, let the best one choose its like, and fit those together.
+
+    A motion without a hand and without a contact is one span. Any other is cut into windows, of which those are used
+    that the payload explains; so is one that the fit explains in part only.
+    """
+    whole, mixed = _candidates(data, base, values)
     rings = [Segment(start=s.start, stop=s.stop) for s in data.rings]
-    by_force = _strongest(data, candidates)
-    explained = [s for s in by_force if _misfit(base, values, s) < _LARGEST_MISFIT]
-    telling = list(dict.fromkeys(by_force[:1] + explained[:1]))
-    starts = [start_coupling(base, values, segment, data.mass_kg)[0] for segment in telling]
-    best = min(
-        zip(starts, telling, strict=True), key=lambda pair: _misfit(base, pair[0], pair[1]), default=(values, None)
-    )[0]
-    used = _explained(base, best, candidates, rings)
-    if len(used) < len(candidates) + len(rings) and telling:
+    best = _start(data, base, values, whole, mixed)
+    used = _explained(base, best, whole, rings)
+    telling = _strongest(data, whole)[:1]
+    if len(used) < len(whole) + len(rings) and telling:
         # A sweep that ends below the resonance leaves K_s open: what rings shows it, with the mass that motion known.
         for ring in _strongest(data, rings)[:_RING_STARTS]:
             start = start_coupling(base, best, ring, float(best[3]))[0]
-            more = _explained(base, start, candidates, rings)
+            more = _explained(base, start, whole, rings)
             if len(more) > len(used) and _misfit(base, start, telling[0]) < _AS_WELL * _misfit(base, best, telling[0]):
                 best, used = start, more
+    used += _clean(data, base, best, [*mixed, *(s for s in whole if s not in used)], used)
     if not used:
         raise EstimateError(
-            f"Of {len(data.free)} spans of free motion, none that lasts {_SHORTEST_FREE_S:g} s is explained by one "
-            "payload on one spring; record a commanded sweep of 0.5 to 50 Hz in free space without a hand on it."
+            f"Of {len(data.free) + len(data.mixed)} spans of motion, none holds {SHORTEST_S:g} s that one payload on "
+            "one spring explains; record a commanded sweep of 0.5 to 50 Hz in free space without a hand on it."
         )
-    problem = replace(base, segments=used, signals=_smoothed_for(data, base, best, used))
-    point, _ = minimise(problem, Point(values=best, nuisances=tuple(np.zeros(3) for _ in used)), STEPS_FIRST)
+    for _ in range(_ROUNDS):
+        problem = replace(base, segments=used, signals=_smoothed_for(data, base, best, used))
+        point, _ = minimise(problem, Point(values=best, nuisances=tuple(np.zeros(3) for _ in used)), STEPS_FIRST)
+        kept = _uniform(data, problem, point)
+        if kept in (used, ()):
+            break
+        used = kept
     problem = with_fitted_noise(problem, point)
     point, _ = minimise(problem, point, STEPS_LATER)
     return problem, point
+
+
+def _uniform(data: JointData, problem: Problem, point: Point) -> tuple[Segment, ...]:
+    """Return what is left of the spans without windows that a contact reaches into, or that stand out.
+
+    Those leave 8 times the usual of the noise, and a tenth of their force or more: somebody touched the payload there.
+    Where a span was cut out of a motion, its first and last window are left out for less.
+    """
+    contacts, edge = _contacts(data, problem, point.values), round(_FREE_EDGE_S / data.period_s)
+    at_rest = {t for span in (*data.free, *data.mixed) for t in (span.start - edge, span.stop + edge)}
+    blocks = linearise(problem, point)[: len(problem.segments)]
+    parts = [windows_of([segment], data.period_s) for segment in problem.segments]
+    left = [_left(problem, *each) for each in zip(problem.segments, blocks, parts, strict=True)]
+    usual = max(float(np.median(np.concatenate(left)[:, 0])), 1.0)
+    used: list[Segment] = []
+    for segment, windows, shown in zip(problem.segments, parts, left, strict=True):
+        is_out = (shown[:, 0] > _OUTLYING * usual) & (shown[:, 0] > _OUTLYING_SHARE**2 * shown[:, 1])
+        for end, tick in ((0, segment.start), (-1, segment.stop)):
+            is_out[end] |= tick not in at_rest and shown[end, 0] > _OUTLYING_END * usual
+        clean = [w for w, out in zip(windows, is_out, strict=True) if not out and outside(w, contacts)]
+        used += [segment] if len(clean) == len(windows) else joined(clean, data.period_s)
+    return tuple(used)
+
+
+def _left(problem: Problem, segment: Segment, block: Block, windows: Sequence[Segment]) -> FloatArray:
+    """Return the mean squares of the whitened residual and of the whitened force of each window of a span, (m, 2).
+
+    Without what goes with the force or its rate: a wrench that is late or filtered leaves that, and nobody's hand.
+    """
+    noise = problem.noise(segment)
+    white = noise.apply(centred(problem.signals.force_n[segment.slice]))
+    edges = [max(w.start - segment.start - noise.order, 0) for w in windows] + [len(white)]
+    shown = []
+    for first, last in pairwise(edges):
+        residual, own = block.residual[first:last], np.column_stack([white, np.gradient(white)])[first:last]
+        left = residual - own @ np.linalg.lstsq(own, residual, rcond=None)[0]
+        shown.append((np.mean(left**2), np.mean(own[:, 0] ** 2)))
+    return np.array(shown)
+
+
+def _contacts(data: JointData, problem: Problem, values: FloatArray) -> list[Segment]:
+    """Return the spans from before a first touch into a hold, as these parameters show them."""
+    path = problem.path(values)
+    cuts = [contact_segment(hold, path, data.force_n, values[:4], data.period_s) for hold in data.holds]
+    return [found[0] for found in cuts if found is not None]
+
+
+def _candidates(data: JointData, base: Problem, values: FloatArray) -> tuple[list[Segment], list[Segment]]:
+    """Return the motions without a hand or a contact, and those with one, that last a second or more."""
+    edge, contacts = round(_FREE_EDGE_S / data.period_s), _contacts(data, base, values)
+    whole: list[Segment] = []
+    mixed: list[Segment] = []
+    for span in (*data.free, *data.mixed):
+        segment = Segment(start=max(0, span.start - edge), stop=min(len(data.force_n), span.stop + edge))
+        if len(segment) * data.period_s >= SHORTEST_S:
+            is_whole = span in data.free and outside(segment, contacts)
+            (whole if is_whole else mixed).append(segment)
+    return whole, mixed
+
+
+def _start(
+    data: JointData, base: Problem, values: FloatArray, whole: Sequence[Segment], mixed: Sequence[Segment]
+) -> FloatArray:
+    """Return shared parameters that explain the span with most force, or else most of the windows of the others."""
+    by_force = _strongest(data, whole)
+    explained = [s for s in by_force if _misfit(base, values, s) < _LARGEST_MISFIT]
+    best, least = values, np.inf
+    for span in dict.fromkeys(by_force[:1] + explained[:1]):
+        start = start_coupling(base, values, span, data.mass_kg)[0]
+        left = _misfit(base, start, span)
+        if left < least:
+            best, least = start, left
+    if least < _LARGEST_MISFIT:
+        return best
+    windows = windows_of([*whole, *mixed], data.period_s)
+    most = 0
+    for piece in telling_pieces([*whole, *mixed], data.position_m, data.force_n, data.period_s)[:_PIECE_STARTS]:
+        start = start_coupling(base, values, piece, data.mass_kg)[0]
+        count = sum(_misfit(base, start, window) < _LARGEST_WINDOW_MISFIT for window in windows)
+        if count > most:
+            best, most = start, count
+    return best
+
+
+def _clean(
+    data: JointData, problem: Problem, values: FloatArray, spans: Sequence[Segment], used: Sequence[Segment]
+) -> tuple[Segment, ...]:
+    """Return what the payload explains of spans, a second or more at a time, beside what is used."""
+    windows = sorted(windows_of(spans, data.period_s), key=lambda s: s.start)
+    clean = [w for w in windows if outside(w, used) and _misfit(problem, values, w) < _LARGEST_WINDOW_MISFIT]
+    return tuple(joined(clean, data.period_s))
 
 
 def fit_ringing(data: JointData, base: Problem, values: FloatArray) -> tuple[Problem, Point]:

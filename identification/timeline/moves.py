@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from scipy.optimize import nnls
@@ -10,10 +11,10 @@ from problems.arrays import FloatArray
 
 from ..payload.gravity import orientation_spread_rad
 from ..result import PhaseKind
-from ..signals.aligned import AlignedLog, Span
+from ..signals.aligned import AlignedLog, Span, spans_of
 from ..signals.recording import PoseSignal
-from ..signals.segments import MotionSpans, low_pass
-from .payload import AxisContacts, PayloadMotion, unexplained_share
+from ..signals.segments import MotionSpans, low_pass, without_pauses, without_short
+from .payload import AxisContacts, PayloadMotion, pushed, unexplained_share
 
 _FOLLOWED_SHARE = 0.3
 _SMALLEST_TRAVEL_M = 5e-4
@@ -30,6 +31,8 @@ _STEPPED = 0.2
 _TURNING_RAD = np.radians(2.0)
 _ALONG_ONE_AXIS = 0.97
 _UNEXPLAINED_SHARE = 0.5
+_SHORTEST_PART_S = 0.5
+_RESTING_M_S, _RESTING_S = 3e-5, 0.08
 
 
 def is_hand_led(position_m: FloatArray, force_n: FloatArray, period_s: float, mass_kg: float, offset_n: float) -> bool:
@@ -134,8 +137,39 @@ class Move:
     signals: tuple[FloatArray, FloatArray] | None = None
 
 
-def judge_move(scene: Scene, span: Span, piece: Span) -> Move:
-    """Return what a piece of a moving span is, and the axis that it goes along."""
+def judge_moves(scene: Scene, span: Span, piece: Span) -> list[Move]:
+    """Return what a piece of a moving span is, cut where a hand comes or goes and where the command rests.
+
+    Parts of it are judged by themselves: who pushed before says nothing of what moves the payload now.
+    """
+    parts = _by_cause(scene, span, piece)
+    if len(parts) == 1:
+        return [_judge_move(scene, span, piece, _group(scene, piece))]
+    return [_judge_move(scene, span, part, part) for part in parts]
+
+
+def _by_cause(scene: Scene, span: Span, piece: Span) -> list[Span]:
+    """Cut a piece at every change between half a second or more with and without a push, and in the command's rests."""
+    log, shortest = scene.log, round(_SHORTEST_PART_S / scene.log.period_s)
+    mover = next((i for i, of in enumerate(scene.axes) if span in of.axis.spans), None)
+    if mover is None or orientation_spread_rad(log.orientation_BS[piece.slice]) > _TURNING_RAD:
+        return [piece]
+    by_hand = without_pauses(pushed(scene.axes[mover], scene.payloads[mover], piece, log.period_s), shortest)
+    edges = {0, len(piece), *(np.flatnonzero(np.diff(without_short(by_hand, shortest).astype(int))) + 1).tolist()}
+    command = _command(scene, piece)
+    if command is not None:
+        steps = np.linalg.norm(np.diff(command, axis=0, prepend=command[:1]), axis=1)
+        rests = spans_of(without_short(steps < _RESTING_M_S * log.period_s, round(_RESTING_S / log.period_s)))
+        edges |= {(rest.start + rest.stop) // 2 for rest in rests}
+    cuts = [0]
+    for edge in sorted(edges):
+        if edge - cuts[-1] >= shortest and (len(piece) - edge >= shortest or edge == len(piece)):
+            cuts.append(int(edge))
+    return [Span(start=piece.start + a, stop=piece.start + b) for a, b in pairwise(cuts)] or [piece]
+
+
+def _judge_move(scene: Scene, span: Span, piece: Span, group: Span) -> Move:
+    """Return what a piece of a moving span is, and the axis that it goes along; `group` shows the admittance."""
     log = scene.log
     mover = next((i for i, of in enumerate(scene.axes) if span in of.axis.spans), None)
     if orientation_spread_rad(log.orientation_BS[piece.slice]) > _TURNING_RAD:
@@ -146,7 +180,6 @@ def judge_move(scene: Scene, span: Span, piece: Span) -> Move:
     index = int(np.argmax(np.abs(direction_S)))
     axis = "xyz"[index] if abs(direction_S[index]) > _ALONG_ONE_AXIS else None
     direction_B = log.orientation_BS[(piece.start + piece.stop) // 2].apply(direction_S)
-    group = _group(scene, piece)
     origin = log.position_B_m[piece.start]
     position = (log.position_B_m[group.slice] - origin) @ direction_B
     force = scene.force_S_n[group.slice] @ direction_S

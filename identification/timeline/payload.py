@@ -3,8 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
-from problems.arrays import FloatArray
+from problems.arrays import BoolArray, FloatArray
 
 from ..axes.straight import AxisMotion
 from ..signals.contact_rule import CONTACT
@@ -16,6 +17,7 @@ _RESONANCES = 2.0
 _SLOW_HZ = 8.0
 _MARGIN_S = 0.2
 _FEWEST_FILTERED = 30
+_PUSHED_S = 0.3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,6 +74,23 @@ def unexplained_share(of: AxisContacts, payload: PayloadMotion, span: Span, peri
     if not float(np.sqrt(np.mean(left**2))) > of.smallest_n:
         return 0.0
     return float(np.sum(left**2) / np.sum(force**2))
+
+
+def pushed(of: AxisContacts, payload: PayloadMotion, span: Span, period_s: float) -> BoolArray:
+    """Return where in a span (n,) the payload's own motion explains less than half of the force, over 0.3 s below 8 Hz.
+
+    Not where what is left is no more than the least contact force.
+    """
+    margin, width = round(_MARGIN_S / period_s), max(1, round(_PUSHED_S / period_s))
+    around = slice(max(0, span.start - margin), span.stop + margin)
+    inside = slice(span.start - around.start, span.stop - around.start)
+    if len(of.axis.force_n[around]) < _FEWEST_FILTERED:
+        return np.zeros(len(span), dtype=np.bool_)
+    force, left = (
+        uniform_filter1d(np.nan_to_num(low_pass(each[around], period_s, _SLOW_HZ)) ** 2, width)[inside]
+        for each in (of.axis.force_n, payload.touch_n)
+    )
+    return np.asarray((left > of.smallest_n**2) & (left > 0.5 * force))
 
 
 def press_sign(of: AxisContacts, hold: Span) -> float:

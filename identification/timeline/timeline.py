@@ -12,7 +12,7 @@ from ..signals.aligned import AlignedLog, Span, spans_of
 from ..signals.recording import PoseSignal
 from ..signals.segments import MotionSpans
 from .contacts import ContactTimes, Pressed, find_contacts
-from .moves import Scene, judge_move, settle_moves
+from .moves import Scene, judge_moves, settle_moves
 from .payload import AxisContacts, observe_payload
 
 _OFFSET_FACTOR = 3.0
@@ -64,7 +64,9 @@ def build_timeline(
         for contact in each.contacts:
             number[contact.span.slice] = len(labels)
             labels.append((PhaseKind.CONTACT, of.axis.name, contact))
-    moves = [judge_move(scene, span, piece) for span in motion.moving for piece in _pieces(span, number)]
+    moves = [
+        move for span in motion.moving for piece in _pieces(span, number) for move in judge_moves(scene, span, piece)
+    ]
     for piece, kind, axis in settle_moves(moves, log.period_s):
         number[piece.slice] = len(labels)
         labels.append((kind, axis, None))

@@ -218,15 +218,24 @@ def _find_change(topic: str, log: AlignedLog, poses: tuple[StaticPose, ...]) -> 
             continue
         solution, _, scatter = before
         # Both halves must be clean: a split in the wrong place mixes two payloads in one of them.
-        off = np.array([p.force_S_n - solution[0] * p.gravity_S_m_s2 - solution[1:] for p in later])
+        off = np.array([_left(pose, solution) for pose in later])
         size = np.linalg.norm(off, axis=1)
-        changed = float(np.mean(size > max(_SIGNIFICANT * scatter, _SMALLEST_STEP_N)))
+        largest = max(_SIGNIFICANT * scatter, _SMALLEST_STEP_N)
+        changed = float(np.mean(size > largest))
         if changed < _EXPLAINED:
             continue
-        finding = _payload_change(topic, log, earlier, later) or _bias_change(topic, log, earlier, later, off)
+        finding = _payload_change(topic, log, earlier, later)
+        if finding is None:
+            free = tuple(p for p in earlier if float(np.linalg.norm(_left(p, solution))) <= largest)
+            finding = _bias_change(topic, _times(log, earlier, later), later, off, returns=_returns(log, free, later))
         if finding is not None and (best is None or (-changed, scatter) < best[0]):
             best = ((-changed, scatter), finding)
     return None if best is None else best[1]
+
+
+def _left(pose: StaticPose, solution: FloatArray) -> FloatArray:
+    """Return what mass and bias (4,) leave of the force at a rest (3,)."""
+    return np.asarray(pose.force_S_n - solution[0] * pose.gravity_S_m_s2 - solution[1:])
 
 
 def _times(log: AlignedLog, earlier: tuple[StaticPose, ...], later: tuple[StaticPose, ...]) -> str:
@@ -253,28 +262,30 @@ def _payload_change(
 
 
 def _bias_change(
-    topic: str, log: AlignedLog, earlier: tuple[StaticPose, ...], later: tuple[StaticPose, ...], off: FloatArray
+    topic: str, times: str, later: tuple[StaticPose, ...], off: FloatArray, *, returns: bool
 ) -> Finding | None:
-    """Return a step that all later rests share, where it cannot be a contact: at an earlier place or as it turns."""
+    """Return a step that all later rests share, where it cannot be a contact: as it `returns`, or as it turns."""
     step = np.median(off, axis=0)
     spread = 1.4826 * float(np.median(np.linalg.norm(off - step, axis=1)))
     together = np.mean(np.linalg.norm(off - step, axis=1) < max(_SIGNIFICANT * spread, _SMALLEST_STEP_N))
     size = float(np.linalg.norm(step))
     if size < max(_SIGNIFICANT * spread, _SMALLEST_STEP_N) or together < _TOGETHER:
         return None
-    if _distinct(later) < 2 and not _returns(log, earlier, later):
+    if _distinct(later) < 2 and not returns:
         return None
     components = ", ".join(f"{value:+.2f}" for value in step)
     return Finding.warning(
         "bias-change",
-        f"The force of {topic} at rest steps by ({components}) N {_times(log, earlier, later)} and stays so: "
+        f"The force of {topic} at rest steps by ({components}) N {times} and stays so: "
         "the sensor was tared, or something was added to or taken off the payload.",
         "Tare before recording and keep the payload as it is, or cut the log there.",
     )
 
 
 def _returns(log: AlignedLog, earlier: tuple[StaticPose, ...], later: tuple[StaticPose, ...]) -> bool:
-    """Return whether most later rests are where an earlier one was, without contact then."""
+    """Return whether most later rests are where an earlier one was; `earlier` are those without contact."""
+    if not earlier:
+        return False
 
     def places(poses: tuple[StaticPose, ...]) -> FloatArray:
         return np.array([log.position_B_m[pose.span.slice].mean(axis=0) for pose in poses])

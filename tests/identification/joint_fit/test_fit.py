@@ -198,8 +198,8 @@ def test_a_start_far_off_leads_to_the_same_place(demo_data: JointData, demo_fit:
 
 
 def test_nothing_to_fit_is_refused_and_told(demo_data: JointData) -> None:
-    with pytest.raises(EstimateError, match=r"Of 0 spans of free motion.*record a commanded sweep"):
-        identify_joint(dataclasses.replace(demo_data, free=()))
+    with pytest.raises(EstimateError, match=r"Of 0 spans of motion.*record a commanded sweep"):
+        identify_joint(dataclasses.replace(demo_data, free=(), mixed=()))
     with pytest.raises(EstimateError, match="measured at rest without contact"):
         identify_joint(dataclasses.replace(demo_data, rests=()))
 

@@ -9,12 +9,15 @@ from scipy.spatial.transform import Rotation
 from autotune.simulation.phases import Program
 from autotune.simulation.simulate import simulate_cell
 from autotune.simulation.truth import SimulatedCell
-from identification.logs.checks.payload import check_payload, find_tare_jumps
+from identification.logs.checks.payload import check_payload, find_tare_jumps, weigh_rests
+from identification.payload.static_poses import collect_static_poses
 from identification.signals.aligned import align
 from identification.signals.recording import Recording
+from identification.signals.segments import find_motion
 from problems.arrays import FloatArray
 from problems.model.controller import AdmittanceController
 from tests.autotune.simulation.runs import silent
+from tests.identification.signals.test_segments import RATE_HZ, held, line, log_of
 
 IN_REST_S = 13.3
 IN_MOTION_S = 14.2
@@ -104,3 +107,24 @@ def test_what_cannot_be_weighed_is_left_alone(demo_recording: Recording) -> None
     assert check_payload(replace(demo_recording, wrench=compensated)) == ()
     late = replace(demo_recording.pose, stamp_ns=demo_recording.pose.stamp_ns + 10**12)
     assert check_payload(replace(demo_recording, pose=late)) == ()
+
+
+@pytest.mark.parametrize(("place_m", "codes"), [(0.04, []), (0.0, ["bias-change"])])
+def test_holds_on_one_surface_are_no_tare_unless_nothing_was_touched_there(place_m: float, codes: list[str]) -> None:
+    """Eight tilted rests, one more, then four under 30 N at one place, where without contact nobody was before."""
+    angles = np.radians([30.0, -30.0, 40.0, -40.0, 20.0, -20.0, 35.0, -25.0])
+    tilts = [Rotation.from_euler("xy"[i % 2], angle) for i, angle in enumerate(angles)]
+    rests = [(tilt, 0.0, 0.0) for tilt in tilts] + [(Rotation.identity(), 0.0, 0.0)]
+    rests += [(Rotation.identity(), place_m, -30.0)] * 4
+    turns, position, force = [], [], []
+    for tilt, x, pressed in rests:
+        pieces = (tilt, x, pressed), (Rotation.from_euler("x", 0.4), x - 0.05, 0.0)
+        for (orientation, at, push), seconds in zip(pieces, (1.0, 0.1), strict=True):
+            turns += [orientation] * round(seconds * RATE_HZ)
+            position.append(held(seconds, at))
+            force.append(np.tile([0.0, 0.0, push], (len(position[-1]), 1)))
+    orientation = Rotation.concatenate(turns)
+    weight = 10.0 * orientation.inv().apply([0.0, 0.0, -9.81])
+    log = log_of(line(*position), force=weight + np.concatenate(force), orientation=orientation)
+    found = weigh_rests("/wrench", log, collect_static_poses(log, find_motion(log).still))
+    assert [finding.code for finding in found] == codes
