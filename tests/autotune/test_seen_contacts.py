@@ -1,5 +1,6 @@
-"""A wall that chatters in the log is in the file, and in the range that a controller is certified for."""
+"""Logs of other people's simulators: a wall that chatters, a hand that goes over into a sweep and into contacts."""
 
+import json
 from pathlib import Path
 
 import pytest
@@ -7,7 +8,7 @@ import pytest
 from autotune.formats.problem import ProblemSpec
 from autotune.pipeline import identify_log
 from autotune.tuning.problems import DesignOptions, build_problems
-from identification.result import Status
+from identification.result import PhaseKind, Status, TouchCause
 
 
 @pytest.mark.slow
@@ -30,3 +31,33 @@ def test_a_wall_that_chatters_is_a_weak_surface_and_in_the_default_range(shared_
     assert high > 2e5
     # Dry friction of 20 N makes the wrench look 0.11 ms late, which is no filter.
     assert found.sensor.wrench_filter is None
+
+
+@pytest.mark.slow
+def test_a_sweep_between_a_hand_and_a_contact_identifies_the_cell(shared_data: Path) -> None:
+    """No rest lies between the hand and the sweep, and 0.3 s between the sweep and the first approach."""
+    path = shared_data / "cases" / "hand_then_sweep.mcap"
+    if not path.is_file():
+        pytest.skip("needs the recorded logs in ../shared/data")
+    truth = json.loads(path.with_suffix(".truth.json").read_text())
+    found = identify_log(path).result
+    axis = found.axes["z"]
+    # The targets of docs/accuracy.md.
+    for estimate, value, share in (
+        (found.payload.mass_kg, truth["mass"], 0.005),
+        (axis.mass_kg, truth["mass"], 0.005),
+        (axis.coupling.stiffness_n_per_m, truth["Ks"], 0.04),
+        (axis.coupling.damping_n_s_per_m, truth["Bs"], 0.15),
+        (axis.environments[0].stiffness_n_per_m, truth["Ke"][0], 0.05),
+    ):
+        assert estimate is not None
+        assert estimate.value == pytest.approx(value, rel=share)
+    delay, period = axis.robot.delay_s.value, truth["sample_time_s"]
+    assert delay == pytest.approx(truth["delay"] * period, abs=0.14 * period)
+    assert not [finding.code for finding in found.findings if finding.severity == "error"]
+    begin, sweep = (truth["phases"]["n1"] * period, 7.0)
+    (commanded,) = [phase for phase in found.timelines[0].phases if phase.kind is PhaseKind.COMMANDED_MOTION]
+    assert commanded.start_s == pytest.approx(begin + 7.0, abs=0.3)
+    assert commanded.stop_s - commanded.start_s == pytest.approx(sweep, abs=0.5)
+    walls = [touch for touch in found.timelines[0].touches if touch.cause is TouchCause.WALL]
+    assert [touch.surface for touch in walls] == ["z1"] * truth["contacts"]
