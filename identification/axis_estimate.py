@@ -22,13 +22,13 @@ from .joint_fit.model import COUPLING_NAMES
 from .joint_fit.result import JointFit, with_gain_error
 from .joint_fit.segments import find_holds
 from .payload.gravity import GravityFit
-from .result import AxisEstimate, CouplingEstimate, Finding, HeldOutPeak, RobotEstimate
+from .result import AxisEstimate, CouplingEstimate, Finding, HeldOutPeak, RobotEstimate, Status
 from .robot.coupling import CouplingFit, Noise, identify_coupling
 from .robot.logged_command import LoggedRobot, identify_logged_robot
 from .robot.position_loop import RobotFit
 from .signals.aligned import AlignedLog
 from .signals.contact_rule import CONTACT
-from .signals.recording import Recording
+from .signals.recording import PoseSignal, Recording
 from .signals.segments import MotionSpans, Span
 from .timeline.payload import AxisContacts
 from .verdicts import (
@@ -49,6 +49,7 @@ _EXACT_SHARE = 1e-6
 _LOOSEST_DELAY = 0.6
 _MOST_LAG_STDS = 3.0
 _USUAL_MASS_KG = 10.0
+_REBUILT = "under the command that the known gains make of the wrench"
 _STAGES_SHARE = 0.27  # of the time that an axis takes
 
 
@@ -58,7 +59,8 @@ class CellSignals:
 
     `gravity` is None where the weight was taken off before recording; `noise_rms_n` is the force's at rest, and
     `rest_residual_n` what weight and bias leave of it. `robots` are those that the admittance's known gains show where
-    no command was logged; `turns`, the axes about which the tool turned.
+    no command was logged, and `rebuilt` the command that they make of the wrench; `turns`, the axes about which the
+    tool turned.
     """
 
     recording: Recording
@@ -70,6 +72,7 @@ class CellSignals:
     force_S_n: FloatArray
     given: Mapping[str, Given]
     robots: Mapping[str, RobotEstimate]
+    rebuilt: PoseSignal | None = None
     turns: tuple[AxisTurn, ...] = ()
 
 
@@ -153,26 +156,8 @@ def fit_axis(
                 "What moves is not known well enough to begin; record a commanded sweep along or about the axis, hands "
                 "off."
             )
-        data = build_joint_data(
-            cell.log,
-            cell.motion,
-            axis,
-            holds,
-            coupling,
-            None if robot_fit is None else robot_fit.model,
-            cell.recording.command,
-            mass_kg,
-            cell.noise_rms_n,
-            cell.recording.wrench_lag_s,
-            cell.recording.pose.stamp_ns,
-        )
-        data = replace(
-            data,
-            weighed=start.weighed,
-            shifted_s=cell.recording.wrench_shifted_s,
-            least_noise_n=cell.noise_rms_n if cell.gravity is None else 0.0,
-        )
-        found = identify_joint(data, progress.part((0.5 if start.priors else 1.0) - _STAGES_SHARE))
+        part = progress.part((0.5 if start.priors else 1.0) - _STAGES_SHARE)
+        data, found = _joint_fit(cell, axis, holds, coupling, robot_fit, replace(start, mass_kg=mass_kg), part)
         if cell.gravity is None:
             _check_lag(found, cell.recording.wrench_lag_s)
         fit = start.in_units(found)
@@ -191,9 +176,96 @@ def fit_axis(
     why = COARSE_COMMAND if is_logged else NO_COMMAND
     alone = _estimate(axis, fit, robot, data.period_s, why)
     both = alone if with_priors is None else _estimate(axis, with_priors, robot, data.period_s, why)
+    if data.command is not None and cell.recording.command is None:
+        alone, both = (_of_rebuilt(each, robot, fit) for each in (alone, both))
     estimate, contradictions = settle_axis(axis.name, alone, both, cell.given)
     contacts = AxisContacts(axis=axis, holds=holds, coupling=found.values[: len(COUPLING_NAMES)])
     return AxisResult(estimate=estimate, findings=(*findings, *contradictions), contacts=contacts, fit=fit, data=data)
+
+
+def _joint_fit(
+    cell: CellSignals,
+    axis: AxisMotion,
+    holds: tuple[Span, ...],
+    coupling: CouplingFit | None,
+    robot: RobotFit | None,
+    start: AxisKnowledge,
+    progress: ProgressSlice,
+) -> tuple[JointData, JointFit]:
+    """Fit everything together, under the command that gains make of the wrench where that explains the motion."""
+
+    def joined(robot_fit: RobotFit | None, command: PoseSignal | None) -> tuple[JointData, JointFit]:
+        data = build_joint_data(
+            cell.log,
+            cell.motion,
+            axis,
+            holds,
+            coupling,
+            None if robot_fit is None else robot_fit.model,
+            command,
+            _USUAL_MASS_KG if start.mass_kg is None else start.mass_kg,
+            cell.noise_rms_n,
+            cell.recording.wrench_lag_s,
+            cell.recording.pose.stamp_ns,
+        )
+        data = replace(
+            data,
+            weighed=start.weighed,
+            shifted_s=cell.recording.wrench_shifted_s,
+            least_noise_n=cell.noise_rms_n if cell.gravity is None else 0.0,
+        )
+        return data, identify_joint(data, progress)
+
+    if cell.rebuilt is not None and axis.name in cell.robots and axis.name in AXIS_NAMES:
+        try:
+            behind = _behind_command(cell, axis, cell.rebuilt)[0]
+            if behind.is_held:
+                return joined(behind.fit, cell.rebuilt)
+        except EstimateError:
+            pass
+    return joined(robot, cell.recording.command)
+
+
+def _of_rebuilt(estimate: AxisEstimate, led: RobotEstimate, fit: JointFit) -> AxisEstimate:
+    """Return the estimate with nothing more than weak of what rests on a command that wrench and gains make.
+
+    The command has the wrench's stamps, so how late those are against the pose is a part of the delay.
+    """
+    robot, delay = estimate.robot, estimate.robot.delay_s
+    late_s = float(np.hypot(fit.latency.seconds, fit.latency.std_s))
+    if delay.value is not None and delay.std is not None:
+        delay = replace(delay, std=float(np.hypot(delay.std, late_s)))
+    return replace(
+        estimate,
+        environments=tuple(
+            replace(
+                each,
+                stiffness_n_per_m=weak_at_best(each.stiffness_n_per_m, _REBUILT),
+                secant_stiffness_n_per_m=weak_at_best(each.secant_stiffness_n_per_m, _REBUILT),
+            )
+            for each in estimate.environments
+        ),
+        robot=RobotEstimate(
+            numerator=replace(robot.numerator, status=Status.WEAK),
+            denominator=replace(robot.denominator, status=Status.WEAK),
+            delay_s=weak_at_best(delay, f"{_REBUILT}; what the log puts between wrench and pose is a part of it"),
+            bandwidth_hz=weak_at_best(robot.bandwidth_hz, f"{_REBUILT}, which {led.bandwidth_hz.note}"),
+        ),
+    )
+
+
+def _behind_command(cell: CellSignals, axis: AxisMotion, command: PoseSignal) -> tuple[LoggedRobot, float]:
+    """Return the robot behind a command, and the command's period [s]."""
+    period = cell.given.get("sample_time_s")
+    moved = commanded_motion(cell.recording, command, cell.log, axis)
+    found = identify_logged_robot(
+        moved.command_m,
+        moved.position_m,
+        moved.period_s,
+        is_uniform=moved.is_uniform,
+        control_period_s=None if period is None else period.value,
+    )
+    return found, moved.period_s
 
 
 def _check_lag(fit: JointFit, known_s: tuple[float, float] | None) -> None:
@@ -260,20 +332,12 @@ def _robot(cell: CellSignals, axis: AxisMotion, findings: list[Finding]) -> tupl
             )
         )
         return None, unidentifiable_robot("no commanded pose in the log")
-    period = cell.given.get("sample_time_s")
     try:
-        moved = commanded_motion(recording, recording.command, cell.log, axis)
-        found = identify_logged_robot(
-            moved.command_m,
-            moved.position_m,
-            moved.period_s,
-            is_uniform=moved.is_uniform,
-            control_period_s=None if period is None else period.value,
-        )
+        found, period_s = _behind_command(cell, axis, recording.command)
     except EstimateError as error:
         findings.append(missing("robot", f"Axis {axis.name}: {error}"))
         return None, unidentifiable_robot(str(error))
-    return found.fit if found.is_held else None, _logged_robot(found, moved.period_s)
+    return found.fit if found.is_held else None, _logged_robot(found, period_s)
 
 
 def identify_axis_robot(cell: CellSignals, axis: AxisMotion) -> AxisResult:

@@ -13,8 +13,9 @@ from .axis_estimate import AxisResult, CellSignals, identify_axis, identify_axis
 from .errors import LogError
 from .given import Given
 from .payload.gravity import orientation_spread_rad
+from .rebuilt_command import rebuilt_command
 from .result import Finding
-from .robot.admittance_robot import AdmittanceRobots
+from .robot.admittance_estimates import AdmittanceRobots
 from .signals.aligned import AlignedLog, edges_of, on_one_clock
 from .signals.recording import AXES, AppliedDeadband, Recording
 from .signals.repairs import restore_commands, without_spikes
@@ -66,6 +67,7 @@ def identify_compensated_axes(
         force_S_n=force,
         given=dict(given),
         robots=robots.robots,
+        rebuilt=rebuilt_command(recording, robots.beside, log, motion),
     )
     axes: dict[str, AxisResult] = {}
     measured = [name for name in AXIS_NAMES if name in recording.pose.measured_axes]

@@ -19,6 +19,7 @@ from .partial import identify_partial
 from .payload.gravity import GravityFit, identify_gravity
 from .payload.gravity_verdicts import com_estimate, gravity_findings, mass_estimate
 from .payload.inertia import InertiaFit, identify_inertia
+from .rebuilt_command import rebuilt_command
 from .rests import at_rest_only, identify_from_rows
 from .result import (
     AxisEstimate,
@@ -33,14 +34,14 @@ from .result import (
     Touch,
     name_surfaces,
 )
+from .robot.admittance_estimates import AdmittanceRobots, identify_admittance_robots
 from .robot.admittance_motion import with_compensated_force
-from .robot.admittance_robot import AdmittanceRobots, identify_admittance_robots
 from .sensor import describe_sensor
 from .signals.aligned import AlignedLog, align, check_regular, find_gaps
 from .signals.frames import Frames
-from .signals.recording import Recording
+from .signals.recording import PoseSignal, Recording
 from .signals.repairs import restore_commands, without_spikes
-from .signals.segments import find_motion
+from .signals.segments import MotionSpans, find_motion
 from .timeline.contacts import find_contacts
 from .timeline.left_contacts import Accounted, ObservedAxis, account_for_contacts
 from .timeline.payload import observe_payload
@@ -122,7 +123,7 @@ def _identify(
     report(_WEIGHING_SHARE / 2.0)
     inertia = identify_inertia(log, motion, read.poses, gravity)
     report(_WEIGHING_SHARE / 2.0)
-    robots = _led_robots(recording, log, force)
+    robots, rebuilt = _led_robots(recording, log, motion, force)
     cell = CellSignals(
         recording=recording,
         log=log,
@@ -133,6 +134,7 @@ def _identify(
         force_S_n=force,
         given=dict(given),
         robots=robots.robots,
+        rebuilt=rebuilt,
         turns=find_turns(recording, log, motion, gravity),
     )
     results, about_axes = _identify_axes(cell, inertia, lambda share: report(_AXES_SHARE * share))
@@ -271,11 +273,15 @@ def _hands(timeline: Timeline) -> list[Finding]:
     ]
 
 
-def _led_robots(recording: Recording, log: AlignedLog, force_S_n: FloatArray) -> AdmittanceRobots:
-    """Return what the admittance's gains show of the robot where no command was logged."""
+def _led_robots(
+    recording: Recording, log: AlignedLog, motion: MotionSpans, force_S_n: FloatArray
+) -> tuple[AdmittanceRobots, PoseSignal | None]:
+    """Return what the admittance's gains show of the robot where no command was logged, and the command they make."""
     if recording.command is not None or recording.gains is None:
-        return AdmittanceRobots(robots={}, findings=())
-    return identify_admittance_robots(with_compensated_force(recording, log, force_S_n))
+        return AdmittanceRobots(robots={}, findings=()), None
+    compensated = with_compensated_force(recording, log, force_S_n)
+    robots = identify_admittance_robots(compensated)
+    return robots, rebuilt_command(compensated, robots.beside, log, motion)
 
 
 def _inertia(fit: InertiaFit) -> InertiaEstimate | None:

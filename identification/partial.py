@@ -19,7 +19,7 @@ from .result import (
     SensorEstimate,
     Status,
 )
-from .robot.admittance_robot import AdmittanceRobots, identify_admittance_robots
+from .robot.admittance_estimates import AdmittanceRobots, identify_admittance_robots
 from .robot.logged_command import TICK_S
 from .signals.recording import AXES, Recording
 from .touches.surfaces import identify_touches, no_contact
@@ -166,7 +166,7 @@ def _axis(
         axis,
         # The joint fit knows a surface alone, a touch the surface in series with the coupling.
         environments=axis.environments or surfaces,
-        robot=axis.robot if led is None else led,
+        robot=axis.robot if led is None or found is not None else led,
     )
 
 

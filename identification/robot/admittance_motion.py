@@ -1,10 +1,11 @@
 """Motion that an admittance with known gains asks for, beside the motion of the robot, axis by axis."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import binary_opening
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import Rotation, Slerp
 
 from problems.arrays import BoolArray, FloatArray, IntArray
 from problems.compiled import compiled
@@ -24,6 +25,7 @@ from ..signals.recording import (
 _SHORTEST_S, _SHORTEST_TRACE_S = 3.0, 1.0
 _STEP_S = 0.01
 _CLOCK_S = 0.004
+_ROUNDING = 1e-3
 # A robot at rest while the admittance asks for this speed is not driven by it.
 _AT_REST = np.array([1e-3] * 3 + [5e-4] * 3)
 _ASKED = np.array([4e-3] * 3 + [2e-3] * 3)
@@ -74,22 +76,11 @@ def admittance_motions(recording: Recording) -> tuple[AdmittanceMotion, ...]:
             "Without a logged command the admittance gains M_a and B_a must be known to identify the robot's response; "
             "declare `gains` in cell.yaml (a topic with its fields, or `mass` and `damping` as numbers)."
         )
-    recording = longest_whole(recording)
+    recording, start, time = _common_clock(recording)
     wrench, pose = recording.wrench, recording.pose
-    start, stop = max(wrench.stamp_ns[0], pose.stamp_ns[0]), min(wrench.stamp_ns[-1], pose.stamp_ns[-1])
-    common_s = float(stop - start) * 1e-9
     is_trace = pose.is_displacement and recording.desired_force is not None
-    shortest_s = _SHORTEST_TRACE_S if is_trace else _SHORTEST_S
-    if common_s < shortest_s:
-        raise EstimateError(
-            f"Wrench and pose must cover the same time for {shortest_s:g} s to identify the robot's response, found "
-            f"{max(common_s, 0.0):.2f} s; record longer."
-        )
-    period = check_regular(wrench.topic, wrench.stamp_ns)
-    time = np.asarray(np.arange(int(common_s / period + 1e-6) + 1) * period)
-    asked = _asked(recording, gains, int(start), time)
-    time, asked = _coarser(time, asked)
-    edge, moved = _moved(pose, int(start), time)
+    time, asked = _coarser(time, _asked(recording, gains, start, time))
+    edge, moved = _moved(pose, start, time)
     halted = _halted(edge, moved, _mean_between(edge, time, asked))
     axes = [i for i, axis in enumerate(AXES) if axis in wrench.measured_axes and axis in pose.measured_axes]
     turned = "rx" in pose.measured_axes
@@ -110,6 +101,54 @@ def admittance_motions(recording: Recording) -> tuple[AdmittanceMotion, ...]:
     )
 
 
+def _common_clock(recording: Recording) -> tuple[Recording, int, FloatArray]:
+    """Return the longest whole part, when wrench and pose both have begun [ns], and the wrench's clock from there."""
+    recording = longest_whole(recording)
+    wrench, pose = recording.wrench, recording.pose
+    start, stop = max(wrench.stamp_ns[0], pose.stamp_ns[0]), min(wrench.stamp_ns[-1], pose.stamp_ns[-1])
+    common_s = float(stop - start) * 1e-9
+    is_trace = pose.is_displacement and recording.desired_force is not None
+    shortest_s = _SHORTEST_TRACE_S if is_trace else _SHORTEST_S
+    if common_s < shortest_s:
+        raise EstimateError(
+            f"Wrench and pose must cover the same time for {shortest_s:g} s to identify the robot's response, found "
+            f"{max(common_s, 0.0):.2f} s; record longer."
+        )
+    period = check_regular(wrench.topic, wrench.stamp_ns)
+    return recording, int(start), np.asarray(np.arange(int(common_s / period + 1e-6) + 1) * period)
+
+
+def rebuild_command(recording: Recording, beside: Mapping[str, tuple[FloatArray, FloatArray]]) -> PoseSignal:
+    """Return the position command that the admittance of the logged gains makes of the wrench, on the wrench's clock.
+
+    x^d is the integral of a + K_l da/dt along the axes of S, from the first pose on; its orientation is the pose's.
+    `beside` holds, by axis, times from the first common sample [s] and how far the flange is from what this command
+    alone makes of the robot [m]: the command is moved by that. A weight that the log and the controller take off
+    differently drives the tool away from the integral. Raises EstimateError as `admittance_motions` does.
+    """
+    gains = recording.gains
+    if gains is None:
+        raise EstimateError("Without admittance gains no command can be rebuilt; declare `gains` in cell.yaml.")
+    recording, start, time = _common_clock(recording)
+    pose = recording.pose
+    asked = np.nan_to_num(_asked(recording, gains, start, time)[:, :3])
+    for i, axis in enumerate(AXES[:3]):
+        if axis in beside:
+            asked[:, i] += np.gradient(np.interp(time, *beside[axis]), time)
+    held = (pose.stamp_ns - start) * 1e-9
+    orientation_BS = Slerp(held, Rotation.from_quat(np.array(pose.quaternion_xyzw)))(np.clip(time, held[0], held[-1]))
+    velocity_B = np.asarray(orientation_BS.apply(asked))
+    steps = 0.5 * (velocity_B[1:] + velocity_B[:-1]) * time[1]
+    origin = np.array([np.interp(0.0, held, column) for column in pose.position_m.T])
+    return PoseSignal(
+        topic=recording.wrench.topic,
+        frame_id=pose.frame_id,
+        stamp_ns=start + np.round(time * 1e9).astype(np.int64),
+        position_m=origin + np.vstack([np.zeros((1, 3)), np.cumsum(steps, axis=0)]),
+        quaternion_xyzw=np.asarray(orientation_BS.as_quat()),
+    )
+
+
 def _approach(desired: WrenchSignal | None, gains: GainsSignal, axis: int) -> float:
     """Return the steady speed F^d/B_a at the beginning of a log, 0 without a desired force."""
     if desired is None:
@@ -125,7 +164,9 @@ def _asked(recording: Recording, gains: GainsSignal, start_ns: int, time: FloatA
     drive = np.column_stack([np.interp(time, at, column) for column in felt.T])
     if desired is not None:
         rows = _held_rows(desired.stamp_ns, start_ns, time)
-        drive += np.nan_to_num(np.column_stack(_six(desired.force_n, desired.torque_n_m)))[rows]
+        said = np.nan_to_num(np.column_stack(_six(desired.force_n, desired.torque_n_m)))
+        is_one = np.array_equal(desired.stamp_ns, wrench.stamp_ns)
+        drive += np.column_stack([np.interp(time, at, column) for column in said.T]) if is_one else said[rows]
     rows = _held_rows(gains.stamp_ns, start_ns, time) if len(gains.stamp_ns) > 1 else np.zeros(len(time), np.int64)
     out = np.full((len(time), 6), np.nan)
     for i in range(6):
@@ -154,7 +195,8 @@ def _six(linear: FloatArray, angular: FloatArray) -> list[FloatArray]:
 def _held_rows(stamp_ns: StampArray, start_ns: int, time: FloatArray) -> IntArray:
     """Return the message that holds at each time; the first one also before it."""
     at = (stamp_ns - start_ns) * 1e-9
-    return np.maximum(np.searchsorted(at, time, side="right") - 1, 0)
+    # A stamp that rounding puts just behind a time is of that time.
+    return np.asarray(np.maximum(np.searchsorted(at, time + _ROUNDING * time[1], side="right") - 1, 0))
 
 
 @compiled

@@ -1,6 +1,6 @@
 """Robot response from wrench to motion through an admittance with known gains: for logs without a command."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,10 +12,7 @@ from problems.arrays import FloatArray
 from problems.model.robot import RobotModel
 
 from ..errors import EstimateError
-from ..result import Finding, RobotEstimate, Status
-from ..signals.recording import Recording
-from ..verdicts import judged, missing, unidentifiable_vector, vector, weak_at_best
-from .admittance_motion import AdmittanceMotion, admittance_motions
+from .admittance_motion import AdmittanceMotion
 from .log_parts import PartSpread, coloured_covariance, spread_of_parts
 from .position_loop import find_bandwidth_hz
 
@@ -34,16 +31,6 @@ _RIVAL_RATIO = 1.25
 _NUDGE = 1e-5
 # A force that is linear between the samples of the log: measured on simulated robots, this is what it costs.
 _BANDWIDTH_SHARE, _DELAY_SAMPLES = 0.01, 0.05
-_GAIN_SHARE = 0.05
-_SIGNIFICANT_STDS = 3.0
-_SMALLEST_LEVER_M = 0.1
-_LOOSEST_SHARE = 0.5
-_DELAY_FLOOR = 0.1  # of the lag: a delay near zero is known well enough beside what the poles make
-_NOT_SPLIT = (
-    "loop delay, half a control period and the logger's lag together, which only a logged command distinguishes"
-)
-_ASSUMED = "holds if neither lead nor feedback damping ran in the controller"
-_ASSUMED_OF_KNOWN_LEAD = "holds if no feedback damping ran in the controller"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,7 +123,7 @@ def _without_lever(motion: AdmittanceMotion, fit: "_Fit") -> tuple[FloatArray, F
     moved = motion.moved_m_s[motion.used]
     if len(fit.linear) > 1:
         moved = moved - motion.turning_rad_s[motion.used] @ fit.linear[1:]
-    return moved, _response(motion, fit.order, fit.parameters)
+    return moved, robot_response(motion, _model(fit.order, fit.parameters))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -202,13 +189,12 @@ def _model(order: int, parameters: FloatArray) -> RobotModel:
     )
 
 
-def _response(motion: AdmittanceMotion, order: int, parameters: FloatArray) -> FloatArray:
+def robot_response(motion: AdmittanceMotion, model: RobotModel) -> FloatArray:
     """Return the mean velocities of a robot that was steady before the log began, (used steps,).
 
     The admittance's velocity is taken as linear between its samples; the antiderivative of the response, which is
     smooth, is read T before the stamps of the pose.
     """
-    model = _model(order, parameters)
     discrete = cont2discrete((model.numerator, model.denominator), motion.period_s, method="foh")
     begin = motion.asked_m_s[0] if motion.approach_m_s is None else motion.approach_m_s
     velocity = begin + lfilter(np.squeeze(discrete[0]), discrete[1], motion.asked_m_s - begin)
@@ -225,7 +211,7 @@ def _fit(
     turning = motion.turning_rad_s[motion.used] if with_lever else np.zeros((len(moved), 0))
 
     def solved(parameters: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        columns = np.column_stack([_observed(motion, _response(motion, order, parameters)), turning])
+        columns = np.column_stack([_observed(motion, robot_response(motion, _model(order, parameters))), turning])
         linear = np.linalg.lstsq(columns, moved, rcond=None)[0] if with_gain else np.ones(1)
         return columns @ linear - moved, np.asarray(linear, dtype=np.float64), columns
 
@@ -281,7 +267,10 @@ def _gradients(motion: AdmittanceMotion, order: int, parameters: FloatArray) -> 
         up, down = parameters.copy(), parameters.copy()
         up[i] += 1e-3
         down[i] = max(down[i] - 1e-3, 0.0) if i == len(parameters) - 1 else down[i] - 1e-3
-        columns.append((_response(motion, order, up) - _response(motion, order, down)) / (up[i] - down[i]))
+        columns.append(
+            (robot_response(motion, _model(order, up)) - robot_response(motion, _model(order, down)))
+            / (up[i] - down[i])
+        )
     return np.column_stack(columns)
 
 
@@ -312,139 +301,4 @@ def _described(
         lever_m=fit.linear[1:],
         lever_std_m=linear_std[1:],
         fit_error=error,
-    )
-
-
-@dataclass(frozen=True, kw_only=True)
-class AdmittanceRobots:
-    """The robot per axis of S, of those axes that show something, and what to know about it."""
-
-    robots: Mapping[str, RobotEstimate]
-    findings: tuple[Finding, ...]
-
-
-def identify_admittance_robots(recording: Recording) -> AdmittanceRobots:
-    """Identify r(s) and the total delay of every axis from wrench, gains and pose.
-
-    Nothing is more than weak: the delay holds what the logger put between wrench and pose, r(s) what lead and feedback
-    damping the controller had. Axes without a robot are named with the reason, in an `error` where no axis has one.
-    """
-    try:
-        motions = admittance_motions(recording)
-    except EstimateError as error:
-        return AdmittanceRobots(robots={}, findings=(missing("no-command", str(error)),))
-    robots: dict[str, RobotEstimate] = {}
-    findings = [_halted(motions[0].halted_s)] if motions and motions[0].halted_s > 0.0 else []
-    for motion in motions:
-        try:
-            fit = identify_admittance_robot(motion)
-        except EstimateError as error:
-            findings.append(
-                Finding(code="robot", severity="warning", message=f"Axis {motion.axis}: {error}", advice="")
-            )
-            continue
-        robots[motion.axis] = _estimate(fit, motion)
-        findings += _about(motion, fit)
-    if robots:
-        findings.insert(0, _lag_not_split(recording))
-    else:
-        findings.append(
-            missing(
-                "no-command",
-                "The log has no commanded pose, and wrench, gains and motion identify no robot on any axis.",
-                "Record the position command, or lead the tool by hand with quick pushes along each axis.",
-            )
-        )
-    return AdmittanceRobots(robots=robots, findings=tuple(findings))
-
-
-def _estimate(fit: AdmittanceRobotFit, motion: AdmittanceMotion) -> RobotEstimate:
-    method = f"output error behind the admittance of the known gains, residual {100.0 * fit.fit_error:.2g} % of speed"
-    lag = f"lag at low frequency {1e3 * fit.lag_s:.0f} ± {1e3 * fit.lag_std_s:.0f} ms, poles and delay together"
-    assumed = _ASSUMED if motion.lead_s is None else _ASSUMED_OF_KNOWN_LEAD
-    bandwidth = judged(fit.bandwidth_hz, fit.bandwidth_std_hz, method=method, note=assumed, weak=_LOOSEST_SHARE)
-    if bandwidth.status is Status.IDENTIFIED:
-        bandwidth = replace(bandwidth, status=Status.WEAK)
-    # A bound may be looser than a value.
-    delay = judged(
-        fit.model.delay_s,
-        fit.delay_std_s,
-        method=method,
-        note=f"{_NOT_SPLIT}; {lag}",
-        weak=_LOOSEST_SHARE,
-        floor=_DELAY_FLOOR * fit.lag_s,
-    )
-    loosest = float(np.max(fit.denominator_std[1:] / fit.model.denominator[1:]))
-    if bandwidth.value is None or loosest > _LOOSEST_SHARE:
-        numerator = denominator = unidentifiable_vector(f"poles and delay trade against each other: {lag}")
-    else:
-        stds = fit.denominator_std
-        numerator = vector(fit.model.numerator, stds[-1:], method=method, status=Status.WEAK)
-        denominator = vector(fit.model.denominator, stds, method=method, status=Status.WEAK)
-    return RobotEstimate(
-        numerator=numerator,
-        denominator=denominator,
-        delay_s=weak_at_best(delay, "no more than a bound of the loop delay"),
-        bandwidth_hz=bandwidth,
-    )
-
-
-def _about(motion: AdmittanceMotion, fit: AdmittanceRobotFit) -> list[Finding]:
-    found = [
-        Finding(
-            code="wrench-to-motion-lag",
-            severity="info",
-            message=f"Axis {motion.axis}: the motion follows the admittance of the wrench {1e3 * fit.lag_s:.0f} ± "
-            f"{1e3 * fit.lag_std_s:.0f} ms late at low frequency (poles and delay together), at {fit.gain:.3f} ± "
-            f"{fit.gain_std:.3f} of its speed.",
-            advice="",
-        )
-    ]
-    if abs(fit.gain - 1.0) > max(_GAIN_SHARE, _SIGNIFICANT_STDS * fit.gain_std):
-        found.append(
-            Finding(
-                code="admittance-gain",
-                severity="warning",
-                message=f"Axis {motion.axis}: the robot moves at {fit.gain:.3f} ± {fit.gain_std:.3f} of the speed that "
-                "the known gains make of the wrench.",
-                advice="Check B_a, the unit of the force, and that the controller integrates with the period at which "
-                "it really runs.",
-            )
-        )
-    lever = float(np.linalg.norm(fit.lever_m))
-    if lever > max(_SMALLEST_LEVER_M, _SIGNIFICANT_STDS * float(np.linalg.norm(fit.lever_std_m))):
-        found.append(
-            Finding(
-                code="control-point",
-                severity="warning",
-                message=f"Axis {motion.axis}: the logged point moves with the tool's turning as if the admittance "
-                f"moved a point {lever:.2f} m off it, across this axis.",
-                advice="Log the pose of the point that the admittance controls (the TCP).",
-            )
-        )
-    return found
-
-
-def _lag_not_split(recording: Recording) -> Finding:
-    wrench, pose = recording.wrench, recording.pose
-    together = wrench.topic == pose.topic and np.array_equal(wrench.stamp_ns, pose.stamp_ns)
-    is_known = recording.gains is not None and recording.gains.lead_s is not None
-    unknown = "Feedback damping B_fb" if is_known else "A lead K_l or feedback damping B_fb"
-    where = "in one message, so their own ages are not known" if together else "with stamps of their own"
-    return Finding(
-        code="delay-not-split",
-        severity="warning",
-        message=f"Without a logged command the delay is that from wrench to pose: {_NOT_SPLIT}. Wrench and pose come "
-        f"{where}. {unknown} that ran in the controller counts as part of the robot.",
-        advice="Record the position command that the robot receives.",
-    )
-
-
-def _halted(duration_s: float) -> Finding:
-    return Finding(
-        code="admittance-halted",
-        severity="warning",
-        message=f"For {duration_s:.1f} s the robot is at rest although the admittance of the wrench asks for motion; "
-        "these parts, with 0.3 s before and 1 s after them, were left out.",
-        advice="",
     )

@@ -1,5 +1,6 @@
 """A cell that follows a position command, by scipy on the controller's clock: no code of the project takes part."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -33,8 +34,34 @@ class CommandedCell:
         inner = 1.0 - 2.0 * self.robot[1] ** 2
         return float(self.robot[0] * np.sqrt(inner + np.sqrt(inner**2 + 1.0)) / (2.0 * np.pi))
 
+    def led(self, gains: tuple[float, float, float], driven_n: FloatArray) -> FloatArray:
+        """Return the command (n,) of an admittance M_a, B_a, K_l, by the trapezoidal rule.
+
+        It is driven by the force of the same cell under the command so far, and `driven_n` (n,) beside it.
+        """
+        mass, damping, lead_s = gains
+        command = np.zeros(len(driven_n))
+        speed = way = pushed = 0.0
+        for i, (_, force) in enumerate(self._ticks(command)):
+            now = driven_n[i] + force
+            before = speed
+            speed = ((mass / self.tick_s - 0.5 * damping) * before + 0.5 * (now + pushed)) / (
+                mass / self.tick_s + 0.5 * damping
+            )
+            way, pushed = way + 0.5 * self.tick_s * (speed + before), now
+            command[i] = way + lead_s * speed
+        return command
+
     def run(self, command_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return position and felt force (n,) at the ticks; the exponential of each part of a tick is exact."""
+        """Return position and felt force (n,) at the ticks."""
+        out = np.array([*self._ticks(command_m)])
+        return out[:, 0], out[:, 1]
+
+    def _ticks(self, command_m: FloatArray) -> Iterator[tuple[float, float]]:
+        """Yield position and felt force; the command of a tick may be written until the next one is asked for.
+
+        The exponential of each part of a tick is exact.
+        """
         k, b, m = self.stiffness, self.damping, self.mass
         order = len(self.robot)
         rows = np.zeros((order + 3, order + 3))  # robot, payload, command
@@ -54,15 +81,13 @@ class CommandedCell:
         whole = int(self.delay_s / self.tick_s + 1e-9)
         older_s = self.delay_s - whole * self.tick_s
         first, second = expm(rows * older_s), expm(rows * (self.tick_s - older_s))
-        late = np.concatenate([np.zeros(whole + 1), command_m])
-        state, out = np.zeros(order + 3), np.empty((len(command_m), 2))
+        state = np.zeros(order + 3)
         for i in range(len(command_m)):
-            state[-1] = late[i]
-            out[i] = state[0], felt @ state
+            state[-1] = command_m[i - whole - 1] if i > whole else 0.0
+            yield float(state[0]), float(felt @ state)
             state = first @ state
-            state[-1] = late[i + 1]
+            state[-1] = command_m[i - whole] if i >= whole else 0.0
             state = second @ state
-        return out[:, 0], out[:, 1]
 
 
 @dataclass(frozen=True, kw_only=True)

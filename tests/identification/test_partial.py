@@ -13,12 +13,9 @@ from identification.errors import EstimateError
 from identification.logs.read import read_recording
 from identification.partial import identify_partial
 from identification.result import Estimate, Identified, Status
+from identification.robot.admittance_estimates import _estimate, identify_admittance_robots
 from identification.robot.admittance_motion import admittance_motions, with_compensated_force
-from identification.robot.admittance_robot import (
-    AdmittanceRobotFit,
-    _estimate,
-    identify_admittance_robots,
-)
+from identification.robot.admittance_robot import AdmittanceRobotFit
 from identification.signals.aligned import align
 from identification.signals.recording import PoseSignal, Recording, WrenchSignal
 from problems.model.robot import RobotModel

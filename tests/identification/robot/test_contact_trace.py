@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from identification.result import Status
-from identification.robot.admittance_robot import identify_admittance_robots
+from identification.robot.admittance_estimates import identify_admittance_robots
 from identification.signals.recording import GainsSignal, PoseSignal, Recording, WrenchSignal
 from problems.arrays import FloatArray
 
