@@ -22,6 +22,8 @@ from .signals.repairs import restore_commands, without_spikes
 from .signals.segments import MotionSpans, find_motion
 
 _LONGEST_CROSSING_S = 0.1
+# In drawn logs, deviations held the truth where up to a quarter was hidden, and no longer where a third was.
+_MOST_HIDDEN = 0.3
 _SMALLEST_TRAVEL_M = 2e-3
 _LARGEST_TURN_RAD = np.radians(10.0)
 _FEWEST_NOISE_SAMPLES = 50
@@ -73,7 +75,8 @@ def identify_compensated_axes(
     measured = [name for name in AXIS_NAMES if name in recording.pose.measured_axes]
     if motion.still and _is_force_known(recording.wrench.deadband):
         straight = [axis for axis in find_axes(log, motion, force).axes if axis.name in measured]
-        axes = {a.name: identify_axis(cell, a) for a in straight if a.name in recording.wrench.measured_axes}
+        felt = [a for a in straight if a.name in recording.wrench.measured_axes and _is_mostly_felt(log, a, recording)]
+        axes = {a.name: identify_axis(cell, a) for a in felt}
     if recording.command is not None:
         for axis in _other_axes(log, motion, force, [name for name in measured if name not in axes]):
             axes[axis.name] = identify_axis_robot(cell, axis)
@@ -84,6 +87,12 @@ def identify_compensated_axes(
 def _is_force_known(deadband: AppliedDeadband | None) -> bool:
     """Return whether the force can be had back: a subtractive deadband of unknown width hides how much it took."""
     return deadband is None or deadband.type == "threshold" or deadband.force_n is not None
+
+
+def _is_mostly_felt(log: AlignedLog, axis: AxisMotion, recording: Recording) -> bool:
+    """Return whether no deadband took so much of the force in motion that what is drawn across it would be fitted."""
+    force = np.concatenate([log.force_S_n[span.slice, AXES.index(axis.name)] for span in axis.spans])
+    return recording.wrench.deadband is None or float(np.mean(force == 0.0)) <= _MOST_HIDDEN
 
 
 def _complete(recording: Recording) -> Recording:

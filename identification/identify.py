@@ -32,6 +32,7 @@ from .result import (
     Status,
     Timeline,
     Touch,
+    WrenchFilterEstimate,
     name_surfaces,
 )
 from .robot.admittance_estimates import AdmittanceRobots, identify_admittance_robots
@@ -141,8 +142,7 @@ def _identify(
     accounted, touches = _accounted(cell, results, gravity.mass_kg)
     timeline = Timeline(phases=accounted.phases, touches=touches)
     sensor, about_sensor = describe_sensor(read, gravity, frames)
-    latencies = {name: axis.fit.latency for name, axis in results.items() if axis.fit is not None}
-    late, about_late = find_wrench_filter(latencies, recording.wrench_shifted_s, log.period_s)
+    late, about_late = _late_wrench(results, recording, log.period_s)
     report(1.0 - _WEIGHING_SHARE - _AXES_SHARE)
     found = Identified(
         sample_time_s=_sample_time(recording),
@@ -166,6 +166,14 @@ def _identify(
         timelines=(timeline,),
     )
     return settle_cell(found, cell.given), cell, results
+
+
+def _late_wrench(
+    results: Mapping[str, AxisResult], recording: Recording, period_s: float
+) -> tuple[WrenchFilterEstimate | None, tuple[Finding, ...]]:
+    """Return the wrench's low-pass or delay that the axes show, and what to say of it."""
+    latencies = {name: axis.fit.latency for name, axis in results.items() if axis.fit is not None}
+    return find_wrench_filter(latencies, recording.wrench_shifted_s, period_s)
 
 
 def _identify_incomplete(recording: Recording, frames: Frames | None, given: Mapping[str, Given]) -> Identified | None:

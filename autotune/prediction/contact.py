@@ -181,7 +181,10 @@ def _span(plants: PlantEnsemble, peaks: FloatArray) -> tuple[float, float | None
 def contact_band(
     plants: PlantEnsemble, nominal: ContactTransient, runs: Sequence[ContactTransient | None]
 ) -> ContactBand:
-    """Return lowest and highest force at the sensor over the time of the nominal contact, as the interval has them."""
+    """Return lowest and highest force at the sensor over the time of the nominal contact, as the interval has them.
+
+    The model's error is one of the blow and the swings: it fades with them, to F^d at rest, which no model changes.
+    """
     time = nominal.time_s
     if plants.nominal is None:
         low, high = peak_interval(plants, nominal, runs).sensor
@@ -192,9 +195,19 @@ def contact_band(
         return ContactBand(time_s=time, low=np.min(forces, axis=0), high=np.max(forces, axis=0))
     error, tail = plants.model_error, 0.5 * (1.0 - LEVEL)
     factors = np.ones(1) if error is None else error.factors(_FACTORS)
-    every = (factors[:, None, None] * forces[None]).reshape(-1, len(time))
+    every = (factors[:, None, None] ** _left_of_swing(nominal) * forces[None]).reshape(-1, len(time))
     low, high = np.quantile(every, (tail, 1.0 - tail), axis=0)
     return ContactBand(time_s=time, low=low, high=high)
+
+
+def _left_of_swing(contact: ContactTransient) -> FloatArray:
+    """Return the largest distance from the force at rest from each time on (n,), over that of the peak, 1 at most."""
+    force = contact.sensor_force_n
+    at_rest = float(force[-1]) if contact.is_settled else contact.driving_force_n
+    distance = np.maximum.accumulate(np.abs(force - at_rest)[::-1])[::-1]
+    # Before the peak, and in a contact without one above the force at rest, nothing has faded.
+    peak = int(np.argmax(force))
+    return np.asarray(np.minimum(distance / max(float(distance[peak]), 1e-12), 1.0))
 
 
 def check_approach(approach: Approach, *, fastest: float = 5.0, strongest: float = 1e4) -> None:

@@ -89,7 +89,7 @@ def identify_admittance_robot(motion: AdmittanceMotion) -> AdmittanceRobotFit:
     effective = min(fits, key=lambda fit: fit.residual_rms).effective_samples
     chosen = min(fits, key=lambda fit: fit.criterion(effective))
     error = chosen.residual_rms / max(float(np.std(moved)), 1e-15)
-    _check(chosen, error, _POOR_FIT)
+    _check(chosen, error * chosen.coloured_share, _POOR_FIT)
     rivals = [fit for fit in fits if len(fit.linear) == len(chosen.linear) and fit.rivals(chosen)]
     between = spread_of_parts(*_without_lever(motion, chosen), motion.edge_s[:-1][motion.used])
     return _described(chosen, rivals, error, motion.period_s, between)
@@ -135,6 +135,7 @@ class _Fit:
     free_count: int
     residual_rms: float
     effective_samples: float
+    coloured_share: float = 1.0
 
     def summary(self, parameters: FloatArray | None = None) -> FloatArray:
         """Return bandwidth [Hz], delay [s] and lag at low frequency [s]."""
@@ -247,7 +248,8 @@ def _fit(
     jacobian = np.column_stack([slopes, columns])[:, is_free]
     covariance = np.zeros((len(is_free), len(is_free)))
     covariance[np.ix_(is_free, is_free)] = coloured_covariance(jacobian, residual, motion.edge_s[:-1][motion.used])
-    rho = float(np.clip(residual[1:] @ residual[:-1] / max(float(residual @ residual), 1e-300), 0.0, 0.999))
+    next_to = float(residual[1:] @ residual[:-1] / max(float(residual @ residual), 1e-300))
+    rho = float(np.clip(next_to, 0.0, 0.999))
     return _Fit(
         order=order,
         parameters=parameters,
@@ -257,6 +259,8 @@ def _fit(
         residual_rms=float(np.sqrt(np.mean(residual**2))),
         # What first-order colour leaves of n samples.
         effective_samples=max(len(residual) * (1.0 - rho) / (1.0 + rho), 2.0),
+        # White noise of the pose makes neighbouring mean velocities err by opposite halves: that is no misfit.
+        coloured_share=float(np.sqrt(max(1.0 + 2.0 * min(next_to, 0.0), 0.0))),
     )
 
 

@@ -132,6 +132,23 @@ def test_an_interval_holds_other_cells_as_often_as_it_says() -> None:
     assert high - low < 0.4 * nominal.peak_sensor_force_n
 
 
+def test_the_band_is_the_interval_at_the_peak_and_the_desired_force_at_rest() -> None:
+    plants = build_plants(replace(plant_of(Cell()).file(), domain={}), Surface())
+    assert plants.model_error is not None
+    found = predict_contact(plants, Law(controller=PLAIN), Approach(force_n=30.0))
+    low, high = found.interval.sensor
+    assert high is not None
+    peak = int(np.argmax(found.contact.sensor_force_n))
+    # The band takes fewer factors of the model's error than the interval.
+    assert found.band.low[peak] == pytest.approx(low, rel=0.05)
+    assert found.band.high[peak] == pytest.approx(high, rel=0.05)
+    assert high - low > 0.3 * found.peak_sensor_force
+    assert found.band.low[-1] == pytest.approx(30.0, rel=2e-3)
+    assert found.band.high[-1] == pytest.approx(30.0, rel=2e-3)
+    assert np.all(found.band.low <= found.contact.sensor_force_n + 1e-9)
+    assert np.all(found.contact.sensor_force_n <= found.band.high + 1e-9)
+
+
 def test_the_interval_of_a_design_is_over_all_its_payloads_unless_one_is_said() -> None:
     controller = make_controller(("x",))
     light, heavy = controller.certificate.domain["x"].payload_mass_kg
