@@ -13,6 +13,7 @@ from ..result import EnvironmentEstimate, Estimate, Finding, LogPhase, Timeline,
 from ..signals.recording import Recording
 from ..verdicts import judged, missing, unidentifiable
 from .find import AxisTouches, FoundTouch, check_force_sign, find_touches, first_fall, touch_peak
+from .inertia import without_inertia
 from .phases import build_phases
 from .signals import AxisSignals, axis_signals
 from .trace import TraceContact, identify_trace
@@ -71,10 +72,10 @@ def identify_touches(recording: Recording) -> Touched:
     signals = axis_signals(recording)
     if not recording.pose.is_displacement:
         check_force_sign(signals)
-    found = find_touches(signals, is_contact=recording.pose.is_displacement)
+    found, about_payload = without_inertia(find_touches(signals, is_contact=recording.pose.is_displacement))
     surfaces: dict[str, tuple[EnvironmentEstimate, ...]] = {}
     names: dict[tuple[str, float], str] = {}
-    findings: list[Finding] = []
+    findings: list[Finding] = [*about_payload]
     for axis in found:
         walls = [each for each in axis.touches if each.touch.cause is TouchCause.WALL]
         contacts = [_contact(axis.signals, each, is_trace=recording.pose.is_displacement) for each in walls]

@@ -1,0 +1,96 @@
+"""The force that the payload's own mass and drag make on the sensor: in no touch is there as little else."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import nnls
+from scipy.signal import savgol_filter
+
+from ..result import Finding, TouchCause
+from ..signals.segments import Span
+from .find import AxisTouches, FoundTouch
+
+# Over this long a motion is taken as even acceleration: a payload on its gripper swings faster than 10 Hz.
+_EVEN_S, _FEWEST = 0.04, 5
+_LEAST_EXPLAINED, _MOST_LEFT = 0.9, 0.25
+_FEWEST_ALIKE = 3
+# A tenth of the touches drops out at a time.
+_PARTS = 10
+
+
+@dataclass(frozen=True, kw_only=True)
+class PayloadForce:
+    """F = −(m a + b v) of an axis, `explained` of the energy of the force in `spans` that are nothing else."""
+
+    mass_kg: float
+    drag_n_s_per_m: float
+    explained: float
+    spans: tuple[Span, ...]
+
+
+def without_inertia(found: Sequence[AxisTouches]) -> tuple[tuple[AxisTouches, ...], tuple[Finding, ...]]:
+    """Leave out the touches and the leading hands that are the payload's own motion, and say so.
+
+    A payload that is shaken presses against the motion without anything being there. Hands move an admittance along its
+    acceleration, and walls slow the flange down by what presses: both have the other sign of inertia.
+    """
+    kept, findings = [], []
+    for axis in found:
+        payload = payload_force(axis)
+        spans = () if payload is None else payload.spans
+        own = [each for each in axis.touches if each.span in spans]
+        led = tuple(span for span in axis.led if span not in spans)
+        kept.append(replace(axis, touches=tuple(each for each in axis.touches if each not in own), led=led))
+        if payload is not None and own:
+            findings.append(_about(axis.signals.axis, own, payload))
+    return tuple(kept), tuple(findings)
+
+
+def payload_force(axis: AxisTouches) -> PayloadForce | None:
+    """Fit one mass and one drag, above and at least 0, to all touches without a hold and to all that a force leads.
+
+    Those of which a quarter of the peak is left drop out until the others agree. None where fewer than three do, or
+    less than nine tenths of the energy of their force is explained.
+    """
+    signals = axis.signals
+    width = max(_FEWEST, 2 * round(0.5 * _EVEN_S / signals.period_s) + 1)
+    unheld = [each for each in axis.touches if each.touch.hold_s is None and each.touch.cause is not TouchCause.HAND]
+    alike = [*(each.span for each in unheld), *axis.led]
+    if len(alike) < _FEWEST_ALIKE or not np.all(np.isfinite(signals.travel_m)) or len(signals.travel_m) < width:
+        return None
+    speed, acceleration = (
+        savgol_filter(signals.travel_m, width, 2, deriv=order, delta=signals.period_s) for order in (1, 2)
+    )
+    force = savgol_filter(signals.force_n, width, 2)
+    # What a deadband takes off is as large in every touch.
+    is_cut = float(np.mean(signals.force_n == 0.0)) > 0.0
+    columns = np.column_stack([-acceleration, -speed, -np.sign(force) * is_cut])
+    while len(alike) >= _FEWEST_ALIKE:
+        rows = np.concatenate([np.arange(span.start, span.stop) for span in alike])
+        values = nnls(columns[rows], force[rows])[0]
+        left = np.abs(force - columns @ values)
+        over = [float(np.max(left[span.slice]) / np.max(np.abs(signals.force_n[span.slice]))) for span in alike]
+        if max(over) <= _MOST_LEFT:
+            explained = 1.0 - float(left[rows] @ left[rows]) / float(force[rows] @ force[rows])
+            if values[0] <= 0.0 or explained < _LEAST_EXPLAINED:
+                return None
+            return PayloadForce(
+                mass_kg=float(values[0]), drag_n_s_per_m=float(values[1]), explained=explained, spans=tuple(alike)
+            )
+        worst = max(sorted(over)[-max(1, len(over) // _PARTS)], _MOST_LEFT)
+        alike = [span for span, share in zip(alike, over, strict=True) if share < worst]
+    return None
+
+
+def _about(axis: str, own: Sequence[FoundTouch], payload: PayloadForce) -> Finding:
+    largest = max(each.touch.peak_force for each in own)
+    times = "once" if len(own) == 1 else f"{len(own)} times"
+    return Finding(
+        code="payload-inertia",
+        severity="info",
+        message=f"Axis {axis}: {times} a force against the motion, up to {largest:.1f} N, is what "
+        f"the payload itself makes when it is moved ({payload.mass_kg:.3g} kg and {payload.drag_n_s_per_m:.3g} N·s/m "
+        f"explain {100.0 * payload.explained:.1f} % of that force), and no touch.",
+        advice="",
+    )

@@ -1,0 +1,60 @@
+"""A payload that is shaken by its own motion, with and without something in its way, by Newton's law."""
+
+import numpy as np
+import pytest
+
+from identification.result import TouchCause
+from identification.touches.surfaces import identify_touches
+from problems.arrays import FloatArray
+
+from .test_find import logged
+
+PAYLOAD_KG, DRAG_N_S_PER_M = 12.0, 150.0
+
+
+def shaken(time: FloatArray, amplitude_m: float = 0.01, frequency_hz: float = 1.2) -> tuple[FloatArray, FloatArray]:
+    """Return travel and force of a payload that a position loop moves to and fro."""
+    omega = 2.0 * np.pi * frequency_hz
+    edge = np.clip(np.minimum(time - 0.5, time[-1] - 0.5 - time), 0.0, 1.0)
+    travel = amplitude_m * edge**3 * (10.0 - 15.0 * edge + 6.0 * edge**2) * np.sin(omega * time)
+    speed = np.gradient(travel, time)
+    return travel, -(PAYLOAD_KG * np.gradient(speed, time) + DRAG_N_S_PER_M * speed)
+
+
+@pytest.mark.parametrize("rate_hz", [100.0, 250.0, 1000.0])
+@pytest.mark.parametrize("deadband_n", [0.0, 1.5])
+def test_the_payloads_own_inertia_is_no_touch(rate_hz: float, deadband_n: float) -> None:
+    time = np.arange(0.0, 8.0, 1.0 / rate_hz)
+    rng = np.random.default_rng(1)
+    travel, force = shaken(time)
+    force = force + 0.2 * rng.standard_normal(len(time))
+    force = np.sign(force) * np.maximum(np.abs(force) - deadband_n, 0.0)
+    assert np.max(np.abs(force)) > 6.0
+    found = identify_touches(logged(travel + 5e-6 * rng.standard_normal(len(time)), force, 1.0 / rate_hz, 0.0))
+    assert not found.timeline.touches
+    (about,) = (finding for finding in found.findings if finding.code == "payload-inertia")
+    # Its mass is a guess at the true one, for the reader.
+    assert abs(float(about.message.split("(")[1].split(" kg")[0]) - PAYLOAD_KG) < 0.2 * PAYLOAD_KG
+
+
+def test_what_pushes_beside_the_inertia_stays_a_touch() -> None:
+    """A hand of 15 N for 0.3 s, twice, on a payload at rest."""
+    time = np.arange(0.0, 10.0, 4e-3)
+    travel, force = shaken(time[time < 8.0])
+    rest = np.zeros(len(time) - len(travel))
+    travel, force = np.append(travel, rest), np.append(force, rest)
+    pushed_s = (8.4, 9.2)
+    for begin in pushed_s:
+        now = (time >= begin) & (time < begin + 0.3)
+        force[now] -= 15.0 * np.sin(np.pi * (time[now] - begin) / 0.3) ** 2
+    touches = identify_touches(logged(travel, force, 4e-3, 0.0)).timeline.touches
+    assert [touch.cause for touch in touches] == [TouchCause.UNDETERMINED] * 2
+    assert [touch.peak_s for touch in touches] == pytest.approx([begin + 0.15 for begin in pushed_s], abs=0.02)
+
+
+def test_a_hand_that_shakes_an_admittance_is_not_its_inertia() -> None:
+    """F = M_a a + B_a v has the other sign, whatever its size."""
+    time = np.arange(0.0, 8.0, 4e-3)
+    travel, force = shaken(time)
+    found = identify_touches(logged(travel, -force, 4e-3, 0.0))
+    assert "payload-inertia" not in {finding.code for finding in found.findings}
