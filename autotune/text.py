@@ -169,7 +169,7 @@ def touch_rows(timeline: Timeline) -> list[tuple[str, ...]]:
                 f"{start:.2f}",
                 "-" if touch.approach_speed is None else f"{1e3 * touch.approach_speed:.1f}",
                 f"{touch.peak_force:.1f}",
-                f"{low:.1f} to {high:.1f}",
+                f"{low:.1f} and more" if high is None else f"{low:.1f} to {high:.1f}",
                 units.force,
                 "-" if touch.held_force is None else f"{touch.held_force:.1f}",
                 f"{len(touch.bounces_s)}",

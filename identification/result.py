@@ -72,10 +72,11 @@ class Touch:
     Times are in s after the start of the log: `onset_s` of the first blow, `peak_s`, `hold_s` from when to when the
     payload rested, `release_s`, and `bounces_s` when it left the surface before. `sign` is +1 where the payload presses
     towards +axis. `peak_force` is the largest sample, `peak_interval` what the peak of the sensor's force may be,
-    without its noise and between the samples, and `rise_samples` how many of them the force took from a tenth of the
-    peak to the peak. `approach_speed` is that of the flange right before the onset, towards what is touched, `impulse`
-    ∫F dt of the first blow, `held_force` that of the hold. `is_led` says that a hand led the payload into it. `mass`,
-    `damping`, `lead_s` and `desired_force` are M_a, B_a, K_l and F^d at the onset. `surface` is the name of what was
+    without its noise and between the samples (without an upper end where it is too narrow for them), and
+    `rise_samples` how many of them the force took from a tenth of the peak to the peak. `approach_speed` is that of the
+    flange right before the onset, towards what is touched, `impulse` ∫F dt of the first blow, `held_force` that of the
+    hold. `is_led` says that a hand led the payload into it. `mass`, `damping`, `lead_s` and `desired_force` are M_a,
+    B_a, K_l and F^d at the onset. `surface` is the name of what was
     touched, None until it is known.
     """
 
@@ -88,7 +89,7 @@ class Touch:
     release_s: float | None = None
     hold_s: tuple[float, float] | None = None
     bounces_s: tuple[float, ...] = ()
-    peak_interval: tuple[float, float] | None = None
+    peak_interval: tuple[float, float | None] | None = None
     rise_samples: int | None = None
     approach_speed: float | None = None
     impulse: float | None = None

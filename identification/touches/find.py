@@ -303,7 +303,13 @@ def describe_touch(
     peak = span.start + int(np.argmax(inside))
     low, high, rise = touch_peak(axis, pressing, span.start, peak)
     held = None if hold is None else float(np.median(pressing[hold.slice]))
-    left = max(axis.level_n, min(_LEFT_SHARE * high, np.inf if held is None else _HELD_SHARE * held))
+    left = max(
+        axis.level_n,
+        min(
+            _LEFT_SHARE * (float(pressing[peak]) if high is None else high),
+            np.inf if held is None else _HELD_SHARE * held,
+        ),
+    )
     apart = without_short(np.asarray(inside <= left), max(1, round(CONTACT.shortest_bounce_s / axis.period_s)))
     last = span.stop >= len(axis.time_s) - 1
 
@@ -335,7 +341,7 @@ def describe_touch(
     return FoundTouch(touch=touch, span=span, peak=peak)
 
 
-def touch_peak(axis: AxisSignals, pressing: FloatArray, onset: int, peak: int) -> tuple[float, float, int]:
+def touch_peak(axis: AxisSignals, pressing: FloatArray, onset: int, peak: int) -> tuple[float, float | None, int]:
     """Return `bound_peak` of a touch, its noise from a quiet second of the log, or from what is before the onset.
 
     What the payload's motion adds is force on the sensor: no noise, and the largest of it right before a contact.

@@ -28,6 +28,8 @@ _MOST_LISTED = 8
 # Of the depth: a displacement that begins no farther before the force is one since contact.
 _CONTACT_SHARE = 0.2
 _NARROW_SAMPLES = 3
+# A blow that is too narrow for the samples has no bound; that it is up to twice its sample is taken for its usual size.
+_NARROW_BLOW = 2.0
 _PEAK_OF_NOTE_N = 10.0
 _LOADING = "force over travel while it loads, behind the first blow: mean of its slope through the origin and its peak"
 _BLOW = "force of the first blow over the speed of the approach"
@@ -135,7 +137,7 @@ def _blow(axis: AxisSignals, found: FoundTouch, pressing: FloatArray) -> tuple[f
     stop = found.span.stop if fallen is None else found.span.start + fallen
     top = found.span.start + int(np.argmax(pressing[found.span.start : stop]))
     low, high, _ = touch_peak(axis, pressing, found.span.start, top)
-    return low, high
+    return low, _NARROW_BLOW * float(pressing[top]) if high is None else high
 
 
 def _grouped(contacts: Sequence[_Contact]) -> list[list[_Contact]]:
@@ -270,8 +272,10 @@ def _between_samples(axis: AxisTouches) -> list[Finding]:
         if touch.cause is TouchCause.HAND or touch.peak_interval is None or touch.rise_samples is None:
             continue
         low, high = touch.peak_interval
-        if high > (1.0 + _NOT_A_SPRING) * low and touch.rise_samples <= 3:
-            samples = "1 sample" if touch.rise_samples <= 1 else f"{touch.rise_samples} samples"
+        samples = "1 sample" if touch.rise_samples <= 1 else f"{touch.rise_samples} samples"
+        if high is None:
+            narrow.append(f"at {touch.peak_s:.2f} s the peak is at least {low:.1f} N (rise in {samples})")
+        elif high > (1.0 + _NOT_A_SPRING) * low and touch.rise_samples <= 3:
             narrow.append(f"at {touch.peak_s:.2f} s the peak may be {low:.1f} to {high:.1f} N (rise in {samples})")
     if not narrow:
         return []

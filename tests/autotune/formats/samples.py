@@ -386,7 +386,7 @@ def timelines() -> st.SearchStrategy[Timeline]:
         onset_s=maybe,
         hold_s=st.none() | st.tuples(FLOATS, FLOATS),
         bounces_s=st.lists(FLOATS, max_size=3).map(tuple),
-        peak_interval=st.none() | st.tuples(FLOATS, FLOATS),
+        peak_interval=st.none() | st.tuples(FLOATS, st.none() | FLOATS),
         rise_samples=st.none() | st.integers(0, 100),
         approach_speed=maybe,
         surface=st.none() | TEXTS,

@@ -197,6 +197,7 @@ def test_the_peak_lies_in_its_interval_at_any_rate(rate_hz: float) -> None:
     (coarse,) = identify_touches(recorded(Program(force_n=force_n, rate_hz=rate_hz))).timeline.touches
     assert coarse.peak_interval is not None
     low, high = coarse.peak_interval
+    assert high is not None
     assert low <= fine.peak_force <= high
 
 

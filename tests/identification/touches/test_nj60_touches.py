@@ -144,6 +144,7 @@ def test_a_narrow_peak_says_what_it_may_be(touched: dict[str, Touched]) -> None:
         (touch,) = touched[name].timeline.touches
         assert touch.peak_interval is not None
         low, high = touch.peak_interval
+        assert high is not None
         assert 80.0 < low < 1.2 * low < high < 150.0
         # One line, however many peaks there are.
         (finding,) = (f for f in touched[name].findings if f.code == "peak-between-samples")

@@ -20,13 +20,16 @@ def test_the_peak_of_half_a_sine_lies_in_its_interval(peak: float, width_s: floa
     low, high, rise = bound_peak(force, onset, int(np.argmax(force)))
     assert low == np.max(force)
     assert low <= peak * (1.0 + 1e-9)
-    assert high >= peak * (1.0 - 1e-9)
+    assert high is None or high >= peak * (1.0 - 1e-9)
+    # Seven samples or more of half a sine: at least three of them reach half of it.
+    assert high is not None or width_s < 7.0 * step_s
     assert rise == pytest.approx((0.5 - np.arcsin(0.1) / np.pi) * width_s / step_s, abs=1.5)
 
 
 def test_a_well_sampled_peak_is_known() -> None:
     force = 40.0 * np.sin(np.pi * np.linspace(0.0, 1.0, 201))
     low, high, _ = bound_peak(force, 1, 100)
+    assert high is not None
     assert high / low == pytest.approx(1.0, abs=2e-4)
 
 
@@ -52,7 +55,7 @@ def test_the_peak_without_the_noise_lies_in_its_interval(shape: str, noise: floa
         force += noise * rng.standard_normal(len(time))
         onset = int(np.flatnonzero((time > 0.0) & (force > 2.0))[0])
         low, high, _ = bound_peak(force, onset, int(np.argmax(force)), quiet=force[: onset - 2])
-        held += low <= highest <= high
+        held += low <= highest and (high is None or highest <= high)
     assert held >= 95
 
 
@@ -61,6 +64,7 @@ def test_a_wide_peak_is_known_better_than_its_samples() -> None:
     time = np.arange(-1000, 1000) * 1e-3
     force = np.where(time > 0.0, 40.0 * np.sin(np.pi * time), 0.0) + 0.2 * rng.standard_normal(2000)
     low, high, _ = bound_peak(force, 1020, int(np.argmax(force)), quiet=force[:1000])
+    assert high is not None
     assert low <= 40.0 <= high
     assert high - low < 0.4 < float(np.max(force)) - 40.0 + 0.1
 
@@ -74,10 +78,37 @@ def test_noise_whose_neighbours_go_together_is_not_averaged_away() -> None:
     for noise in (slow, white):
         force = arc + noise
         low, high, _ = bound_peak(force, 1030, int(np.argmax(force)), quiet=force[:1000])
+        assert high is not None
         assert low <= 40.0 <= high
         widths.append(high - low)
     assert widths[0] > widths[1]
 
 
-def test_a_peak_of_one_sample_may_be_twice_as_high() -> None:
-    assert bound_peak(np.array([0.0, 0.0, 30.0, 0.0, 0.0]), 2, 2) == (30.0, 60.0, 1)
+@pytest.mark.parametrize("beside", [0.0, 14.0, 29.0])
+def test_a_peak_of_one_or_two_samples_has_no_upper_end(beside: float) -> None:
+    """30 ms of a blow at 40 Hz: one sample is hit, at any phase, or two."""
+    assert bound_peak(np.array([0.0, 0.0, 30.0, beside, 0.0]), 2, 2) == (30.0, None, 1)
+
+
+def test_an_upper_end_that_is_stated_holds_of_narrow_peaks() -> None:
+    """Bells, triangles and half sines of one to eight samples, at any phase: 95 of 100, or no end is stated."""
+    rng = np.random.default_rng(4)
+    shapes: tuple[Callable[[FloatArray], FloatArray], ...] = (
+        lambda u: np.sin(np.pi * u),
+        lambda u: 1.0 - np.abs(2.0 * u - 1.0),
+        lambda u: np.exp(-(((u - 0.5) / 0.18) ** 2)),
+    )
+    stated = held = 0
+    for width in np.linspace(1.0, 8.0, 15):
+        for shape in shapes:
+            for _ in range(20):
+                u = (np.arange(-20, 20) + rng.random()) / width
+                force = np.where((u > 0.0) & (u < 1.0), 50.0 * shape(u), 0.0) + 0.2 * rng.standard_normal(len(u))
+                touched = np.flatnonzero(force > 3.0)
+                if touched.size:
+                    peak = int(np.argmax(force))
+                    _, high, _ = bound_peak(force, int(touched[0]), peak, quiet=force[:18], noise=0.2)
+                    stated += high is not None
+                    held += high is not None and high >= 50.0
+    assert stated > 200
+    assert held >= 0.95 * stated
