@@ -6,13 +6,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from autotune.errors import UsageError
 from autotune.formats.cell import CellFile
 from autotune.processes import map_in_processes
 from autotune.results import Identification
 from autotune.version import __version__
 from identification.advice import advise
-from identification.errors import EstimateError, LogError
+from identification.errors import EstimateError, LogError, OutsideSpanError
 from identification.evidence import Evidence
 from identification.given import Given, check_names
 from identification.identify import identify_with_evidence
@@ -23,6 +22,7 @@ from identification.logs.recording import build_frames
 from identification.logs.roles.cell import Cell
 from identification.logs.span import Instant, LogSpan
 from identification.merging.combine import NamedResult, combine_identified
+from identification.result import Finding
 from identification.signals.recording import Recording
 from problems.frozen import freeze
 from problems.progress import no_progress
@@ -143,10 +143,6 @@ def identify_log(
     files = (paths,) if isinstance(paths, Path) else tuple(paths)
     cell, given = options.declared(), options.given
     runs = separate_runs(files, cell, salvage=options.salvage)
-    if len(runs) > 1 and not options.span.is_whole:
-        raise UsageError(
-            f"A part of a log must be one of a single recording, found {len(runs)}; identify each by itself."
-        )
     work = partial(
         _identify_run,
         cell=cell,
@@ -158,9 +154,9 @@ def identify_log(
         with_evidence=with_evidence,
     )
     if len(runs) == 1:
-        done = [work(runs[0], recording=recording, report=report)]
+        done = _inside([work(runs[0], recording=recording, report=report)])
     else:
-        done = map_in_processes(work, runs, processes, each=lambda: report(1.0 / len(runs)))
+        done = _inside(map_in_processes(work, runs, processes, each=lambda: report(1.0 / len(runs))))
     check_names(given, [axis for run in done for axis in run.named.result.axes])
     parts = [run.named for run in done]
     result = combine_identified(parts, given)
@@ -199,6 +195,18 @@ class _Run:
     evidence: Evidence | None
 
 
+def _inside(done: Sequence[_Run | OutsideSpanError]) -> list[_Run]:
+    """Return what was identified, with a finding for each recording that lies outside the span that was asked for."""
+    found = [each for each in done if isinstance(each, _Run)]
+    outside = [each for each in done if isinstance(each, OutsideSpanError)]
+    if not found:
+        raise outside[0]
+    told = tuple(Finding.info("recording-outside", f"Not used: {error}", "") for error in outside)
+    named = found[0].named
+    result = replace(named.result, findings=(*named.result.findings, *told))
+    return [replace(found[0], named=replace(named, result=result)), *found[1:]]
+
+
 def _identify_run(
     run: tuple[Path, ...],
     *,
@@ -210,8 +218,11 @@ def _identify_run(
     with_evidence: bool,
     recording: Recording | None = None,
     report: Callable[[float], None] | None = None,
-) -> _Run:
-    """Read and identify one recording; where it is one of many, errors bear its name."""
+) -> _Run | OutsideSpanError:
+    """Read and identify one recording; where it is one of many, errors bear its name.
+
+    One of many that lies outside a span of stamps is no error yet.
+    """
     report = report or no_progress
     name = ", ".join(path.name for path in run)
     try:
@@ -221,6 +232,10 @@ def _identify_run(
         found, evidence = identify_with_evidence(
             recording, build_frames(cell), given, lambda share: report((1.0 - _READING_SHARE) * share)
         )
+    except OutsideSpanError as error:
+        if not is_one_of_many or not span.has_stamps:
+            raise
+        return error
     except (EstimateError, LogError) as error:
         if not is_one_of_many or name in str(error):
             raise

@@ -2,6 +2,7 @@
 
 import os
 import signal
+import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import active_children, get_context
@@ -32,7 +33,8 @@ def map_in_processes(
 
     One process, or one task, is done here. Otherwise `work`, tasks and results are pickled, `work` is at the top of
     a module, and a script that calls this guards its own start (`if __name__ == "__main__"`). What a task raises is
-    raised here, of several the first in order; that, or an interrupt, ends all processes at once. `each` is called,
+    raised here, of several the first in order; that, or an interrupt, ends all processes at once. What a task warns of
+    is warned of here. `each` is called,
     perhaps from another thread, whenever a task is done.
     """
     done = each if each is not None else _nothing
@@ -43,16 +45,32 @@ def map_in_processes(
     # A fork would copy the threads' locks of the libraries that are loaded already.
     with ProcessPoolExecutor(count, mp_context=get_context("spawn"), initializer=_prepare) as pool:
         try:
-            futures = [pool.submit(work, task) for task in tasks]
+            futures = [pool.submit(_with_warnings, work, task) for task in tasks]
             for future in futures:
                 future.add_done_callback(lambda _: done())
-            return [future.result() for future in futures]
+            return [_warned_again(*future.result()) for future in futures]
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             for process in active_children():
                 if process not in others:
                     process.terminate()
             raise
+
+
+_Warned = tuple[type[Warning], str, str, int]
+
+
+def _with_warnings(work: Callable[[_Task], _Result], task: _Task) -> tuple[_Result, list[_Warned]]:
+    """Do the work in a process of its own, and hand on what was warned of instead of printing it there."""
+    with warnings.catch_warnings(record=True) as seen:
+        result = work(task)
+    return result, [(each.category, str(each.message), each.filename, each.lineno) for each in seen]
+
+
+def _warned_again(result: _Result, seen: Sequence[_Warned]) -> _Result:
+    for category, message, file, line in seen:
+        warnings.warn_explicit(message, category, file, line)
+    return result
 
 
 def _nothing() -> None:

@@ -11,6 +11,10 @@ class LogError(AutotuneError):
     """The log cannot be used: damaged, empty, wrong type, missing or ambiguous channel."""
 
 
+class OutsideSpanError(LogError):
+    """The log has nothing in the part that is to be read."""
+
+
 class EstimateError(AutotuneError):
     """The log is sound but does not show what was asked of it."""
 

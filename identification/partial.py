@@ -67,6 +67,8 @@ def identify_partial(
         f for f in found.findings if f.code != "no-contact" and (f.code != "no-command" or f.code not in known_codes)
     ]
     findings = [_removed(recording, mass), *led.findings, *about, *touched.findings]
+    if recording.wrench.measured_axes and not (led.robots or touched.surfaces or mass.value is not None):
+        findings.append(_assumed_sign(recording))
     has_wrench = bool(recording.wrench.measured_axes)
     if has_wrench and not any(finding.code == "coupling" for finding in about):
         findings[1:1] = _coupling_findings(axes)
@@ -91,6 +93,16 @@ def _period(sample_time_s: Estimate) -> Estimate:
     if sample_time_s.value is None or sample_time_s.value <= TICK_S:
         return sample_time_s
     return weak_at_best(sample_time_s, "the log's own period, which may be longer than the controller's")
+
+
+def _assumed_sign(recording: Recording) -> Finding:
+    """Say that nothing showed whose force it is: no held contact, no gains, no inertia."""
+    return Finding.warning(
+        "force-sign-assumed",
+        f"Whether the wrench of topic {recording.wrench.topic} is that of payload and surroundings on the sensor is "
+        "assumed, not found: the log shows no contact, no robot behind known gains, and no inertia of the payload.",
+        "Check `exerted_by` of the wrench in cell.yaml, or hold a contact of 10 N or more for a second.",
+    )
 
 
 def _without_orientation(recording: Recording) -> Finding:

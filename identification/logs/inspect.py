@@ -77,6 +77,7 @@ def inspect_log(
         if not span.is_whole:
             held = [each.log_ns for each in series.values() if each.log_ns.size]
             ends = (min((int(each[0]) for each in held), default=0), max((int(each[-1]) for each in held), default=0))
+        ends = _by_headers(ends, [series[choice.info.channel] for choice in choices.values()])
         container = logs.parts[0].survey.container
     if Role.WRENCH in choices and Role.POSE in choices:
         if reading is None:
@@ -97,6 +98,16 @@ def inspect_log(
         missing=missing,
         sha256s=digest,
     )
+
+
+def _by_headers(ends: tuple[int, int], series: Sequence[Series]) -> tuple[int, int]:
+    """Return when a log begins and ends, by its roles' headers where it was written in less time than they count."""
+    stamps = [each.stamp_ns for each in series if each.stamp_ns is not None and each.stamp_ns.size]
+    if not stamps:
+        return ends
+    headers = (min(int(each.min()) for each in stamps), max(int(each.max()) for each in stamps))
+    longest = max(int(np.ptp(each)) for each in stamps)
+    return headers if longest > 2 * (ends[1] - ends[0]) and headers[1] - headers[0] < 2 * longest else ends
 
 
 def _size(path: Path) -> int:

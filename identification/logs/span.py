@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from problems.errors import ParameterError
 
-from ..errors import LogError
+from ..errors import OutsideSpanError
 from ..result import Finding
 from ..signals.recording import StampArray
 from .messages.decode import Series
@@ -54,6 +54,11 @@ class LogSpan:
             raise ParameterError("to", self.stop, f"after the beginning, {self.start}")
 
     @property
+    def has_stamps(self) -> bool:
+        """Whether an end is a stamp, which says of several recordings where it lies."""
+        return any(str(each).strip().startswith("@") for each in (self.start, self.stop))
+
+    @property
     def is_whole(self) -> bool:
         """Whether all of a log is read."""
         return self.start is None and self.stop is None
@@ -81,7 +86,7 @@ def cut_roles(
 ) -> tuple[list[dict[Role, Series]], tuple[Finding, ...]]:
     """Return what the parts of a recording hold within a span, without parts that lie outside, and say so.
 
-    `stamps` are those of each role and part on their clocks. Raises LogError where nothing is left of a role.
+    `stamps` are those of each role and part on their clocks. Raises OutsideSpanError where nothing is left of a role.
     """
     if span.is_whole:
         return list(parts), ()
@@ -96,7 +101,7 @@ def cut_roles(
     empty = [series.topic for part in kept for series in part.values() if not series.log_ns.size]
     if empty or not kept:
         what = f"of topic {empty[0]}" if empty else "of wrench and pose"
-        raise LogError(
+        raise OutsideSpanError(
             f"{name} must hold messages {what} from {span}, found none; it is {(end - zero) * 1e-9:.3f} s long and "
             f"starts at @{zero // 10**9}.{zero % 10**9:09d} (with @ a time is a stamp)."
         )

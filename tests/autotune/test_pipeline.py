@@ -12,7 +12,7 @@ from autotune.simulation.phases import Program
 from autotune.simulation.simulate import made_later, simulate_cell
 from autotune.simulation.truth import SimulatedCell
 from autotune.simulation.write import write_mcap
-from identification.errors import EstimateError
+from identification.errors import EstimateError, LogError
 from identification.given import Given
 from tests.autotune.simulation.runs import SHORT
 from tests.identification.merging.test_axis import check_one_record
@@ -48,6 +48,20 @@ def test_recordings_side_by_side_tell_what_they_tell_one_after_the_other(
 ) -> None:
     # The same code on the same numbers: nothing may differ, not by rounding.
     assert identify_log(two_logs, PARTIAL, processes=2) == in_one_process
+
+
+def test_a_part_may_be_named_of_several_recordings(two_logs: list[Path]) -> None:
+    """Seconds count in each; a recording that a stamp leaves outside is named and not used, and all are refused."""
+    found = identify_log(two_logs, replace(PARTIAL, start=0.5, stop=9.0))
+    spans = found.provenance["recordings"]
+    assert [stop - start for start, stop in spans] == pytest.approx([8.5, 8.5], abs=0.01)
+    begins = spans[1][0]
+    alone = identify_log(two_logs, replace(PARTIAL, start=f"@{begins:.3f}"))
+    assert len(alone.provenance["logs"]) == 1
+    told = [each.message for each in alone.result.findings if each.code == "recording-outside"]
+    assert [message[:8] for message in told] == ["Not used"]
+    with pytest.raises(LogError, match="found none"):
+        identify_log(two_logs, replace(PARTIAL, start="@4000000000"))
 
 
 def test_options_come_back_from_the_provenance_and_an_older_file_has_defaults() -> None:

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+import warnings
 from pathlib import Path
 
 import pytest
@@ -40,6 +41,14 @@ def refuse(number: int) -> int:
 def same(value: object) -> object:
     """Hand back what was handed over."""
     return value
+
+
+def halve_quietly(number: int) -> float:
+    """Warn as a numerical library does."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")
+        warnings.warn(f"half of {number}", RuntimeWarning, stacklevel=1)
+    return number / 2
 
 
 def own_pid(_: int) -> int:
@@ -78,6 +87,13 @@ def test_one_task_or_one_process_stays_in_this_one(tasks: list[int], processes: 
 
 def test_two_tasks_leave_this_process() -> None:
     assert os.getpid() not in map_in_processes(own_pid, [1, 2], 2)
+
+
+def test_what_a_task_warns_of_is_warned_of_here_and_not_printed_there(capfd: pytest.CaptureFixture[str]) -> None:
+    with pytest.warns(RuntimeWarning) as seen:
+        assert map_in_processes(halve_quietly, [3, 4], 2) == [1.5, 2.0]
+    assert sorted(str(each.message) for each in seen) == ["half of 3", "half of 4"]
+    assert "half of" not in capfd.readouterr().err
 
 
 def test_a_failure_ends_what_still_runs() -> None:

@@ -83,6 +83,17 @@ def test_without_gains_nothing_is_told_and_that_is_an_error() -> None:
         identify_partial(replace(lively(), gains=None), PERIOD)
 
 
+def test_a_sign_that_nothing_shows_is_said_to_be_assumed() -> None:
+    """Without gains, command and contact, but with a touch of undetermined cause."""
+    recording = lively()
+    assert "force-sign-assumed" not in told(identify_partial(recording, PERIOD))
+    force = np.zeros_like(recording.wrench.force_n)
+    force[2000:2060, 0] = 25.0
+    still = replace(recording.pose, position_m=np.zeros_like(recording.pose.position_m))
+    pushed = replace(recording, gains=None, wrench=replace(recording.wrench, force_n=force), pose=still)
+    assert told(identify_partial(pushed, PERIOD))["force-sign-assumed"] == "warning"
+
+
 def test_a_raw_log_is_fitted_with_its_compensated_force() -> None:
     recording = lively()
     weight_N = np.array([3.0, -5.0, 90.0])

@@ -24,6 +24,7 @@ _JUMP_DEVIATIONS = 8.0
 _JUMP_ERROR_S = 0.01
 _JUMP_ERROR_PERIODS = 3.0
 _FAR_S = 1.0
+_OTHER_PACE_PPM = 2e5
 _DRIFT_PPM = 200.0
 _AGREE_DEVIATIONS = 4.0
 _AGREE_S = 5e-3
@@ -173,7 +174,17 @@ def clock_findings(clock: ChannelClock, period_s: float) -> tuple[Finding, ...]:
                 "Only the header stamps are used, so this matters only where channels differ in it.",
             )
         )
-    if abs(clock.drift_ppm) > max(_DRIFT_PPM, 5.0 * clock.drift_std_ppm):
+    if abs(clock.drift_ppm) > _OTHER_PACE_PPM:
+        found.append(
+            Finding.warning(
+                "recorded-anew",
+                f"The header clock of {clock.topic} counts {1.0 - 1e-6 * clock.drift_ppm:.3g} s in a second of the "
+                "recording clock: the log was written anew after it was recorded (filtered, converted, or played back "
+                "at another speed).",
+                "The header stamps are used; check that they are in seconds.",
+            )
+        )
+    elif abs(clock.drift_ppm) > max(_DRIFT_PPM, 5.0 * clock.drift_std_ppm):
         found.append(
             Finding.warning(
                 "header-clock-drift",

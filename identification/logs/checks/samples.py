@@ -23,6 +23,7 @@ QUATERNION_NORM_TOLERANCE = 1e-3
 WRENCH_AXES = ("force x", "force y", "force z", "torque x", "torque y", "torque z")
 _SENSOR_ADVICE = "Check the sensor's cable and driver and record again."
 _POSE_AXES = ("position x", "position y", "position z")
+_FEWEST_STAMPS, _ALIKE_DECADES = 16, 0.1
 _LONGEST_TRAVEL_M = 20.0
 _FARTHEST_M = 50.0
 _LARGEST_TURN_RAD = 2.0 * np.pi * 1.01
@@ -280,6 +281,7 @@ def role_faults(
         is_table = part.channel.encoding == "table"
         since_s = (part.log_ns - start_ns) / 1e9
         yield from stamp_faults(topic, shifted, since_s, keeps_holes=keeps_holes, is_table=is_table)
+        yield from _stamp_unit(topic, stamp_ns, part.log_ns)
     ordered = sorted(parts, key=lambda part: int(part.log_ns[0]) if part.log_ns.size else 0)
     when = (joined([part.log_ns for part in ordered]) - start_ns) / 1e9
     values = _without_unmeasured(parts[0], joined([part.values for part in ordered]))
@@ -293,6 +295,22 @@ def role_faults(
         yield from _wrench_faults(topic, values, source if isinstance(source, WrenchSource) else WrenchSource(), when)
     else:
         yield from _finite_faults(topic, _not_finite(values), when)
+
+
+def _stamp_unit(topic: str, stamp_ns: StampArray, log_ns: StampArray) -> Iterator[Finding]:
+    """Yield that stamps count thousands of seconds in a second of the recording, or a thousandth: a mistaken unit."""
+    if len(stamp_ns) < _FEWEST_STAMPS or not (np.ptp(log_ns) > 0 and np.ptp(stamp_ns) > 0):
+        return
+    ratio = float(np.ptp(stamp_ns)) / float(np.ptp(log_ns))
+    thousands = round(np.log10(ratio) / 3.0)
+    if thousands and abs(np.log10(ratio) - 3.0 * thousands) < _ALIKE_DECADES:
+        yield Finding.error(
+            "stamp-unit",
+            f"The header stamps of topic {topic} span {np.ptp(stamp_ns) * 1e-9:.6g} s, its messages came within "
+            f"{np.ptp(log_ns) * 1e-9:.6g} s: a factor of 1000 is a mistaken unit (ms or µs for s).",
+            "Write stamps as seconds and nanoseconds and record again, or declare `clock: log` for this channel in "
+            "cell.yaml.",
+        )
 
 
 def _wrench_faults(topic: str, values: FloatArray, source: WrenchSource, when: FloatArray) -> Iterator[Finding]:

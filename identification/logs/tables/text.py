@@ -72,6 +72,7 @@ def look_at(path: Path, layout: TableLayout) -> Text:
         raise LogError(f"{path.name}, line {written[0][0]}: it cannot be split ({error}); correct the line.") from error
     rows = [_fields(line, delimiter) for _, line in written]
     header_rows = _count_header(rows) if layout.header_rows is None else layout.header_rows
+    _check_header(path, written[:header_rows], rows[:header_rows])
     names = (field.strip() or str(index) for index, field in enumerate(first))
     return Text(
         path=path,
@@ -208,6 +209,17 @@ def _count_preamble(lines: Sequence[str], layout: TableLayout) -> int:
     has_names = not any(_NUMBER.fullmatch(field) for field in rows[count])
     has_numbers = all(_NUMBER.fullmatch(field) for field in rows[-1])
     return count if has_names and has_numbers else 0
+
+
+def _check_header(path: Path, written: Sequence[tuple[int, str]], rows: Sequence[list[str]]) -> None:
+    """Raise LogError where a line that is declared to be of units holds a row of numbers."""
+    for (number, _), fields in zip(written[1:], rows[1:], strict=True):
+        counted = [str(i) for i in range(len(fields) + 1)]
+        if all(_NUMBER.fullmatch(field) for field in fields) and fields not in (counted[:-1], counted[1:]):
+            raise LogError(
+                f"{path.name}, line {number}: `header_rows: {len(rows)}` takes it for one of names or units, but it "
+                "holds numbers only; declare fewer `header_rows` in cell.yaml, or leave it out."
+            )
 
 
 def _count_header(rows: Sequence[list[str]]) -> int:

@@ -105,6 +105,28 @@ def test_inspect_summarises_the_part(log: Path) -> None:
     assert "part-read" in [finding.code for finding in summary.findings]
 
 
+def test_inspect_times_a_log_that_was_written_anew_by_its_headers(tmp_path: Path) -> None:
+    """All messages came within a thirtieth of the time that their headers count."""
+    quick = [
+        stream.__class__(**{**vars(stream), "log_ns": START_NS + (stream.log_ns - START_NS) // 30})
+        for stream in complete()
+    ]
+    summary = inspect_log(write_mcap(tmp_path / "quick.mcap", quick))
+    whole = max(int(stream.stamp_ns[-1] - stream.stamp_ns[0]) for stream in quick)
+    assert summary.end_ns - summary.start_ns == pytest.approx(whole, rel=0.01)
+
+
+@pytest.mark.parametrize("factor", [1000, 0.001])
+def test_stamps_in_a_mistaken_unit_are_named(tmp_path: Path, factor: float) -> None:
+    """Milliseconds written where seconds belong, and the other way round."""
+    scaled = [
+        stream.with_stamps(START_NS + np.round((stream.stamp_ns - START_NS) * factor).astype(np.int64))
+        for stream in complete()
+    ]
+    with pytest.raises(LogError, match=r"a factor of 1000 is a mistaken unit \(ms or µs for s\)"):
+        read_recording(write_mcap(tmp_path / "unit.mcap", scaled))
+
+
 def test_the_provenance_holds_the_part_and_only_where_there_is_one() -> None:
     options = IdentifyOptions(start="12.5", stop="@1700000020")
     assert IdentifyOptions.from_tree(options.tree(), None) == options

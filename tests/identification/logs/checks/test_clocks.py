@@ -57,6 +57,13 @@ def test_the_offset_is_that_of_the_quickest_messages() -> None:
     assert clock.jumps == ()
 
 
+def test_a_log_that_was_written_anew_is_told_from_a_clock_that_drifts() -> None:
+    stamps, log = times(count=2000)
+    [anew] = clock_findings(measured("/ft", (stamps, log[0] + (log - log[0]) // 60)), H_S)
+    assert (anew.code, anew.severity) == ("recorded-anew", "warning")
+    assert "counts 60 s in a second of the recording clock" in anew.message
+
+
 @pytest.mark.parametrize("ppm", [-300.0, -20.0, 0.0, 50.0])
 def test_drift_is_measured_within_its_deviation(ppm: float) -> None:
     clocks = [measured("/ft", times(seed=seed, ppm=ppm)) for seed in range(12)]

@@ -122,6 +122,15 @@ def test_lines_before_and_among_the_rows_are_left_out_where_declared(tmp_path: P
         read_table(path, layout)
 
 
+def test_a_row_of_numbers_is_no_line_of_units(tmp_path: Path) -> None:
+    path = write(tmp_path / "run.csv", "a,b\n1.5,2\n3,4\n")
+    with pytest.raises(LogError, match=r"run\.csv, line 2: `header_rows: 2` takes it for one of names or units"):
+        read_table(path, replace(AB, header_rows=2))
+    # Columns that are counted below their names are no data.
+    counted = write(tmp_path / "counted.csv", "a,b\n1,2\n3,4\n")
+    assert read_table(counted, replace(AB, header_rows=2)).values.tolist() == [[3, 4]]
+
+
 def test_a_table_without_names_has_indices_and_so_have_columns_without(tmp_path: Path) -> None:
     path = write(tmp_path / "run.csv", "1,2\n3,4\n")
     assert list_columns(path) == ("0", "1")
