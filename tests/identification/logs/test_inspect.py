@@ -12,6 +12,7 @@ from identification.logs.inspect import inspect_log
 from identification.logs.read import read_recording
 from identification.logs.roles.registry import ROLES, FieldPaths, Role, RoleKind
 from tests.identification.logs.log_builder import START_NS, complete, pose_stream, wrench_stream, write_mcap
+from tests.identification.logs.message_builder import Topic, Tree, header, write_log
 
 
 def test_a_complete_log_lacks_nothing(tmp_path: Path) -> None:
@@ -100,3 +101,29 @@ def test_a_role_is_added_by_one_entry(tmp_path: Path, monkeypatch: pytest.Monkey
     assert channel.roles == (role,)
     messages = [finding.message for finding in read_recording(path).findings]
     assert any(message.startswith("The image size is read from /camera/image") for message in messages)
+
+
+def test_a_wrench_whose_topic_says_that_it_was_filtered_is_questioned(tmp_path: Path) -> None:
+    codes = [
+        {
+            finding.code
+            for finding in read_recording(write_mcap(tmp_path / "run.mcap", [stream, pose_stream()])).findings
+        }
+        for stream in (wrench_stream(), wrench_stream("/ft/wrench_filtered"))
+    ]
+    assert ["wrench-may-be-processed" in found for found in codes] == [False, True]
+
+
+@pytest.mark.parametrize(("band", "code"), [(0.0, "effort-may-be-wrench"), (1.0, "effort-deadband")])
+def test_six_efforts_may_be_a_wrench(tmp_path: Path, band: float, code: str) -> None:
+    force = np.random.default_rng(0).normal(size=(200, 6))
+    force[np.abs(force) < band] = 0.0
+
+    def message(i: int, stamp: int) -> Tree:
+        return {"header": header(stamp, ""), "effort": force[i].tolist()}
+
+    log = write_log(
+        tmp_path / "run.mcap", [Topic(topic="/state", type_name="sensor_msgs/msg/JointState", message=message)]
+    )
+    found = {finding.code for finding in inspect_log(log).findings if finding.code.startswith("effort")}
+    assert found == {code}
