@@ -9,7 +9,7 @@ import struct
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -66,16 +66,6 @@ def _at(file: BagFile, offset: int) -> Iterator[None]:
         raise Damage(offset, " ".join(str(error).split()).rstrip(".") or "the record cannot be read") from error
 
 
-@dataclass(frozen=True, kw_only=True)
-class ChunkPlace:
-    """A chunk in the file and what the index says of it: messages per connection and their time span, or nothing."""
-
-    record: ChunkRecord
-    counts: dict[int, int] = field(default_factory=dict)
-    start_ns: int = 0
-    end_ns: int = 0
-
-
 class _Records(Reader):
     """The record parsers of rosbags, applied to one file or to an unpacked chunk."""
 
@@ -125,9 +115,9 @@ class Ros1BagContainer(Container):
         chosen = set(wanted)
         channels = {number: channel for number, channel in self._connections.items() if channel in chosen}
         with self._refusing():
-            for place in self._chunks:
-                if self._salvage or place.counts.keys() & channels.keys():
-                    for batch in self._batches(place, channels):
+            for record in self._chunks:
+                if self._salvage or record.counts.keys() & channels.keys():
+                    for batch in self._batches(record, channels):
                         yield batch.channel, handle(batch)
 
     def findings(self) -> tuple[Finding, ...]:
@@ -155,7 +145,7 @@ class Ros1BagContainer(Container):
 
     # Layout
 
-    def _read_layout(self) -> list[ChunkPlace]:
+    def _read_layout(self) -> list[ChunkRecord]:
         if self._file.exactly(0, min(len(MAGIC), self._file.size)) != MAGIC:
             raise Damage(0, "a ROS 1 bag must start with the line `#ROSBAG V2.0`")
         try:
@@ -166,7 +156,7 @@ class Ros1BagContainer(Container):
             self._lost.append(damage)
             return self._walked_chunks()
 
-    def _indexed_chunks(self) -> list[ChunkPlace]:
+    def _indexed_chunks(self) -> list[ChunkRecord]:
         """Read the index at the end of the file; raise Damage where it is missing or does not fit the file."""
         file, start = self._file, len(MAGIC)
         with _at(file, start):
@@ -197,9 +187,9 @@ class Ros1BagContainer(Container):
         found = []
         for info, end in zip(infos, [*(info.pos for info in infos), index_at][1:], strict=True):
             counts = info.connection_counts
-            span = {"start_ns": info.start_time, "end_ns": info.end_time - 1} if counts else {}
+            start_ns, end_ns = (info.start_time, info.end_time - 1) if counts else (0, 0)
             if (record := self._chunk_record(info.pos, end)) is not None:
-                found.append(ChunkPlace(record=record, counts=counts, **span))
+                found.append(replace(record, counts=counts, start_ns=start_ns, end_ns=end_ns))
         return found
 
     def _chunk_record(self, offset: int, end: int) -> ChunkRecord | None:
@@ -226,7 +216,7 @@ class Ros1BagContainer(Container):
             is_whole=stored <= end - data_at,
         )
 
-    def _walked_chunks(self) -> list[ChunkPlace]:
+    def _walked_chunks(self) -> list[ChunkRecord]:
         """Find chunks and connections record by record, up to the first place that cannot be read."""
         file, offset, found = self._file, len(MAGIC), []
         try:
@@ -235,7 +225,7 @@ class Ros1BagContainer(Container):
                     kind = Header.read(file).get_uint8("op")
                     end = read_uint32(file) + file.tell()
                 if kind == RecordType.CHUNK and (record := self._chunk_record(offset, file.size)) is not None:
-                    found.append(ChunkPlace(record=record))
+                    found.append(record)
                 elif kind == RecordType.CONNECTION:
                     self._define(offset)
                 elif kind not in tuple(RecordType):
@@ -256,9 +246,9 @@ class Ros1BagContainer(Container):
 
     # Chunks
 
-    def _chunk(self, place: ChunkPlace, lost: list[Damage]) -> tuple[bytes, Walk]:
+    def _chunk(self, record: ChunkRecord, lost: list[Damage]) -> tuple[bytes, Walk]:
         """Unpack a chunk and find its messages; raise Damage, with `salvage` note in `lost` what cannot be read."""
-        record, data, faults = place.record, b"", []
+        data, faults = b"", []
         try:
             data = unpack_chunk(record, self._file.exactly)
         except Damage as damage:
@@ -276,13 +266,13 @@ class Ros1BagContainer(Container):
             raise faults[0]
         lost.extend(faults)
         if not self._salvage:
-            check_index(place.counts, self._index_of(place), record, walk)
+            check_index(self._index_of(record), record, walk)
         return data, walk
 
-    def _index_of(self, place: ChunkPlace) -> Iterator[tuple[int, int, bytes]]:
+    def _index_of(self, record: ChunkRecord) -> Iterator[tuple[int, int, bytes]]:
         """Yield offset, connection and entries of the index records behind a chunk."""
-        file, offset = self._file, place.record.data_at + place.record.stored
-        for _ in place.counts:
+        file, offset = self._file, record.data_at + record.stored
+        for _ in record.counts:
             with _at(file, offset):
                 header = Header.read(file, RecordType.IDXDATA)
                 version, count = header.get_uint32("ver"), header.get_uint32("count")
@@ -293,8 +283,8 @@ class Ros1BagContainer(Container):
             yield offset, number, file.exactly(data_at, size)
             offset = data_at + size
 
-    def _batches(self, place: ChunkPlace, channels: dict[int, Channel]) -> Iterator[Batch]:
-        data, walk = self._chunk(place, [])
+    def _batches(self, record: ChunkRecord, channels: dict[int, Channel]) -> Iterator[Batch]:
+        data, walk = self._chunk(record, [])
         is_message = walk.ops == RecordType.MSGDATA
         here = np.unique(walk.connections[is_message]).tolist()
         for channel in {channels[number]: None for number in here if number in channels}:
@@ -313,29 +303,29 @@ class Ros1BagContainer(Container):
     def _indexed_survey(self) -> Survey:
         counts: Counter[Channel] = Counter()
         first: dict[Channel, bytes] = {}
-        for place in self._chunks:
-            here = {self._connections[number]: count for number, count in place.counts.items() if count}
-            for number, count in place.counts.items():
+        for record in self._chunks:
+            here = {self._connections[number]: count for number, count in record.counts.items() if count}
+            for number, count in record.counts.items():
                 counts[self._connections[number]] += count
             if here.keys() - first.keys():
-                self._note_first(*self._chunk(place, []), first)
-        filled = [place for place in self._chunks if place.counts]
-        start_ns, end_ns = [place.start_ns for place in filled], [place.end_ns for place in filled]
+                self._note_first(*self._chunk(record, []), first)
+        filled = [record for record in self._chunks if record.counts]
+        start_ns, end_ns = [record.start_ns for record in filled], [record.end_ns for record in filled]
         return self._survey_of(counts, first, min(start_ns, default=0), max(end_ns, default=0))
 
     def _walked_survey(self) -> Survey:
         counts: Counter[Channel] = Counter()
         first: dict[Channel, bytes] = {}
         times: list[int] = []
-        for place in self._chunks:
-            data, walk = self._chunk(place, self._lost)
+        for record in self._chunks:
+            data, walk = self._chunk(record, self._lost)
             is_message = walk.ops == RecordType.MSGDATA
             for number, count in Counter(walk.connections[is_message].tolist()).items():
                 if number in self._connections:
                     counts[self._connections[number]] += count
                 else:
                     reason = f"{count} messages of connection {number}, whose definition is lost"
-                    self._lost.append(Damage(place.record.offset, reason))
+                    self._lost.append(Damage(record.offset, reason))
             if bool(np.any(is_message)):
                 times += [int(walk.log_ns[is_message].min()), int(walk.log_ns[is_message].max())]
             self._note_first(data, walk, first)

@@ -6,8 +6,8 @@ and `name=value`. All numbers are little endian.
 
 import bz2
 from collections import Counter
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
 
 import lz4.frame  # type: ignore[import-untyped]  # the package carries no annotations
 import numpy as np
@@ -33,6 +33,7 @@ class ChunkRecord:
     """The record of a chunk: its place, its compression, its declared unpacked size, and where its data lie.
 
     `stored` is how many bytes of its data there are; `is_whole` is False where that is fewer than the record says.
+    Messages per connection and their time span are what the index says, nothing without one.
     """
 
     offset: int
@@ -41,6 +42,9 @@ class ChunkRecord:
     data_at: int
     stored: int
     is_whole: bool
+    counts: Mapping[int, int] = field(default_factory=dict)
+    start_ns: int = 0
+    end_ns: int = 0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,14 +103,12 @@ def _decompress(record: ChunkRecord, packed: bytes) -> bytes:
     return b"".join(pieces)
 
 
-def check_index(
-    counts: dict[int, int], index: Iterable[tuple[int, int, bytes]], record: ChunkRecord, walk: Walk
-) -> None:
+def check_index(index: Iterable[tuple[int, int, bytes]], record: ChunkRecord, walk: Walk) -> None:
     """Raise Damage unless the index names exactly the messages of a chunk, with their times.
 
-    `counts` is the number of messages per connection; `index` has offset, connection and entries of each index record.
+    `index` has offset, connection and entries of each index record.
     """
-    expected = {number: count for number, count in counts.items() if count}
+    expected = {number: count for number, count in record.counts.items() if count}
     is_message = walk.ops == _MESSAGE
     held = Counter(walk.connections[is_message].tolist())
     if held != expected:
