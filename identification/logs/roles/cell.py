@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 
@@ -53,9 +52,6 @@ def _expand(vectors: object, **widths: int) -> None:
         if width and len(paths) != width:
             raise ParameterError(name, f"{len(paths)} paths", f"{width} paths (a slice such as effort[0:3] is three)")
         object.__setattr__(vectors, name, tuple(paths))
-
-
-_Source = TypeVar("_Source", bound="Source")
 
 
 class Clock(StrEnum):
@@ -410,13 +406,13 @@ class Cell:
         """Return the cell with these topics instead of its own where they are not None."""
         cell = self
         if wrench is not None:
-            cell = replace(cell, wrench=_on(cell.wrench or WrenchSource(), wrench))
+            cell = replace(cell, wrench=replace(cell.wrench or WrenchSource(), topic=wrench))
         if command is not None:
-            cell = replace(cell, command=_on(cell.command or PoseSource(), command))
+            cell = replace(cell, command=replace(cell.command or PoseSource(), topic=command))
         if pose is not None and cell.displacement is not None:
-            cell = replace(cell, displacement=_on(cell.displacement, pose))
+            cell = replace(cell, displacement=replace(cell.displacement, topic=pose))
         elif pose is not None:
-            cell = replace(cell, pose=_on(cell.pose or PoseSource(), pose))
+            cell = replace(cell, pose=replace(cell.pose or PoseSource(), topic=pose))
         return cell
 
     def with_urdf(self, urdf: Path | str | None, tip: str | None) -> "Cell":
@@ -439,7 +435,3 @@ class Cell:
 def require_urdf_reader() -> None:
     """Raise MissingExtraError where no URDF can be read."""
     require_extra("A URDF", "pytransform3d", "urdf")
-
-
-def _on(source: _Source, topic: str) -> _Source:
-    return replace(source, topic=topic)
