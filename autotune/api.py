@@ -160,14 +160,13 @@ def optimize(
     from autotune.formats.controller import ControllerFile, read_controller  # noqa: PLC0415 - for who compares only
     from autotune.formats.problem import ProblemSpec, read_problem  # noqa: PLC0415
     from autotune.tuning.optimize import optimize as search  # noqa: PLC0415 - compiles
-    from autotune.tuning.problems import DesignOptions  # noqa: PLC0415
 
     source, seed, names = _plant_file(plant), count("seed", seed), axis_names(axes)
     path = None if problem is None or isinstance(problem, ProblemSpec) else file_path("problem", problem)
     spec = problem if isinstance(problem, ProblemSpec) else ProblemSpec() if path is None else read_problem(path)
     spec = spec if names is None else replace(spec, axes=names)
     existing = compare.as_file() if isinstance(compare, Design) else compare
-    options = DesignOptions(
+    spec = spec.with_options(
         payload_mass_kg=interval("payload_mass", payload_mass),
         environment_stiffness_n_per_m=interval("environment_stiffness", environment_stiffness),
     )
@@ -175,7 +174,6 @@ def optimize(
         found = search(
             source,
             spec,
-            options,
             seed=seed,
             problem_path=path,
             existing=existing

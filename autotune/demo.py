@@ -20,7 +20,6 @@ from autotune.simulation.simulate import simulate_cell
 from autotune.simulation.truth import SimulatedCell
 from autotune.simulation.write import write_mcap
 from autotune.tuning.optimize import Optimized, optimize
-from autotune.tuning.problems import DesignOptions
 from autotune.validation.report import ValidationReport
 from autotune.validation.validate import validate_controller
 from identification.result import Estimate
@@ -171,7 +170,6 @@ def run_demo(
     optimized = optimize(
         read_identified(files.identified),
         ProblemSpec(),
-        DesignOptions(),
         seed=seed,
         progress=lambda share: report(_SHARES[3] * share),
     )

@@ -115,7 +115,7 @@ def _tune(
     from autotune.formats.problem import ProblemSpec, read_problem
     from autotune.formats.schedule import check_schedule_target, write_schedule
     from autotune.processes import count_processors
-    from autotune.tuning.problems import DesignOptions, is_identified_mass
+    from autotune.tuning.problems import is_identified_mass
     from autotune.tuning.schedule import build_classes, tune_schedule
 
     check_schedule_target(folder)
@@ -124,8 +124,7 @@ def _tune(
     with output.progress(f"tuning {len(classes)} classes", 1.0) as advance:
         schedule = tune_schedule(
             plant,
-            ProblemSpec() if problem is None else read_problem(problem),
-            DesignOptions(
+            (ProblemSpec() if problem is None else read_problem(problem)).with_options(
                 payload_mass_kg=others["payload_mass"],
                 environment_stiffness_n_per_m=others["environment_stiffness"],
                 with_unit=fields_with_unit(),

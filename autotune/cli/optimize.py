@@ -139,7 +139,6 @@ def command(
     from autotune.formats.plant_file import read_plant
     from autotune.formats.problem import ProblemSpec, read_problem
     from autotune.tuning.optimize import optimize
-    from autotune.tuning.problems import DesignOptions
 
     sources = [path for path in (identified, problem, old) if path is not None]
     check_target(out, [path for path in sources if path != old], kind="controller")
@@ -149,15 +148,14 @@ def command(
         plant = read_plant(identified)
         seen.append(plant)
         existing = None if old is None else read_controller(old)
-        spec = ProblemSpec() if problem is None else read_problem(problem)
-        options = DesignOptions(
+        spec = (ProblemSpec() if problem is None else read_problem(problem)).with_options(
             payload_mass_kg=payload_mass,
             environment_stiffness_n_per_m=environment_stiffness,
             with_unit=fields_with_unit(),
         )
         with output.progress("searching", 1.0) as advance:
             found = optimize(
-                plant, spec, options, seed=seed, problem_path=problem, existing=existing, proof=proof,
+                plant, spec, seed=seed, problem_path=problem, existing=existing, proof=proof,
                 step=lambda doing: advance(0.0, f"searching {doing}".rstrip()), progress=advance,
             )  # fmt: skip
         fronts.trace(output, found)

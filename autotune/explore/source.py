@@ -19,7 +19,7 @@ from autotune.formats.yaml12 import kind_of_file
 from autotune.tuning.bounds import Box
 from autotune.tuning.compare import start_design
 from autotune.tuning.optimize import carried_payload, make_provenance
-from autotune.tuning.problems import DesignOptions, build_problems, within_domain
+from autotune.tuning.problems import build_problems, within_domain
 from autotune.tuning.search import SearchResult, solve_design
 from autotune.tuning.threshold import ThresholdSettings, threshold_settings
 from autotune.validation.axis_proof import ProofOptions
@@ -100,9 +100,9 @@ def read_exploration(path: Path, problem: Path | None = None, progress: Progress
 def _from_identified(path: Path, problem_path: Path | None, progress: Progress) -> Exploration:
     identified = read_plant(path)
     spec = within_domain(ProblemSpec() if problem_path is None else read_problem(problem_path), identified.domain)
-    problems = build_problems(identified.result, spec, DesignOptions())
-    payload = carried_payload(identified.result, problems, spec, DesignOptions())
-    provenance = make_provenance(identified, problems, DesignOptions(), 0, problem_path, None, ProofOptions())
+    problems = build_problems(identified.result, spec)
+    payload = carried_payload(identified.result, problems, spec)
+    provenance = make_provenance(identified, problems, spec, 0, problem_path, None, ProofOptions())
     return Exploration(
         path=path,
         axes={name: _searched(each, lambda done: progress(done / len(problems))) for name, each in problems.items()},

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from copy import deepcopy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -70,7 +70,7 @@ class RotationalSpec:
 
 @dataclass(frozen=True, kw_only=True)
 class ProblemSpec:
-    """Everything that `problem.yaml` may say; None or empty where it says nothing and the default holds.
+    """What is asked of a controller, by `problem.yaml`, options or arguments; None or empty where the default holds.
 
     `free` makes further parameters of the controller variables, with their bounds; `collision_threshold_n` bounds the
     threshold of the collision response, which is chosen after the gains (there is none without); `compliance` makes K_e
@@ -78,6 +78,8 @@ class ProblemSpec:
     `objective` may be given by its registered name.
     `uncertain` maps further parameters of the plant to a range, to "identified" (the confidence set of the identified
     file) or to "nominal" (as if it were known). `limits` are those that the runtime enforces.
+    `options` holds those ranges that were said outside of the file (`with_options`), `with_unit` names those whose unit
+    was typed.
     """
 
     axes: tuple[str, ...] | None = None
@@ -93,10 +95,24 @@ class ProblemSpec:
     collision_threshold_n: Interval | None = None
     compliance: ComplianceSpec | None = None
     limits: LimitsSpec = field(default_factory=LimitsSpec)
+    options: Mapping[str, Interval] = field(default_factory=dict)
+    with_unit: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
-        freeze(self, "bounds", "uncertain", "free")
+        freeze(self, "bounds", "uncertain", "free", "options")
         object.__setattr__(self, "objective", _objective(self.objective))
+
+    def with_options(
+        self,
+        *,
+        payload_mass_kg: Interval | None = None,
+        environment_stiffness_n_per_m: Interval | None = None,
+        with_unit: frozenset[str] = frozenset(),
+    ) -> "ProblemSpec":
+        """Return the problem with the ranges of translational axes that are given, which win over those of the file."""
+        given = {"payload_mass_kg": payload_mass_kg, _STIFFNESS: environment_stiffness_n_per_m}
+        ranges: dict[str, Any] = {name: each for name, each in given.items() if each is not None}
+        return replace(self, **ranges, options={**self.options, **ranges}, with_unit=self.with_unit | with_unit)
 
 
 def read_problem(path: Path) -> ProblemSpec:

@@ -21,7 +21,7 @@ from problems.design.problem import DesignProblem
 from problems.design.uncertainty import STIFFNESS
 from problems.progress import no_progress
 
-from .problems import DesignOptions, build_problems
+from .problems import build_problems
 from .search import SearchResult, solve_design
 
 RESOLUTION = 0.05
@@ -128,16 +128,14 @@ class Compliance:
         return found[int(np.argmin(ratios))].found if found else None
 
 
-def build_compliance_problems(
-    identified: Identified, spec: ProblemSpec, options: DesignOptions
-) -> dict[str, DesignProblem]:
+def build_compliance_problems(identified: Identified, spec: ProblemSpec) -> dict[str, DesignProblem]:
     """Return the design problem of the one axis that is asked, on the softest compliance.
 
     Raises UsageError where the surface is said twice, or for several axes or a turning one, and what `build_problems`
     raises.
     """
     asked = _asked(spec)
-    if options.environment_stiffness_n_per_m is not None:
+    if STIFFNESS in spec.options:
         raise UsageError(
             "--environment-stiffness and free.environment_stiffness_n_per_m in problem.yaml both say the surface; give "
             "one of them."
@@ -150,7 +148,7 @@ def build_compliance_problems(
         )
     if ROTATIONAL_AXES.intersection(names):
         raise UsageError(f"environment_stiffness_n_per_m is in N/m, and {names[0]} turns; leave it out of free.")
-    return build_problems(identified, at_stiffness(spec, asked.bounds[0]), options)
+    return build_problems(identified, at_stiffness(spec, asked.bounds[0]))
 
 
 def at_stiffness(spec: ProblemSpec, stiffness_n_per_m: float) -> ProblemSpec:

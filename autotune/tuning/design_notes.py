@@ -5,11 +5,12 @@ from collections.abc import Iterator, Mapping
 from autotune.formats.controller_record import Controller
 from autotune.formats.identified import IdentifiedFile
 from autotune.formats.plant import TAKEN_AS_EXACT, exact_message, exact_within
+from autotune.formats.problem import ProblemSpec
 from autotune.formats.units import ROTATIONAL_AXES, axis_units
 from problems.design.problem import DesignProblem
 
 from .plausible import doubtful_ranges, left_out_contacts
-from .problems import DesignOptions, is_identified_mass
+from .problems import is_identified_mass
 
 
 def exact_names(plant: IdentifiedFile, problems: Mapping[str, DesignProblem]) -> tuple[str, ...]:
@@ -24,7 +25,7 @@ def design_notes(
     plant: IdentifiedFile,
     controller: Controller,
     problems: Mapping[str, DesignProblem],
-    options: DesignOptions,
+    spec: ProblemSpec,
     *,
     has_compliance: bool,
 ) -> Iterator[str]:
@@ -50,7 +51,7 @@ def design_notes(
         if not has_compliance:
             yield from left_out_contacts(problem, plant.result, name)
     turning = [name for name in controller.axes if name in ROTATIONAL_AXES]
-    if turning and options.environment_stiffness_n_per_m is not None:
+    if turning and "environment_stiffness_n_per_m" in spec.options:
         yield (
             f"The range of environment stiffness is in N/m and says nothing of {', '.join(turning)}; the range "
             "certified there is the identified one, or that of problem.yaml."

@@ -19,6 +19,7 @@ from autotune.version import __version__
 from identification.result import Identified
 from problems.arrays import FloatArray
 from problems.design.problem import FURTHER_VARIABLES, VARIABLES, DesignProblem
+from problems.design.uncertainty import MASS, STIFFNESS
 from problems.progress import ProgressSlice, no_progress
 
 from .compare import SideBySide, check_comparable, compare, start_design
@@ -34,7 +35,7 @@ from .design_notes import design_notes, exact_names
 from .limits import LimitsSettings, limits_settings, with_limits
 from .optimality_report import OptimalityReport, optimality_tree
 from .plausible import left_out_tree
-from .problems import DesignOptions, build_problems, certified_mass_kg, runtime_mass_kg, within_domain
+from .problems import build_problems, certified_mass_kg, runtime_mass_kg, within_domain
 from .record import build_controller, runtime_payload
 from .relax import find_relaxations, relaxation_message
 from .search import SearchResult, solve_design
@@ -68,7 +69,6 @@ class Optimized:
 def optimize(
     identified: IdentifiedFile,
     spec: ProblemSpec,
-    options: DesignOptions,
     *,
     seed: int = 0,
     problem_path: Path | None = None,
@@ -86,17 +86,17 @@ def optimize(
 
     Raises InfeasibleError when nothing meets the requirements (with `relax`, after searching for what would have to be
     relaxed: several times the work of a search), CertificateError when a claim cannot be proved or verified,
-    EstimateError for a missing parameter, UsageError for options or an existing controller that do not fit.
+    EstimateError for a missing parameter, UsageError for a problem or an existing controller that do not fit.
     """
     report = progress or no_progress
     asked = proof if proof is not None else ProofOptions()
     spec = within_domain(spec, identified.domain)
     build = build_problems if spec.compliance is None else build_compliance_problems
-    problems = build(identified.result, spec, options)
+    problems = build(identified.result, spec)
     if existing is not None:
         check_comparable(existing, problems)
     # Asked before the search, because it may refuse.
-    payload = carried_payload(identified.result, problems, spec, options)
+    payload = carried_payload(identified.result, problems, spec)
     chosen = _choose(problems, spec.compliance, seed, step or no_progress, ProgressSlice(report, _COMPLIANCE_SHARE))
     if chosen:
         report = ProgressSlice(report, 1.0 - _COMPLIANCE_SHARE)
@@ -106,7 +106,7 @@ def optimize(
     settled = _settle_all(searches, asked, seed, report)
     searches = {name: each.search for name, each in settled.items()}
     optimality_reports = {name: each.optimality for name, each in settled.items()}
-    provenance = make_provenance(identified, problems, options, seed, problem_path, existing, asked)
+    provenance = make_provenance(identified, problems, spec, seed, problem_path, existing, asked)
     provenance |= _optimality_tree(optimality_reports) | _surfaces_tree(problems, identified.result, chosen)
     controller, checked = certify(
         searches, payload, provenance, asked, lambda done: report((1.0 - _SEARCH_SHARE) * done),
@@ -114,7 +114,7 @@ def optimize(
         limits=limits_settings(identified.result, spec),
         proved={name: each.proved for name, each in settled.items()},
     )  # fmt: skip
-    notes = list(design_notes(identified, controller, problems, options, has_compliance=bool(chosen)))
+    notes = list(design_notes(identified, controller, problems, spec, has_compliance=bool(chosen)))
     if notes:
         controller = replace(controller, provenance={**controller.provenance, "notes": notes})
     return Optimized(
@@ -155,11 +155,9 @@ def _surfaces_tree(
     return dict(left_out_tree(problems, identified))
 
 
-def carried_payload(
-    identified: Identified, problems: Mapping[str, DesignProblem], spec: ProblemSpec, options: DesignOptions
-) -> RuntimePayload:
+def carried_payload(identified: Identified, problems: Mapping[str, DesignProblem], spec: ProblemSpec) -> RuntimePayload:
     """Return the payload that the runtime compensates; raises UsageError where ranges leave the identified one out."""
-    certified = certified_mass_kg(problems) or options.payload_mass_kg or spec.payload_mass_kg
+    certified = certified_mass_kg(problems) or spec.payload_mass_kg
     is_chosen = certified is not None and certified[0] == certified[1]
     return runtime_payload(identified, runtime_mass_kg(identified, certified), is_chosen=is_chosen)
 
@@ -323,7 +321,7 @@ def _without_uncertainty(problem: DesignProblem, seed: int) -> str:
 def make_provenance(
     identified: IdentifiedFile,
     problems: Mapping[str, DesignProblem],
-    options: DesignOptions,
+    spec: ProblemSpec,
     seed: int,
     problem_path: Path | None,
     existing: ControllerFile | None,
@@ -331,7 +329,7 @@ def make_provenance(
 ) -> dict[str, Any]:
     """Return where a controller comes from: the tool, the identified file, and what was asked."""
     plant = identified.provenance.get("plant")
-    mass, stiffness = options.payload_mass_kg, options.environment_stiffness_n_per_m
+    said = {name: list(spec.options[name]) if name in spec.options else None for name in (MASS, STIFFNESS)}
     return {
         "tool": f"autotune {__version__}",
         "identified": {
@@ -342,8 +340,7 @@ def make_provenance(
         },
         "options": {
             "problem": None if problem_path is None else str(problem_path),
-            "payload_mass_kg": None if mass is None else list(mass),
-            "environment_stiffness_n_per_m": None if stiffness is None else list(stiffness),
+            **said,
             "seed": seed,
             "slack": proof.slack,
             "proof_budget_s": proof.further_s,

@@ -20,13 +20,11 @@ _FAR_OFF = {"stiffness": 1e4, "mass": 100.0}
 _MOST_STDS = 5.0
 
 
-def check_plausible(
-    identified: Identified, names: Sequence[str], straight: ProblemSpec, turned: ProblemSpec, sure: frozenset[str]
-) -> None:
+def check_plausible(identified: Identified, names: Sequence[str], straight: ProblemSpec, turned: ProblemSpec) -> None:
     """Raise UsageError for a range of K_e or of the payload that a mistaken unit would explain.
 
-    `straight` and `turned` hold the ranges of translational and rotational axes; of those whose names are in `sure`
-    the unit was said, so they are meant. Where nothing was identified nothing is compared.
+    `straight` and `turned` hold the ranges of translational and rotational axes; where the unit was typed they are
+    meant. Where nothing was identified nothing is compared.
     """
     for name in names:
         turns, spec = name in ROTATIONAL_AXES, turned if name in ROTATIONAL_AXES else straight
@@ -36,10 +34,10 @@ def check_plausible(
         stiffness = [value for value in known if value is not None and value > 0.0]
         masses = [mass] if mass is not None and mass > 0.0 else []
         option = "rotational.environment_stiffness_n_m_per_rad" if turns else "--environment-stiffness"
-        if "environment_stiffness_n_per_m" not in sure:
+        if "environment_stiffness_n_per_m" not in spec.with_unit:
             _check(spec.environment_stiffness_n_per_m, stiffness, option, "stiffness", units.stiffness)
         option = "rotational.payload_inertia_kg_m2" if turns else "--payload-mass"
-        if "payload_mass_kg" not in sure:
+        if "payload_mass_kg" not in spec.with_unit:
             _check(spec.payload_mass_kg, masses, option, "mass", units.mass)
     heaviest = max(straight.payload_mass_kg or (0.0,))
     if heaviest > _HEAVIEST_KG:

@@ -1,8 +1,8 @@
-"""Build one design problem per axis from identified parameters, problem.yaml and options."""
+"""Build one design problem per axis from identified parameters and what is asked."""
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -38,18 +38,6 @@ _DEFAULT_APPROACH_N = 30.0
 _GO_WITH_THE_LEVER = ("mass", "damping")
 
 
-@dataclass(frozen=True, kw_only=True)
-class DesignOptions:
-    """What the command line adds to `problem.yaml`, for translational axes; None where nothing was said.
-
-    `with_unit` names the fields whose unit was typed: those are not taken for a mistake (`plausible`).
-    """
-
-    payload_mass_kg: Interval | None = None
-    environment_stiffness_n_per_m: Interval | None = None
-    with_unit: frozenset[str] = frozenset()
-
-
 def within_domain(spec: ProblemSpec, domain: Mapping[str, Interval]) -> ProblemSpec:
     """Return the problem with the set that the plant itself names, wherever `spec` says nothing of it."""
     if not domain:
@@ -65,13 +53,13 @@ def within_domain(spec: ProblemSpec, domain: Mapping[str, Interval]) -> ProblemS
     )
 
 
-def build_problems(identified: Identified, spec: ProblemSpec, options: DesignOptions) -> dict[str, DesignProblem]:
+def build_problems(identified: Identified, spec: ProblemSpec) -> dict[str, DesignProblem]:
     """Return a design problem for every axis that the log identified (or for those that `spec` names).
 
-    The command line wins over `problem.yaml`, and that over the identified value with its uncertainty. The problem of
-    a rotational axis is the same in rad, N·m and kg·m², with the axis's moment of inertia as its mass. Raises
-    UsageError for an axis that is not there, for a compliance still to be chosen and for a payload of which nobody
-    says the inertia, EstimateError for a parameter that is missing and was not given.
+    What `spec` says wins over the identified value with its uncertainty. The problem of a rotational axis is the same
+    in rad, N·m and kg·m², with the axis's moment of inertia as its mass. Raises UsageError for an axis that is not
+    there, for a compliance still to be chosen and for a payload of which nobody says the inertia, EstimateError for a
+    parameter that is missing and was not given.
     """
     if spec.compliance is not None:
         raise UsageError(
@@ -84,21 +72,16 @@ def build_problems(identified: Identified, spec: ProblemSpec, options: DesignOpt
     unknown = [name for name in names if name not in identified.axes]
     if unknown:
         raise UsageError(f"Axis {unknown[0]} is not in the identified file; it holds {', '.join(identified.axes)}.")
-    _check_use(names, spec, options)
+    _check_use(names, spec)
     _check_free(names, spec)
     approach = spec.approach or Approach(force_n=_DEFAULT_APPROACH_N)
-    straight = replace(
-        spec,
-        approach=approach,
-        environment_stiffness_n_per_m=options.environment_stiffness_n_per_m or spec.environment_stiffness_n_per_m,
-        payload_mass_kg=options.payload_mass_kg or spec.payload_mass_kg,
-    )
+    straight = replace(spec, approach=approach)
     turned = through_lever(spec, approach)
     # Forces and torques are of one sensor: what is said of its filter once is said of both.
     shared = {key: value for key, value in spec.uncertain.items() if key in {LAG, LATE}}
     turned = replace(turned, uncertain={**shared, **turned.uncertain})
     check_wrench(identified, spec.uncertain)
-    check_plausible(identified, names, straight, turned, options.with_unit)
+    check_plausible(identified, names, straight, turned)
     problems = {}
     for name in names:
         if name in ROTATIONAL_AXES:
@@ -110,13 +93,13 @@ def build_problems(identified: Identified, spec: ProblemSpec, options: DesignOpt
     return problems
 
 
-def _check_use(names: list[str], spec: ProblemSpec, options: DesignOptions) -> None:
+def _check_use(names: list[str], spec: ProblemSpec) -> None:
     """Refuse ranges that no axis takes, unless axes were named: their author believes that they are certified."""
     turning, unnamed = ROTATIONAL_AXES.intersection(names), spec.axes is None
     if unnamed and not turning and spec.rotational != RotationalSpec():
         raise UsageError(f"problem.yaml has an entry rotational, and no rotational axis is tuned: {', '.join(names)}.")
-    stiffness = options.environment_stiffness_n_per_m or (spec.environment_stiffness_n_per_m if unnamed else None)
-    if len(turning) == len(names) and stiffness is not None:
+    meant = spec.environment_stiffness_n_per_m if unnamed else spec.options.get("environment_stiffness_n_per_m")
+    if len(turning) == len(names) and meant is not None:
         raise UsageError(
             f"A surface's stiffness in N/m says nothing of rotation, and only {', '.join(names)} is tuned; say "
             "rotational.environment_stiffness_n_m_per_rad in problem.yaml."

@@ -22,7 +22,7 @@ from problems.progress import no_progress
 from problems.stability.margins import UnstableLoopError
 
 from .optimize import optimize
-from .problems import DesignOptions, build_problems, certified_mass_kg, runtime_mass_kg, within_domain
+from .problems import build_problems, certified_mass_kg, runtime_mass_kg, within_domain
 from .scenario_exchange import WholeSet
 from .threshold import without_response
 
@@ -38,17 +38,14 @@ class _Task:
 
     identified: IdentifiedFile
     spec: ProblemSpec
-    options: DesignOptions
     seed: int
     problem_path: Path | None
 
 
-def class_options(of: ScheduleClass, others: DesignOptions) -> DesignOptions:
-    """Return the options of an ordinary call: the ranges of the class, and `others` where it has none."""
-    return DesignOptions(
-        payload_mass_kg=of.payload_mass_kg or others.payload_mass_kg,
-        environment_stiffness_n_per_m=of.environment_stiffness_n_per_m or others.environment_stiffness_n_per_m,
-        with_unit=others.with_unit,
+def of_class(of: ScheduleClass, spec: ProblemSpec) -> ProblemSpec:
+    """Return what an ordinary call would ask: the ranges of the class, and those of `spec` where it has none."""
+    return spec.with_options(
+        payload_mass_kg=of.payload_mass_kg, environment_stiffness_n_per_m=of.environment_stiffness_n_per_m
     )
 
 
@@ -82,7 +79,6 @@ def hull(classes: Iterable[ScheduleClass]) -> ScheduleClass:
 def tune_schedule(
     identified: IdentifiedFile,
     spec: ProblemSpec,
-    others: DesignOptions,
     classes: Sequence[ScheduleClass],
     *,
     seed: int = 0,
@@ -92,9 +88,9 @@ def tune_schedule(
 ) -> Schedule:
     """Tune a controller for every class and one for the hull of all, `processes` at a time; the result is the same.
 
-    Each controller is what an ordinary `optimize` finds for those ranges (`others` where a class has none). Where the
-    common controller turns out to be gentler than a class's own, the class is searched again from it. `progress` gets
-    the share of the work done since the last call.
+    Each controller is what an ordinary `optimize` finds for those ranges (those of `spec` where a class has none).
+    Where the common controller turns out to be gentler than a class's own, the class is searched again from it.
+    `progress` gets the share of the work done since the last call.
 
     Raises UsageError for a class whose weight nobody could compensate and for a free compliance, InfeasibleError that
     names all classes without a controller, and what `optimize` raises with the name of the class. That the hull has
@@ -115,9 +111,7 @@ def tune_schedule(
     whole, spec = hull(classes), within_domain(spec, identified.domain)
 
     def task(of: ScheduleClass) -> _Task:
-        return _Task(
-            identified=identified, spec=spec, options=class_options(of, others), seed=seed, problem_path=problem_path
-        )
+        return _Task(identified=identified, spec=of_class(of, spec), seed=seed, problem_path=problem_path)
 
     for each in classes:
         _named(each.name, partial(_check, task(each)))
@@ -143,8 +137,8 @@ def tune_schedule(
 
 def _check(task: _Task) -> None:
     """Refuse now what the search would refuse later: a mass that nobody can compensate, a parameter that is missing."""
-    problems = build_problems(task.identified.result, task.spec, task.options)
-    asked = task.options.payload_mass_kg or task.spec.payload_mass_kg
+    problems = build_problems(task.identified.result, task.spec)
+    asked = task.spec.payload_mass_kg
     runtime_mass_kg(task.identified.result, certified_mass_kg(problems) or asked)
 
 
@@ -152,7 +146,7 @@ def _tune(task: _Task) -> Controller | AutotuneError:
     """Return the controller of one task, or what was refused, so that the other classes are looked at as well."""
     try:
         return optimize(
-            task.identified, task.spec, task.options, seed=task.seed, problem_path=task.problem_path, relax=False
+            task.identified, task.spec, seed=task.seed, problem_path=task.problem_path, relax=False
         ).controller
     except AutotuneError as error:
         return _bare(error)
@@ -170,7 +164,6 @@ def _beside(pair: tuple[_Task, Tuned], *, common: str) -> Tuned | AutotuneError:
             again = optimize(
                 task.identified,
                 task.spec,
-                task.options,
                 seed=task.seed,
                 problem_path=task.problem_path,
                 existing=existing,
@@ -187,7 +180,7 @@ def _beside(pair: tuple[_Task, Tuned], *, common: str) -> Tuned | AutotuneError:
 def _judge(task: _Task, controller: Controller) -> tuple[dict[str, float], float]:
     """Return the worst peaks of a controller over a class, axis by axis, and by what share it misses what is asked."""
     peaks, missed = {}, 0.0
-    for axis, problem in build_problems(task.identified.result, task.spec, task.options).items():
+    for axis, problem in build_problems(task.identified.result, task.spec).items():
         try:
             exact = WholeSet(problem, task.seed).evaluate(admittance_controller(controller, axis)).evaluation
         except UnstableLoopError as error:

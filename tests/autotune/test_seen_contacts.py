@@ -7,7 +7,7 @@ import pytest
 
 from autotune.formats.problem import ProblemSpec
 from autotune.pipeline import identify_log
-from autotune.tuning.problems import DesignOptions, build_problems
+from autotune.tuning.problems import build_problems
 from identification.result import PhaseKind, Status, TouchCause
 
 
@@ -26,7 +26,7 @@ def test_a_wall_that_chatters_is_a_weak_surface_and_in_the_default_range(shared_
     assert wall.contacts == 3
     touches = [phase.contact for phase in found.timelines[0].phases if phase.contact is not None]
     assert [touch.surface for touch in touches] == [soft.name] * 3 + [wall.name] * 3
-    low, high = build_problems(found, ProblemSpec(), DesignOptions())["z"].plants.environment_stiffness_n_per_m
+    low, high = build_problems(found, ProblemSpec())["z"].plants.environment_stiffness_n_per_m
     assert low < 3e4
     assert high > 2e5
     # Dry friction of 20 N makes the wrench look 0.11 ms late, which is no filter.

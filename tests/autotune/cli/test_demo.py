@@ -15,7 +15,7 @@ from autotune.formats.identified import read_identified
 from autotune.formats.yaml12 import load_yaml
 from autotune.report import page
 from tests.autotune.cli.conftest import SHORT
-from tests.autotune.tuning.cases import FAST_SPEC, FAST_WISHES
+from tests.autotune.tuning.cases import FAST_SPEC
 
 RunCli = Callable[..., "subprocess.CompletedProcess[str]"]
 
@@ -55,7 +55,6 @@ def brief(tmp_path_factory: pytest.TempPathFactory) -> tuple[DemoResult, list[st
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(demo_module, "Program", lambda: SHORT)
         patch.setattr(demo_module, "ProblemSpec", lambda: FAST_SPEC)
-        patch.setattr(demo_module, "DesignOptions", lambda: FAST_WISHES)
         return run_demo(folder, seed=3, step=steps.append, progress=shares.append), steps, shares
 
 

@@ -20,7 +20,7 @@ from autotune.formats.robot import Robot
 from autotune.formats.yaml12 import load_document
 from autotune.maps.source import read_source
 from autotune.tuning.optimize import carried_payload
-from autotune.tuning.problems import DesignOptions, build_problems, within_domain
+from autotune.tuning.problems import build_problems, within_domain
 from identification.result import Status
 from problems.errors import ParameterError
 from problems.model.robot import bandwidth_hz
@@ -102,7 +102,7 @@ def test_a_plain_number_is_exact_and_a_range_is_the_domain() -> None:
 
 def test_the_design_problem_holds_that_domain() -> None:
     source = plant().file()
-    problems = build_problems(source.result, within_domain(ProblemSpec(), source.domain), DesignOptions())
+    problems = build_problems(source.result, within_domain(ProblemSpec(), source.domain))
     (problem,) = problems.values()
     assert problem.plants.payload_mass_kg == (16.0, 16.0)
     assert problem.plants.environment_stiffness_n_per_m == (2e4, 5e5)
@@ -274,10 +274,8 @@ WHOLE: dict[str, Any] = {
 
 def carried(source: Plant, **options: Any) -> RuntimePayload:
     identified = source.file()
-    asked = DesignOptions(**options)
-    spec = within_domain(ProblemSpec(), identified.domain)
-    problems = build_problems(identified.result, spec, asked)
-    return carried_payload(identified.result, problems, spec, asked)
+    spec = within_domain(ProblemSpec().with_options(**options), identified.domain)
+    return carried_payload(identified.result, build_problems(identified.result, spec), spec)
 
 
 def test_the_value_of_an_uncertain_mass_is_what_is_compensated() -> None:

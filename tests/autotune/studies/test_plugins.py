@@ -43,7 +43,7 @@ from problems.model.controller import AdmittanceController
 from problems.stability.noise import predict_command_noise
 from problems.stability.passivity import check_passivity
 from tests.autotune.studies.small import ROOT
-from tests.autotune.tuning.cases import FAST_PROBLEM_YAML, FAST_SPEC, FAST_WISHES, identified_plant, write_plant
+from tests.autotune.tuning.cases import FAST_PROBLEM_YAML, FAST_SPEC, identified_plant, write_plant
 
 RunCli = Callable[..., "subprocess.CompletedProcess[str]"]
 
@@ -234,7 +234,7 @@ def test_the_contract_refuses(kind: type[Highest], monkeypatch: pytest.MonkeyPat
 def test_a_search_ends_at_a_number_of_an_objective_that_cannot_be_compared(objective: Objective, found: str) -> None:
     plant = IdentifiedFile(result=identified_plant(), provenance={}, path=Path("p.yaml"), sha256="0" * 64)
     with pytest.raises(ParameterError) as refused:
-        optimize(plant, replace(FAST_SPEC, objective=objective), FAST_WISHES)
+        optimize(plant, replace(FAST_SPEC, objective=objective))
     assert f"objective {objective.name} must be" in str(refused.value)
     assert f"found {found}" in str(refused.value)
 

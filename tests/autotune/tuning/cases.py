@@ -9,7 +9,6 @@ from autotune.formats.controller_record import Controller
 from autotune.formats.identified import IdentifiedFile, read_identified, write_identified
 from autotune.formats.problem import ProblemSpec
 from autotune.tuning.optimize import Optimized, optimize
-from autotune.tuning.problems import DesignOptions
 from autotune.tuning.search import SearchResult, solve_design
 from autotune.validation.axis_proof import ProofOptions
 from identification.result import (
@@ -39,10 +38,10 @@ ROOM: Mapping[str, tuple[float, float]] = {
 }
 # A band that starts at 1 Hz is measured in a tenth of the simulated time that 0.1 Hz needs.
 FAST_REQUIREMENTS = Requirements(free_space_admittance=AdmittanceTarget(min_m_s_per_n=6.5e-4, band_hz=(1.0, 2.0)))
-FAST_SPEC = ProblemSpec(
+BARE_SPEC = ProblemSpec(
     bounds={**ROOM, "mass": (6.0, 6.0), "feedback_damping_s": (0.005, 0.005)}, requirements=FAST_REQUIREMENTS
 )
-FAST_WISHES = DesignOptions(payload_mass_kg=(16.0, 16.0), environment_stiffness_n_per_m=(1e5, 1.2e5))
+FAST_SPEC = BARE_SPEC.with_options(payload_mass_kg=(16.0, 16.0), environment_stiffness_n_per_m=(1e5, 1.2e5))
 
 
 def design_problem(
@@ -140,7 +139,7 @@ def write_plant(folder: Path) -> IdentifiedFile:
 def fast_optimized() -> Optimized:
     """A small problem taken all the way to a validated controller."""
     plant = IdentifiedFile(result=identified_plant(), provenance={}, path=Path("identified.yaml"), sha256="0" * 64)
-    return optimize(plant, FAST_SPEC, FAST_WISHES, seed=1)
+    return optimize(plant, FAST_SPEC, seed=1)
 
 
 @cache
@@ -184,7 +183,7 @@ def uncertain_optimized() -> Optimized:
     """The problem of `fast_optimized` with more of the plant uncertain, and less freedom of motion asked."""
     plant = IdentifiedFile(result=identified_plant(), provenance={}, path=Path("identified.yaml"), sha256="0" * 64)
     # A second of proof is enough to show that it is there, and is done again wherever the file is validated.
-    return optimize(plant, FURTHER_SPEC, FAST_WISHES, seed=1, proof=ProofOptions(further_s=1.0))
+    return optimize(plant, FURTHER_SPEC, seed=1, proof=ProofOptions(further_s=1.0))
 
 
 def relaxed(problem: DesignProblem, requirement: str, share: float) -> DesignProblem:

@@ -7,7 +7,6 @@ from pathlib import Path
 from autotune.formats.identified import IdentifiedFile
 from autotune.formats.problem import ProblemSpec
 from autotune.tuning.optimize import Optimized, optimize
-from autotune.tuning.problems import DesignOptions
 from autotune.validation.axis_proof import ProofOptions
 from identification.result import CouplingEstimate, PayloadEstimate, RobotEstimate
 from problems.design.objectives import SensorForce
@@ -30,8 +29,7 @@ SPEC = ProblemSpec(
     objective=SensorForce(),
     uncertain={"drag_n_s_per_m": (100.0, 150.0)},
     collision_threshold_n=(2.0, 40.0),
-)
-WISHES = DesignOptions(payload_mass_kg=(6.3, 6.3), environment_stiffness_n_per_m=STIFFNESS)
+).with_options(payload_mass_kg=(6.3, 6.3), environment_stiffness_n_per_m=STIFFNESS)
 
 
 def small_robot() -> IdentifiedFile:
@@ -55,4 +53,4 @@ def small_robot() -> IdentifiedFile:
 
 @cache
 def responding() -> Optimized:
-    return optimize(small_robot(), SPEC, WISHES, seed=1, proof=ProofOptions(further_s=0.1))
+    return optimize(small_robot(), SPEC, seed=1, proof=ProofOptions(further_s=0.1))

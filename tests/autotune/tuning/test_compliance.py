@@ -25,7 +25,7 @@ from autotune.tuning.compliance import (
     compliance_tree,
 )
 from autotune.tuning.optimize import Optimized, optimize
-from autotune.tuning.problems import DesignOptions, build_problems
+from autotune.tuning.problems import build_problems
 from autotune.tuning.relax import Relaxation
 from autotune.tuning.scenario_exchange import moved_scenario
 from autotune.tuning.schedule import build_classes, tune_schedule
@@ -35,8 +35,8 @@ from autotune.validation.validate import validate_controller
 from problems.design.problem import DesignProblem, Requirements
 from problems.design.uncertainty import Scenario
 from tests.autotune.tuning.cases import (
+    BARE_SPEC,
     FAST_REQUIREMENTS,
-    FAST_SPEC,
     ROOM,
     design_problem,
     identified_axis,
@@ -47,7 +47,6 @@ from tests.autotune.tuning.cases import (
 from tests.autotune.tuning.turning import two_axes
 
 BOUNDS = (2e4, 5e5)
-ONE_MASS = DesignOptions(payload_mass_kg=(16.0, 16.0))
 # Two searches of one problem from different starts end within this of each other; the gap that they tell is as large.
 SAME = 3e-3
 Curve = Callable[[float], float]
@@ -193,7 +192,9 @@ def test_a_scenario_keeps_its_share_of_the_range() -> None:
 # --- on a cell ----------------------------------------------------------------------------------------------------
 
 ASKED = ComplianceSpec(bounds=(8e4, 9.2e4), tolerance=0.1)
-SPEC = ProblemSpec(bounds=ROOM, requirements=FAST_REQUIREMENTS, compliance=ASKED)
+SPEC = ProblemSpec(bounds=ROOM, requirements=FAST_REQUIREMENTS, compliance=ASKED).with_options(
+    payload_mass_kg=(16.0, 16.0)
+)
 
 
 def plant() -> IdentifiedFile:
@@ -202,13 +203,13 @@ def plant() -> IdentifiedFile:
 
 @cache
 def tuned() -> Optimized:
-    return optimize(plant(), SPEC, ONE_MASS, seed=1)
+    return optimize(plant(), SPEC, seed=1)
 
 
 def ordinary(stiffness: float) -> float:
     """The least worst peak of the ordinary problem, searched from nowhere."""
     given = replace(SPEC, compliance=None, environment_stiffness_n_per_m=certified_range(stiffness, ASKED.tolerance))
-    return solve_design(build_problems(identified_plant(), given, ONE_MASS)["x"], seed=1).evaluation.cost
+    return solve_design(build_problems(identified_plant(), given)["x"], seed=1).evaluation.cost
 
 
 def test_the_table_is_what_ordinary_searches_find() -> None:
@@ -224,7 +225,7 @@ def test_no_other_stiffness_beats_the_chosen_one(stiffness: float) -> None:
 def test_what_is_certified_is_an_ordinary_problem_over_the_tolerance(tmp_path: Path) -> None:
     found, chosen = tuned(), tuned().compliance["x"].chosen
     given = replace(SPEC, compliance=None, environment_stiffness_n_per_m=(7.2e4, 8.8e4))
-    problem, solved = build_problems(identified_plant(), given, ONE_MASS)["x"], found.searches["x"].problem
+    problem, solved = build_problems(identified_plant(), given)["x"], found.searches["x"].problem
     assert solved.plants.environment_stiffness_n_per_m == problem.plants.environment_stiffness_n_per_m
     assert solved.requirements == problem.requirements
     assert found.controller.certificate.domain["x"].environment_stiffness_n_per_m == (7.2e4, 8.8e4)
@@ -256,9 +257,9 @@ def test_no_compliance_at_all_tells_the_nearest_and_what_would_have_to_be_eased(
 
     monkeypatch.setattr(optimize_module, "find_relaxations", relaxations)
     asked = replace(FAST_REQUIREMENTS, max_peak_force_n=30.5)
-    spec = replace(FAST_SPEC, requirements=asked, compliance=ComplianceSpec(bounds=(6e4, 6.3e4)))
+    spec = replace(SPEC, bounds=BARE_SPEC.bounds, requirements=asked, compliance=ComplianceSpec(bounds=(6e4, 6.3e4)))
     with pytest.raises(InfeasibleError, match="Axis x: none of 2 compliances from 60000 to 63000 N/m") as caught:
-        optimize(plant(), spec, ONE_MASS, seed=1)
+        optimize(plant(), spec, seed=1)
     assert "nearest to one is that of 60000 N/m. No controller within the bounds" in str(caught.value)
     assert caught.value.relaxations == (("max_peak_force_n", 30.5, 60.0),)
 
@@ -267,22 +268,24 @@ def test_no_compliance_at_all_tells_the_nearest_and_what_would_have_to_be_eased(
 
 
 @pytest.mark.parametrize(
-    ("axes", "options", "told"),
+    ("axes", "stiffness", "told"),
     [
-        (("x",), DesignOptions(environment_stiffness_n_per_m=(1e4, 2e4)), "both say the surface"),
-        (None, DesignOptions(), r"one axis at a time only; .*\(to be tuned: x, ry\)"),
-        (("ry",), DesignOptions(), "is in N/m, and ry turns"),
+        (("x",), (1e4, 2e4), "both say the surface"),
+        (None, None, r"one axis at a time only; .*\(to be tuned: x, ry\)"),
+        (("ry",), None, "is in N/m, and ry turns"),
     ],
 )
 def test_a_compliance_that_cannot_be_is_refused(
-    axes: tuple[str, ...] | None, options: DesignOptions, told: str
+    axes: tuple[str, ...] | None, stiffness: tuple[float, float] | None, told: str
 ) -> None:
     with pytest.raises(UsageError, match=told):
-        build_compliance_problems(two_axes(), replace(SPEC, axes=axes), options)
+        build_compliance_problems(
+            two_axes(), replace(SPEC, axes=axes).with_options(environment_stiffness_n_per_m=stiffness)
+        )
 
 
 def test_what_takes_a_range_takes_no_choice() -> None:
     with pytest.raises(UsageError, match="is chosen by optimize for one controller"):
-        build_problems(identified_plant(), SPEC, DesignOptions())
+        build_problems(identified_plant(), SPEC)
     with pytest.raises(UsageError, match="a schedule has many controllers"):
-        tune_schedule(plant(), SPEC, DesignOptions(), build_classes([(16.0, 16.0)], []))
+        tune_schedule(plant(), SPEC, build_classes([(16.0, 16.0)], []))

@@ -15,7 +15,7 @@ from autotune.tuning.bounds import Box
 from autotune.tuning.compare import start_design
 from autotune.tuning.optimality import active_rows, unit_widths
 from autotune.tuning.optimize import Optimized, optimize
-from autotune.tuning.problems import DesignOptions, build_problems
+from autotune.tuning.problems import build_problems
 from autotune.tuning.search import presentable
 from autotune.validation.validate import validate_controller
 from problems.design.evaluation import build_scenarios
@@ -23,7 +23,6 @@ from problems.design.problem import VARIABLES
 from problems.model.controller import AdmittanceController
 from tests.autotune.tuning.cases import (
     FAST_SPEC,
-    FAST_WISHES,
     ROOM,
     design_problem,
     fast_optimized,
@@ -46,7 +45,7 @@ COMPENSATED = {**FREE, "compensation_mass_kg": (4.0, 16.0)}
 @cache
 def free_optimized() -> Optimized:
     plant = IdentifiedFile(result=identified_plant(), provenance={}, path=Path("identified.yaml"), sha256="0" * 64)
-    return optimize(plant, replace(FAST_SPEC, free=COMPENSATED), FAST_WISHES, seed=1)
+    return optimize(plant, replace(FAST_SPEC, free=COMPENSATED), seed=1)
 
 
 def test_the_box_maps_its_corners_and_back() -> None:
@@ -113,12 +112,12 @@ def test_another_filter_or_compensation_is_not_what_was_certified(changed) -> No
 def test_a_file_has_room_for_one_choice() -> None:
     spec = ProblemSpec(free=FREE)
     with pytest.raises(UsageError, match="one axis at a time"):
-        build_problems(two_axes(), spec, DesignOptions())
+        build_problems(two_axes(), spec)
     turning = replace(spec, axes=("ry",))
     with pytest.raises(UsageError, match="compensation_mass_kg is a mass, and ry turns"):
-        build_problems(two_axes(), turning, DesignOptions())
+        build_problems(two_axes(), turning)
     filters = replace(turning, free={"velocity_filter_rad_per_s": (60.0, 300.0)})
-    assert build_problems(two_axes(), filters, DesignOptions())["ry"].variables[-1] == "velocity_filter_rad_per_s"
+    assert build_problems(two_axes(), filters)["ry"].variables[-1] == "velocity_filter_rad_per_s"
 
 
 def test_a_compensation_that_may_be_zero_is_none_there() -> None:

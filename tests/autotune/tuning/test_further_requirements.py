@@ -16,7 +16,7 @@ from autotune.tuning.search import solve_design
 from autotune.validation.validate import validate_controller
 from problems.design.evaluation import build_scenarios
 from problems.design.requirements import Requirements
-from tests.autotune.tuning.cases import FAST_REQUIREMENTS, FAST_SPEC, FAST_WISHES, design_problem, identified_plant
+from tests.autotune.tuning.cases import FAST_REQUIREMENTS, FAST_SPEC, design_problem, identified_plant
 
 ASKED = {"min_damping_ratio": 0.15, "passive_band": 1.0}
 
@@ -25,7 +25,7 @@ ASKED = {"min_damping_ratio": 0.15, "passive_band": 1.0}
 def optimized() -> Optimized:
     plant = IdentifiedFile(result=identified_plant(), provenance={}, path=Path("identified.yaml"), sha256="0" * 64)
     asked = replace(FAST_REQUIREMENTS, further=ASKED, plugins=(PassiveBand(),))
-    return optimize(plant, replace(FAST_SPEC, requirements=asked), FAST_WISHES, seed=1)
+    return optimize(plant, replace(FAST_SPEC, requirements=asked), seed=1)
 
 
 def claiming(name: str, value: float) -> Controller:

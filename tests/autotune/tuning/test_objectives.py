@@ -24,7 +24,6 @@ from tests.autotune.tuning.cases import (
     FAST_PROBLEM_YAML,
     FAST_REQUIREMENTS,
     FAST_SPEC,
-    FAST_WISHES,
     design_problem,
     fast_optimized,
     identified_plant,
@@ -100,7 +99,7 @@ def test_an_objective_of_another_package_is_optimized_and_named(
     spec = read_problem(tmp_path / "problem.yaml")
     assert spec.objective.name == "highest"
     plant = IdentifiedFile(result=identified_plant(), provenance={}, path=Path("identified.yaml"), sha256="0" * 64)
-    own, built_in = optimize(plant, spec, FAST_WISHES, seed=1), fast_optimized()
+    own, built_in = optimize(plant, spec, seed=1), fast_optimized()
     assert own.searches["x"].evaluation.cost == pytest.approx(built_in.searches["x"].evaluation.cost, rel=1e-4)
     assert own.optimality_reports["x"].optimality.exact_share < 1.0
     assert own.controller.provenance["optimality"]["x"]["objective"]["name"] == "highest"
@@ -113,4 +112,4 @@ def test_a_schedule_of_something_else_than_a_force_is_refused() -> None:
     plant = IdentifiedFile(result=identified_plant(), provenance={}, path=Path("identified.yaml"), sha256="0" * 64)
     spec = ProblemSpec(objective=BUILT_IN["robustness"])
     with pytest.raises(UsageError, match=r"compares peak forces, and objective in problem\.yaml is robustness"):
-        tune_schedule(plant, spec, FAST_WISHES, [ScheduleClass(payload_mass_kg=(15.0, 16.0))])
+        tune_schedule(plant, spec, [ScheduleClass(payload_mass_kg=(15.0, 16.0))])

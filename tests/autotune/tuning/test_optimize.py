@@ -19,7 +19,7 @@ from problems.design.requirements import AdmittanceTarget
 from problems.model.plant import Environment
 from problems.model.sampled import build_sampled_plant
 from problems.stability.margins import find_margins
-from tests.autotune.tuning.cases import FAST_SPEC, FAST_WISHES, fast_optimized, identified_plant
+from tests.autotune.tuning.cases import FAST_SPEC, fast_optimized, identified_plant
 
 
 @pytest.fixture
@@ -40,8 +40,8 @@ def test_the_controller_is_the_design_and_it_was_validated() -> None:
 
 def test_the_domain_is_what_was_asked() -> None:
     domain = fast_optimized().controller.certificate.domain["x"]
-    assert domain.payload_mass_kg == FAST_WISHES.payload_mass_kg
-    assert domain.environment_stiffness_n_per_m == FAST_WISHES.environment_stiffness_n_per_m
+    assert domain.payload_mass_kg == FAST_SPEC.payload_mass_kg
+    assert domain.environment_stiffness_n_per_m == FAST_SPEC.environment_stiffness_n_per_m
     assert (domain.approach_force_n, domain.approach_speed_m_s) == (30.0, None)
     assert domain.robot_denominator == (1.0, 20.0)
 
@@ -128,4 +128,4 @@ def test_a_controller_that_validation_refuses_is_not_returned(
     monkeypatch.setattr(optimize_module, "build_controller", boasting)
     monkeypatch.setattr(optimize_module, "solve_design", lambda *_args, **_kwargs: fast_optimized().searches["x"])
     with pytest.raises(CertificateError, match=r"modulus is claimed as 0\.9, found 0\.5"):
-        optimize(plant, FAST_SPEC, FAST_WISHES, seed=1)
+        optimize(plant, FAST_SPEC, seed=1)

@@ -10,7 +10,7 @@ import pytest
 from autotune.errors import UsageError
 from autotune.formats.problem import ProblemSpec
 from autotune.tuning.plausible import doubtful_ranges, left_out_contacts
-from autotune.tuning.problems import DesignOptions, build_problems
+from autotune.tuning.problems import build_problems
 from identification.result import CONTACT_UNEXPLAINED, Finding
 from problems.design.problem import DesignProblem
 from problems.design.uncertainty import STIFFNESS
@@ -18,56 +18,56 @@ from problems.model.plant_parameters import with_values
 from tests.autotune.tuning.cases import design_problem, identified_axis, identified_plant, known, with_axis, write_plant
 
 RunCli = Callable[..., "subprocess.CompletedProcess[str]"]
-IDENTIFIED = identified_plant()
+IDENTIFIED, with_ranges = identified_plant(), ProblemSpec().with_options
 SURFACE = IDENTIFIED.axes["x"].environments[0].stiffness_n_per_m.value or 0.0
 MASS = IDENTIFIED.payload.mass_kg.value or 0.0
 
 
 @pytest.mark.parametrize(
-    ("options", "meant"),
+    ("spec", "meant"),
     [
-        (DesignOptions(environment_stiffness_n_per_m=(20.0, 500.0)), "did you mean 2e4:5e5"),
-        (DesignOptions(environment_stiffness_n_per_m=(1e3 * SURFACE, 2e3 * SURFACE)), "did you mean"),
-        (DesignOptions(payload_mass_kg=(1e3 * MASS, 1e3 * MASS)), "did you mean"),
-        (DesignOptions(payload_mass_kg=(1e-3 * MASS, 1e-3 * MASS)), "did you mean"),
-        (DesignOptions(payload_mass_kg=(200.0 * MASS, 300.0 * MASS)), "a payload of"),
+        (with_ranges(environment_stiffness_n_per_m=(20.0, 500.0)), "did you mean 2e4:5e5"),
+        (with_ranges(environment_stiffness_n_per_m=(1e3 * SURFACE, 2e3 * SURFACE)), "did you mean"),
+        (with_ranges(payload_mass_kg=(1e3 * MASS, 1e3 * MASS)), "did you mean"),
+        (with_ranges(payload_mass_kg=(1e-3 * MASS, 1e-3 * MASS)), "did you mean"),
+        (with_ranges(payload_mass_kg=(200.0 * MASS, 300.0 * MASS)), "a payload of"),
     ],
 )
-def test_a_range_in_another_unit_is_refused_with_what_was_identified(options: DesignOptions, meant: str) -> None:
+def test_a_range_in_another_unit_is_refused_with_what_was_identified(spec: ProblemSpec, meant: str) -> None:
     with pytest.raises(UsageError, match=meant):
-        build_problems(IDENTIFIED, ProblemSpec(), options)
+        build_problems(IDENTIFIED, spec)
 
 
 def test_a_payload_that_no_file_holds_is_refused_before_a_search_whatever_its_unit() -> None:
-    options = DesignOptions(payload_mass_kg=(16200.0, 16200.0), with_unit=frozenset({"payload_mass_kg"}))
+    spec = with_ranges(payload_mass_kg=(16200.0, 16200.0), with_unit=frozenset({"payload_mass_kg"}))
     with pytest.raises(UsageError, match="asks for 16200 kg; a payload of 1000 kg is the heaviest"):
-        build_problems(IDENTIFIED, ProblemSpec(), options)
+        build_problems(IDENTIFIED, spec)
 
 
 def test_a_problem_file_is_held_against_it_too() -> None:
     with pytest.raises(UsageError, match="identified"):
-        build_problems(IDENTIFIED, ProblemSpec(environment_stiffness_n_per_m=(20.0, 500.0)), DesignOptions())
+        build_problems(IDENTIFIED, ProblemSpec(environment_stiffness_n_per_m=(20.0, 500.0)))
 
 
 @pytest.mark.parametrize(
-    "options",
+    "spec",
     [
-        DesignOptions(environment_stiffness_n_per_m=(20.0, 5e5)),  # wide, and holds what was identified
-        DesignOptions(environment_stiffness_n_per_m=(0.1 * SURFACE, 0.2 * SURFACE)),
-        DesignOptions(environment_stiffness_n_per_m=(5e3, 6e3)),  # foam instead of the wall
-        DesignOptions(
+        with_ranges(environment_stiffness_n_per_m=(20.0, 5e5)),  # wide, and holds what was identified
+        with_ranges(environment_stiffness_n_per_m=(0.1 * SURFACE, 0.2 * SURFACE)),
+        with_ranges(environment_stiffness_n_per_m=(5e3, 6e3)),  # foam instead of the wall
+        with_ranges(
             environment_stiffness_n_per_m=(20.0, 500.0), with_unit=frozenset({"environment_stiffness_n_per_m"})
         ),
-        DesignOptions(payload_mass_kg=(0.5 * MASS, 2.0 * MASS)),
+        with_ranges(payload_mass_kg=(0.5 * MASS, 2.0 * MASS)),
     ],
 )
-def test_what_is_meant_passes(options: DesignOptions) -> None:
-    assert build_problems(IDENTIFIED, ProblemSpec(), options)
+def test_what_is_meant_passes(spec: ProblemSpec) -> None:
+    assert build_problems(IDENTIFIED, spec)
 
 
 def test_without_a_surface_there_is_nothing_to_compare_with() -> None:
     bare = replace(IDENTIFIED, axes={"x": replace(IDENTIFIED.axes["x"], environments=())})
-    assert build_problems(bare, ProblemSpec(), DesignOptions(environment_stiffness_n_per_m=(20.0, 500.0)))
+    assert build_problems(bare, with_ranges(environment_stiffness_n_per_m=(20.0, 500.0)))
 
 
 @pytest.mark.parametrize(

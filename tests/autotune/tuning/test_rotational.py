@@ -13,7 +13,7 @@ from autotune.export.export import export_controller
 from autotune.formats.controller import controller_tree, read_controller, write_controller
 from autotune.formats.problem import ProblemSpec, RotationalSpec
 from autotune.maps.source import read_source
-from autotune.tuning.problems import DesignOptions, build_problems, runtime_mass_kg, through_lever
+from autotune.tuning.problems import build_problems, runtime_mass_kg, through_lever
 from autotune.validation.domain import check_domain
 from autotune.validation.validate import validate_controller
 from identification.errors import EstimateError
@@ -21,19 +21,17 @@ from identification.result import AxisEstimate
 from problems.contact.transient import Approach
 from problems.design.evaluation import build_scenarios
 from problems.design.problem import DEFAULT_BOUNDS, AdmittanceTarget, DesignProblem, NoiseLimit, Requirements
-from tests.autotune.tuning.cases import FAST_WISHES, absent, identified_plant, known, known_vector
+from tests.autotune.tuning.cases import absent, identified_plant, known, known_vector
 from tests.autotune.tuning.turning import FAST_TURNING_SPEC, LEVER_M, SQUARE, both_optimized, turned_axis, two_axes
 from tests.problems.axes import LAW
 
-DEFAULT, NOTHING = ProblemSpec(), DesignOptions()
+DEFAULT = ProblemSpec()
 FORCE = Approach(force_n=30.0)
 
 
-def turned(
-    axis: AxisEstimate | None = None, spec: ProblemSpec = DEFAULT, options: DesignOptions = NOTHING
-) -> DesignProblem:
+def turned(axis: AxisEstimate | None = None, spec: ProblemSpec = DEFAULT) -> DesignProblem:
     plant = replace(identified_plant(), axes={"ry": turned_axis() if axis is None else axis})
-    return build_problems(plant, spec, options)["ry"]
+    return build_problems(plant, spec)["ry"]
 
 
 # --- what is asked ------------------------------------------------------------------------------------------------
@@ -119,25 +117,25 @@ def test_missing_parameters_are_named_as_the_file_names_them() -> None:
 
 
 def test_another_payload_is_refused_unless_its_inertia_is_said() -> None:
-    heavy = DesignOptions(payload_mass_kg=(16.0, 22.0))
+    heavy = DEFAULT.with_options(payload_mass_kg=(16.0, 22.0))
     with pytest.raises(UsageError, match=r"16 to 22 kg is not the identified one .* rotational\.payload_inertia_kg_m2"):
-        build_problems(two_axes(), DEFAULT, heavy)
-    said = ProblemSpec(rotational=RotationalSpec(payload_mass_kg=(0.6, 0.9)))
-    problems = build_problems(two_axes(), said, heavy)
+        build_problems(two_axes(), heavy)
+    said = replace(heavy, rotational=RotationalSpec(payload_mass_kg=(0.6, 0.9)))
+    problems = build_problems(two_axes(), said)
     assert (problems["x"].plants.payload_mass_kg, problems["ry"].plants.payload_mass_kg) == ((16.0, 22.0), (0.6, 0.9))
-    assert build_problems(two_axes(), ProblemSpec(axes=("x",)), heavy)["x"].plants.payload_mass_kg == (16.0, 22.0)
+    assert build_problems(two_axes(), replace(heavy, axes=("x",)))["x"].plants.payload_mass_kg == (16.0, 22.0)
     # The identified mass itself is no other payload.
     assert (
-        turned(options=DesignOptions(payload_mass_kg=(16.0, 16.0))).plants.payload_mass_kg
+        turned(spec=DEFAULT.with_options(payload_mass_kg=(16.0, 16.0))).plants.payload_mass_kg
         == turned().plants.payload_mass_kg
     )
 
 
 def test_ranges_that_no_axis_takes_are_refused() -> None:
     with pytest.raises(UsageError, match="says nothing of rotation"):
-        turned(options=DesignOptions(environment_stiffness_n_per_m=(1e4, 2e4)))
+        turned(spec=DEFAULT.with_options(environment_stiffness_n_per_m=(1e4, 2e4)))
     with pytest.raises(UsageError, match="no rotational axis is tuned: x"):
-        build_problems(identified_plant(), ProblemSpec(rotational=RotationalSpec(payload_mass_kg=(0.6, 0.9))), NOTHING)
+        build_problems(identified_plant(), ProblemSpec(rotational=RotationalSpec(payload_mass_kg=(0.6, 0.9))))
 
 
 def test_the_runtime_compensates_the_identified_mass_when_only_rotation_is_tuned() -> None:
@@ -149,7 +147,7 @@ def test_the_runtime_compensates_the_identified_mass_when_only_rotation_is_tuned
 
 def test_the_design_of_a_straight_axis_does_the_same_through_the_lever() -> None:
     """One loop, two sets of units: margins, times and shares are equal, forces go with the lever."""
-    problems = build_problems(two_axes(), FAST_TURNING_SPEC, FAST_WISHES)
+    problems = build_problems(two_axes(), FAST_TURNING_SPEC)
     straight, about = problems["x"], problems["ry"]
     design = both_optimized().searches["x"].design
     through = design * np.array([SQUARE, SQUARE, 1.0, 1.0])
@@ -255,12 +253,12 @@ def test_prices_and_speeds_go_through_the_lever_and_the_noise_does_not() -> None
     loud = replace(plant, sensor=replace(plant.sensor, torque_noise_rms_n_m=known_vector(0.01, 0.03, 0.02)))
     spec = ProblemSpec(axes=("ry",), requirements=asked)
     with pytest.raises(EstimateError, match=r"sensor\.torque_noise_rms_n_m is not identified"):
-        build_problems(plant, spec, NOTHING)
-    found = build_problems(loud, spec, NOTHING)["ry"].requirements
+        build_problems(plant, spec)
+    found = build_problems(loud, spec)["ry"].requirements
     assert found.command_noise == NoiseLimit(max_speed_rms_m_s=5e-3, force_noise_rms_n=0.03)
     assert dict(found.soft_n) == {"modulus_margin": 4.0, "command_noise": 1.0}
     # What is said of rotation counts as it stands: there the noise is a limit, and the price is gone.
     said = RotationalSpec(requirements={"command_noise": NoiseLimit(max_speed_rms_m_s=0.02, force_noise_rms_n=0.05)})
-    own = build_problems(plant, replace(spec, rotational=said), NOTHING)["ry"].requirements
+    own = build_problems(plant, replace(spec, rotational=said))["ry"].requirements
     assert own.command_noise == NoiseLimit(max_speed_rms_m_s=0.02, force_noise_rms_n=0.05)
     assert dict(own.soft_n) == {"modulus_margin": 4.0}

@@ -17,16 +17,16 @@ from autotune.formats.identified import IdentifiedFile
 from autotune.formats.schedule import Schedule, ScheduleClass, covered, read_schedule, write_schedule
 from autotune.tuning import schedule as schedule_module
 from autotune.tuning.optimize import optimize
-from autotune.tuning.problems import DesignOptions, build_problems
-from autotune.tuning.schedule import build_classes, class_options, hull, tune_schedule
+from autotune.tuning.problems import build_problems
+from autotune.tuning.schedule import build_classes, hull, of_class, tune_schedule
 from identification.errors import EstimateError
 from problems.contact.transient import build_sampled_contact, simulate_contact
 from problems.design.uncertainty import Scenario
 from problems.model.sampled import build_sampled_plant
-from tests.autotune.tuning.cases import FAST_SPEC, identified_plant
+from tests.autotune.tuning.cases import BARE_SPEC, identified_plant
 
 PLANT = IdentifiedFile(result=identified_plant(), provenance={}, path=Path("identified.yaml"), sha256="0" * 64)
-SURFACE = DesignOptions(environment_stiffness_n_per_m=(1e5, 1.2e5))
+SPEC = BARE_SPEC.with_options(environment_stiffness_n_per_m=(1e5, 1.2e5))
 CLASSES = build_classes([(8.0, 8.0), (22.0, 22.0)], [])
 POSITIVE = st.floats(min_value=1e-3, max_value=1e12)
 
@@ -34,12 +34,12 @@ POSITIVE = st.floats(min_value=1e-3, max_value=1e12)
 @cache
 def small_schedule() -> Schedule:
     """A light and a heavy payload, far enough apart that one controller for both costs something."""
-    return tune_schedule(PLANT, FAST_SPEC, SURFACE, CLASSES, seed=1)
+    return tune_schedule(PLANT, SPEC, CLASSES, seed=1)
 
 
 def peak_n(controller: Controller, mass_kg: float) -> float:
     """Return the largest peak at the contact over the ends of the surface's range, from the plant alone."""
-    (problem,) = build_problems(PLANT.result, FAST_SPEC, class_options(CLASSES[0], SURFACE)).values()
+    (problem,) = build_problems(PLANT.result, of_class(CLASSES[0], SPEC)).values()
     law = admittance_controller(controller, "x")
     peaks = []
     for stiffness in problem.plants.environment_stiffness_n_per_m:
@@ -105,8 +105,8 @@ def test_classes_that_say_nothing_new_are_refused(
 
 
 def test_a_class_has_the_controller_of_an_ordinary_call() -> None:
-    options = DesignOptions(payload_mass_kg=(8.0, 8.0), environment_stiffness_n_per_m=(1e5, 1.2e5))
-    assert small_schedule().tuned[0].controller == optimize(PLANT, FAST_SPEC, options, seed=1).controller
+    spec = BARE_SPEC.with_options(payload_mass_kg=(8.0, 8.0), environment_stiffness_n_per_m=(1e5, 1.2e5))
+    assert small_schedule().tuned[0].controller == optimize(PLANT, spec, seed=1).controller
 
 
 def test_peaks_and_cost_are_those_of_the_exact_transient() -> None:
@@ -131,7 +131,7 @@ def test_peaks_and_cost_are_those_of_the_exact_transient() -> None:
 
 @pytest.mark.slow
 def test_processes_do_not_change_the_bytes(tmp_path: Path) -> None:
-    side_by_side = tune_schedule(PLANT, FAST_SPEC, SURFACE, CLASSES, seed=1, processes=2)
+    side_by_side = tune_schedule(PLANT, SPEC, CLASSES, seed=1, processes=2)
     assert side_by_side == small_schedule()
     write_schedule(tmp_path / "a", small_schedule())
     write_schedule(tmp_path / "b", side_by_side)
@@ -145,15 +145,15 @@ def test_processes_do_not_change_the_bytes(tmp_path: Path) -> None:
 def test_a_class_that_the_common_controller_beats_is_searched_again(monkeypatch: pytest.MonkeyPatch) -> None:
     """A first search that stopped early must not make one controller for all look better than one for the class."""
     honest, calls = optimize, list[str]()
-    lazy_spec = replace(FAST_SPEC, bounds={**FAST_SPEC.bounds, "lead_s": (0.01, 0.012)})
 
-    def lazy(identified: Any, spec: Any, options: Any, **further: Any) -> Any:
-        first = options.payload_mass_kg == (8.0, 8.0) and further.get("existing") is None
+    def lazy(identified: Any, spec: Any, **further: Any) -> Any:
+        first = spec.payload_mass_kg == (8.0, 8.0) and further.get("existing") is None
         calls.append("lazy" if first else "honest")
-        return honest(identified, lazy_spec if first else spec, options, **further)
+        short = replace(spec, bounds={**spec.bounds, "lead_s": (0.01, 0.012)}) if first else spec
+        return honest(identified, short, **further)
 
     monkeypatch.setattr(schedule_module, "optimize", lazy)
-    found = tune_schedule(PLANT, FAST_SPEC, SURFACE, CLASSES, seed=1).tuned[0]
+    found = tune_schedule(PLANT, SPEC, CLASSES, seed=1).tuned[0]
     assert calls[:4] == ["honest", "lazy", "honest", "honest"]
     assert found.peaks["x"] == pytest.approx(small_schedule().tuned[0].peaks["x"], rel=1e-3)
     assert found.controller.provenance["options"]["compare"]["path"] == "all.yaml"
@@ -165,12 +165,12 @@ def test_a_class_that_the_common_controller_beats_is_searched_again(monkeypatch:
 @pytest.mark.slow
 def test_all_infeasible_classes_are_named() -> None:
     limit = 0.5 * sum(each.peaks["x"] for each in small_schedule().tuned)
-    asked = replace(FAST_SPEC, requirements=replace(FAST_SPEC.requirements, max_peak_force_n=limit))
+    asked = replace(BARE_SPEC, requirements=replace(BARE_SPEC.requirements, max_peak_force_n=limit))
     classes = build_classes([(16.0, 16.0)], [(4e4, 5e4), (1e5, 1.2e5), (1.1e5, 1.2e5)])
     with pytest.raises(
         InfeasibleError, match=r"^2 of 3 classes have no controller\. m16_k1e5-1\.2e5: Axis x: .*"
     ) as at:
-        tune_schedule(PLANT, asked, DesignOptions(), classes, seed=1)
+        tune_schedule(PLANT, asked, classes, seed=1)
     assert "m16_k1.1e5-1.2e5: Axis x: " in str(at.value)
     assert "m16_k4e4-5e4" not in str(at.value)
 
@@ -178,9 +178,7 @@ def test_all_infeasible_classes_are_named() -> None:
 def test_a_hull_that_no_controller_serves_is_told_and_is_no_error(tmp_path: Path) -> None:
     # Either mass alone is compensated; nobody can say which weight a range without the identified one would need.
     classes = build_classes([(16.5, 16.5), (16.6, 16.6)], [])
-    schedule = tune_schedule(
-        PLANT, FAST_SPEC, DesignOptions(environment_stiffness_n_per_m=(1e5, 1.1e5)), classes, seed=1
-    )
+    schedule = tune_schedule(PLANT, BARE_SPEC.with_options(environment_stiffness_n_per_m=(1e5, 1.1e5)), classes, seed=1)
     assert schedule.common is None
     assert "leaves out the identified payload of 16 kg" in schedule.common_refusal
     assert [each.controller.payload.mass_kg for each in schedule.tuned] == [16.5, 16.6]
@@ -200,20 +198,20 @@ def test_a_range_without_the_identified_mass_names_its_class_before_any_search(m
     monkeypatch.setattr(schedule_module, "optimize", lambda *_, **__: pytest.fail("searched"))
     classes = build_classes([(16.0, 16.0), (8.0, 12.0)], [])
     with pytest.raises(UsageError, match=r"^Class m8-12: The payload range 8 to 12 kg leaves out"):
-        tune_schedule(PLANT, FAST_SPEC, DesignOptions(), classes)
+        tune_schedule(PLANT, BARE_SPEC, classes)
     nothing = replace(PLANT.result, axes={"x": replace(PLANT.result.axes["x"], environments=())})
     with pytest.raises(EstimateError, match=r"^Class m16: Axis x has no identified environment"):
-        tune_schedule(replace(PLANT, result=nothing), FAST_SPEC, DesignOptions(), classes)
+        tune_schedule(replace(PLANT, result=nothing), BARE_SPEC, classes)
 
 
 def test_another_failure_keeps_its_kind_and_names_the_class(monkeypatch: pytest.MonkeyPatch) -> None:
     honest = optimize
 
-    def doubtful(identified: Any, spec: Any, options: Any, **further: Any) -> Any:
-        if options.payload_mass_kg == (8.0, 8.0):
+    def doubtful(identified: Any, spec: Any, **further: Any) -> Any:
+        if spec.payload_mass_kg == (8.0, 8.0):
             raise CertificateError("Axis x: not proved.")
-        return honest(identified, spec, options, **further)
+        return honest(identified, spec, **further)
 
     monkeypatch.setattr(schedule_module, "optimize", doubtful)
     with pytest.raises(CertificateError, match=r"^Class m8: Axis x: not proved"):
-        tune_schedule(PLANT, FAST_SPEC, SURFACE, CLASSES, seed=1)
+        tune_schedule(PLANT, SPEC, CLASSES, seed=1)

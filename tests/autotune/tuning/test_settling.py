@@ -11,7 +11,6 @@ from autotune.formats.identified import read_identified
 from autotune.formats.problem import read_problem
 from autotune.tuning import settling
 from autotune.tuning.optimize import optimize
-from autotune.tuning.problems import DesignOptions
 from autotune.tuning.record import build_domain
 from autotune.tuning.scenario_exchange import NOTHING, Counterexamples, ImpactTest
 from autotune.tuning.search import solve_design
@@ -62,7 +61,7 @@ def test_the_shared_case_is_refused(shared_data: Path) -> None:
     if not folder.is_dir():
         pytest.skip("needs the cases in ../shared/data")
     with pytest.raises(InfeasibleError, match="bounces for ever"):
-        optimize(read_identified(folder / "identified.yaml"), read_problem(folder / "problem.yaml"), DesignOptions())
+        optimize(read_identified(folder / "identified.yaml"), read_problem(folder / "problem.yaml"))
 
 
 def test_a_plant_where_the_proof_fails_joins_the_scenarios(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from autotune.errors import AutotuneError
 from autotune.formats.problem import ProblemSpec, RotationalSpec, Uncertain
-from autotune.tuning.problems import DesignOptions, build_problems, through_lever
+from autotune.tuning.problems import build_problems, through_lever
 from autotune.tuning.search import solve_design
 from autotune.tuning.uncertain import with_uncertainty
 from identification.errors import EstimateError
@@ -23,7 +23,6 @@ from problems.stability.margins import find_margins
 from tests.autotune.tuning.cases import (
     FAST_REQUIREMENTS,
     FAST_SPEC,
-    FAST_WISHES,
     absent,
     design_problem,
     identified_axis,
@@ -50,7 +49,7 @@ def built(
     uncertain: Uncertain, axis: AxisEstimate = AXIS, stiffness: tuple[float, float] | None = None
 ) -> DesignProblem:
     spec = ProblemSpec(uncertain=uncertain, environment_stiffness_n_per_m=stiffness)
-    return build_problems(with_axis(axis), spec, DesignOptions())["x"]
+    return build_problems(with_axis(axis), spec)["x"]
 
 
 def test_by_default_the_joint_confidence_set_must_be_safe() -> None:
@@ -186,7 +185,7 @@ def test_no_corner_at_one_deviation_is_closer_to_instability_than_what_is_claime
         "feedback_damping_s": (0.005, 0.005),
     }
     spec = replace(FAST_SPEC, requirements=wanted, bounds=bounds)
-    problem = build_problems(with_axis(GIVEN_AXIS), spec, FAST_WISHES)["x"]
+    problem = build_problems(with_axis(GIVEN_AXIS), spec)["x"]
     found = solve_design(problem)
     claimed = min(each.margins.modulus for each in found.margins)
     for signs in itertools.product((-1.0, 1.0), repeat=3):

@@ -7,7 +7,7 @@ import pytest
 
 from autotune.errors import UsageError
 from autotune.formats.problem import ProblemSpec, Uncertain
-from autotune.tuning.problems import DesignOptions, build_problems
+from autotune.tuning.problems import build_problems
 from autotune.tuning.record import build_domain
 from autotune.validation.margins import sweep_margins
 from identification.errors import EstimateError
@@ -35,7 +35,7 @@ def seen_by(wrench: WrenchFilterEstimate | None) -> Identified:
 def built(
     wrench: WrenchFilterEstimate | None, said: Uncertain | None = None, spec: ProblemSpec | None = None
 ) -> DesignProblem:
-    return build_problems(seen_by(wrench), replace(spec or ProblemSpec(), uncertain=said or {}), DesignOptions())["x"]
+    return build_problems(seen_by(wrench), replace(spec or ProblemSpec(), uncertain=said or {}))["x"]
 
 
 def test_without_an_entry_the_plant_is_as_it_was() -> None:
@@ -49,9 +49,9 @@ def test_a_filter_that_was_found_and_taken_out_of_the_file_is_asked_for() -> Non
     found = Finding(code="wrench-filter", severity="info", message="The wrench passes 50 Hz.", advice="")
     cut = replace(seen_by(None), findings=(found,))
     with pytest.raises(UsageError, match=r"no sensor\.wrench_filter, and its findings say: The wrench passes 50 Hz"):
-        build_problems(cut, ProblemSpec(), DesignOptions())
+        build_problems(cut, ProblemSpec())
     said = replace(ProblemSpec(), uncertain={"wrench_time_constant_s": (0.0, 0.0)})
-    assert build_problems(cut, said, DesignOptions())["x"].plants.nominal.wrench_filter.is_none
+    assert build_problems(cut, said)["x"].plants.nominal.wrench_filter.is_none
     assert not built(CORNER).plants.nominal.wrench_filter.is_none
 
 
@@ -128,7 +128,7 @@ def test_torques_pass_the_same_filter() -> None:
     """x through the lever is the same loop, filter and all; what is said of the filter once is said of both."""
     plant = two_axes()
     plant = replace(plant, sensor=replace(plant.sensor, wrench_filter=CORNER))
-    found = build_problems(plant, ProblemSpec(), DesignOptions())
+    found = build_problems(plant, ProblemSpec())
     assert (
         found["ry"].plants.nominal.wrench_filter
         == found["x"].plants.nominal.wrench_filter
@@ -143,7 +143,7 @@ def test_torques_pass_the_same_filter() -> None:
         moduli.append(find_margins(sampled, law).modulus)
     assert moduli[1] == pytest.approx(moduli[0], rel=1e-6)
     said = ProblemSpec(uncertain={"wrench_time_constant_s": (1e-3, 2e-3)})
-    both = build_problems(plant, said, DesignOptions())
+    both = build_problems(plant, said)
     assert {each.plants.further["wrench_time_constant_s"] for each in both.values()} == {(1e-3, 2e-3)}
 
 

@@ -5,11 +5,10 @@ from functools import cache
 from pathlib import Path
 
 from autotune.formats.identified import IdentifiedFile, write_identified
-from autotune.formats.problem import ProblemSpec, RotationalSpec
+from autotune.formats.problem import RotationalSpec
 from autotune.tuning.optimize import Optimized, optimize
-from autotune.tuning.problems import DesignOptions
 from identification.result import AxisEstimate, CouplingEstimate, Estimate, Identified
-from tests.autotune.tuning.cases import FAST_SPEC, FAST_WISHES, identified_axis, identified_plant
+from tests.autotune.tuning.cases import FAST_SPEC, identified_axis, identified_plant
 
 LEVER_M = 0.2
 SQUARE = LEVER_M**2
@@ -66,9 +65,5 @@ def write_two_axes(path: Path) -> None:
 @cache
 def both_optimized() -> Optimized:
     """Both axes of the small problem, taken to a validated controller in one call."""
-    return optimized(FAST_TURNING_SPEC, FAST_WISHES)
-
-
-def optimized(spec: ProblemSpec, options: DesignOptions) -> Optimized:
     plant = IdentifiedFile(result=two_axes(), provenance={}, path=Path("identified.yaml"), sha256="0" * 64)
-    return optimize(plant, spec, options, seed=1)
+    return optimize(plant, FAST_TURNING_SPEC, seed=1)

@@ -16,7 +16,7 @@ from autotune.tuning.optimize import optimize
 from autotune.validation.validate import validate_controller
 from problems.design.requirements import NoiseLimit, PassivityTarget
 from problems.errors import ParameterError
-from tests.autotune.tuning.cases import FAST_REQUIREMENTS, FAST_SPEC, FAST_WISHES, identified_plant
+from tests.autotune.tuning.cases import FAST_REQUIREMENTS, FAST_SPEC, identified_plant
 
 ASKED = replace(
     FAST_REQUIREMENTS,
@@ -31,7 +31,7 @@ ASKED = replace(
 def wished() -> Controller:
     """Return a controller of which noise and passivity are required, and much else is wished."""
     plant = IdentifiedFile(result=identified_plant(), provenance={}, path=Path("identified.yaml"), sha256="0" * 64)
-    whole = optimize(plant, replace(FAST_SPEC, requirements=ASKED), FAST_WISHES, seed=1).controller
+    whole = optimize(plant, replace(FAST_SPEC, requirements=ASKED), seed=1).controller
     predicted = whole.predicted["x"]
     fewer = replace(predicted, scenarios=(predicted.scenarios[0], predicted.scenarios[-1]))
     return replace(whole, predicted={"x": fewer})
