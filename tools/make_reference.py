@@ -1,4 +1,7 @@
-"""Write docs/reference.md, every entry of every file, from the JSON Schemas; `--check` only tells whether it is so."""
+"""Write the schema of `controller.yaml` from its records, and docs/reference.md from all schemas.
+
+The page lists every entry of every file; `--check` only says whether both are up to date.
+"""
 
 import argparse
 import json
@@ -10,6 +13,7 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
 SCHEMAS, PAGE = ROOT / "autotune" / "formats" / "schemas", ROOT / "docs" / "reference.md"
+CONTROLLER = SCHEMAS / "controller.schema.json"
 ORDER = ("controller", "identified", "plant", "problem", "cell", "plan", "pareto", "schedule")
 HEAD = """# Every entry of every file
 
@@ -171,8 +175,6 @@ def _number(value: float) -> str:
 
 def page() -> str:
     """Return the whole page."""
-    # The project of this folder, installed or not.
-    sys.path.insert(0, str(ROOT))
     from autotune.formats.problem import problem_schema
     from autotune.formats.schema import load_schema
 
@@ -186,18 +188,24 @@ def page() -> str:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Write the page, or with `--check` return 1 if it is not up to date."""
+    """Write schema and page, or with `--check` return 1 if one of them is not up to date."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--check", action="store_true", help="change nothing; fail if the page is out of date")
     options = parser.parse_args(argv)
-    wanted = page()
-    if not options.check:
-        PAGE.write_text(wanted, encoding="utf-8")
-        return 0
-    if PAGE.is_file() and PAGE.read_text(encoding="utf-8") == wanted:
-        return 0
-    print("docs/reference.md is out of date; run python tools/make_reference.py", file=sys.stderr)
-    return 1
+    # The project of this folder, installed or not.
+    sys.path.insert(0, str(ROOT))
+    from tools.make_schema import text
+
+    late = False
+    # The page second: it is made from what the first writes.
+    for path, make in ((CONTROLLER, text), (PAGE, page)):
+        wanted = make()
+        if not options.check:
+            path.write_text(wanted, encoding="utf-8")
+        elif not path.is_file() or path.read_text(encoding="utf-8") != wanted:
+            print(f"{path.name} is out of date; run python tools/make_reference.py", file=sys.stderr)
+            late = True
+    return int(late)
 
 
 if __name__ == "__main__":

@@ -4,22 +4,53 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from problems.contact.transient import Approach
 from problems.design.requirements import AdmittanceTarget, NoiseLimit, PassivityTarget
-from problems.design.uncertainty import ALWAYS_UNCERTAIN, Ellipsoid, PlantSet
+from problems.design.uncertainty import ALWAYS_UNCERTAIN, FURTHER_UNCERTAIN, Ellipsoid, PlantSet
 from problems.errors import ParameterError
 from problems.frozen import FrozenDict, freeze
 from problems.model.plant import NO_FILTER, WrenchFilter
 from problems.model.plant_parameters import PARAMETERS
 from problems.model.robot import RobotModel
 
-from .units import ROTATIONAL_AXES
+from .schema import Rule
+from .units import AXES, ROTATIONAL_AXES
 
 Interval = tuple[float, float]
+Axis = Annotated[str, Rule(enum=AXES)]
+FurtherName = Annotated[str, Rule(enum=FURTHER_UNCERTAIN)]
+Period = Annotated[float, Rule(minimum=1e-5, maximum=0.1)]
+Band = Annotated[Interval, Rule(items=Rule(minimum=0, maximum=10000))]
+Polynomial = Annotated[tuple[float, ...], Rule(items=Rule(minimum=-1e40, maximum=1e40), minItems=1, maxItems=24)]
+AboveZero = Annotated[float, Rule(exclusiveMinimum=0)]
+NotNegative = Annotated[float, Rule(minimum=0)]
+Share = Annotated[float, Rule(exclusiveMinimum=0, exclusiveMaximum=1)]
+Text = Annotated[str, Rule(minLength=1)]
+
+_STIFFNESS = Rule(minimum=0, maximum=1_000_000_000)
+_TIME = Rule(minimum=0, maximum=1)
+_DAMPING = Rule(minimum=0, maximum=10_000_000)
+PARAMETER_BOUNDS: Mapping[str, Rule] = FrozenDict(
+    {
+        "environment_stiffness_n_per_m": _STIFFNESS,
+        "payload_mass_kg": Rule(minimum=0.001, maximum=1000, turning=Rule(minimum=1e-6)),
+        "coupling_stiffness_n_per_m": Rule(minimum=1, maximum=1_000_000_000, turning=Rule(minimum=0.01)),
+        "coupling_damping_n_s_per_m": _DAMPING,
+        "drag_n_s_per_m": Rule(minimum=0, maximum=1_000_000),
+        "environment_damping_n_s_per_m": _DAMPING,
+        "environment_mass_kg": Rule(minimum=0, maximum=10_000, turning=Rule(maximum=1000)),
+        "delay_s": _TIME,
+        "robot_bandwidth_hz": Rule(minimum=0.001, maximum=10_000),
+        "robot_damping_ratio": Rule(minimum=0, maximum=100),
+        "wrench_time_constant_s": _TIME,
+        "wrench_delay_s": _TIME,
+    }
+)
+"""Bounds of a number of the file that is named like a parameter of the plant."""
 
 
 def check_interval(name: str, interval: Interval) -> None:
@@ -32,9 +63,9 @@ def check_interval(name: str, interval: Interval) -> None:
 class ConfidenceSet:
     """An ellipsoid that cuts the ranges: the confidence `level`, its `centre` and `covariance` by parameter."""
 
-    level: float
-    centre: Mapping[str, float]
-    covariance: Mapping[str, Mapping[str, float]]
+    level: Share
+    centre: Mapping[FurtherName, float]
+    covariance: Mapping[FurtherName, Mapping[str, float]]
 
     def __post_init__(self) -> None:
         freeze(self, "centre", "covariance")
@@ -81,14 +112,27 @@ class AxisDomain:
     coupling_stiffness_n_per_m: float
     coupling_damping_n_s_per_m: float
     drag_n_s_per_m: float
-    robot_numerator: tuple[float, ...]
-    robot_denominator: tuple[float, ...]
+    robot_numerator: Polynomial
+    robot_denominator: Polynomial
     delay_s: float
-    approach_force_n: float | None = None
-    approach_speed_m_s: float | None = None
-    uncertain: Mapping[str, Interval] | None = None
+    approach_force_n: (
+        Annotated[float, Rule(minimum=0.01, maximum=10000, turning=Rule(minimum=0.001, maximum=2000))] | None
+    ) = None
+    approach_speed_m_s: Annotated[float, Rule(minimum=0.0001, maximum=5, turning=Rule(maximum=25))] | None = None
+    uncertain: Mapping[FurtherName, Interval] | None = None
     confidence: ConfidenceSet | None = None
-    wrench_filter: WrenchFilter | None = None
+    wrench_filter: (
+        Annotated[
+            WrenchFilter,
+            Rule(
+                description="what lies between the coupling's force and what the controller reads: a first-order "
+                "filter, a delay, or both; none where the entry is missing",
+                properties={"time_constant_s": _TIME},
+                minProperties=1,
+            ),
+        ]
+        | None
+    ) = None
 
     def __post_init__(self) -> None:
         check_interval("environment_stiffness_n_per_m", self.environment_stiffness_n_per_m)
@@ -150,11 +194,14 @@ class AxisMargins:
     `worst` names for each margin the plant at which it was found.
     """
 
-    gain_db: float | None
-    phase_deg: float | None
-    delay_s: float | None
-    modulus: float
-    worst: Mapping[str, Mapping[str, float | str]]
+    gain_db: Annotated[float | None, Rule(minimum=0, maximum=1000)]
+    phase_deg: Annotated[float | None, Rule(minimum=0, maximum=180)]
+    delay_s: Annotated[float | None, Rule(minimum=0, maximum=1000)]
+    modulus: Annotated[float, Rule(minimum=0, maximum=10)]
+    worst: Mapping[
+        Annotated[str, {"enum": ("gain_db", "phase_deg", "delay_s", "modulus")}],
+        Mapping[str, Annotated[float, Rule(minimum=0, maximum=1e9)]],
+    ]
 
     def __post_init__(self) -> None:
         for name in ("gain_db", "phase_deg", "delay_s"):
@@ -167,8 +214,8 @@ class AxisMargins:
 class Proof:
     """What is proved, by which method, over which set; `numbers` are its figures by name, if it has any."""
 
-    claim: str
-    method: str
+    claim: Text
+    method: Text
     over: str | Mapping[str, Any]
     numbers: Mapping[str, float] | None = None
 
@@ -193,16 +240,23 @@ class ProvenRegion:
     are work counted at a fixed speed, not read from a clock: the same input gives the same file.
     """
 
-    over: tuple[str, ...]
-    modulus: float
-    slack: float
-    method: str
-    share: float
-    environment_stiffness_n_per_m: Interval
-    cells: float
-    arcs: float
-    budget_s: float
-    run_time_s: float
+    over: Annotated[
+        tuple[Text, ...], Rule(description="What varies in its whole range; the rest is nominal", minItems=1)
+    ]
+    modulus: Annotated[Share, Rule(description="What |1 + L| is proved to exceed at both break points")]
+    slack: Annotated[Share, Rule(description="Share of the swept modulus that was given away")]
+    method: Text
+    share: Annotated[float, Rule(description="Share of the set that is proved; 1 is all of it", minimum=0, maximum=1)]
+    environment_stiffness_n_per_m: Annotated[
+        Interval,
+        Rule(items=_STIFFNESS, description="Where all of the set is proved"),
+    ]
+    cells: NotNegative
+    arcs: NotNegative
+    budget_s: Annotated[AboveZero, Rule(description="Run time that ends the attempt, counted like run_time_s")]
+    run_time_s: Annotated[
+        NotNegative, Rule(description="Run time of the proof, counted in work at 40 000 arcs a second")
+    ]
 
     def __post_init__(self) -> None:
         check_interval("environment_stiffness_n_per_m", self.environment_stiffness_n_per_m)
@@ -212,7 +266,35 @@ class ProvenRegion:
             raise ParameterError("budget_s", self.budget_s, "above 0, and no run time below 0")
 
 
-Requirement = float | bool | AdmittanceTarget | NoiseLimit | PassivityTarget
+_APPROACH = [{"required": ["approach_force_n"]}, {"required": ["approach_speed_m_s"]}]
+_APPROACHED = "a domain that says how contact is approached: {} or both"
+_ABOVE_ZERO = Rule(exclusiveMinimum=0)
+_BAND = Rule(items=Rule(minimum=0, maximum=10000))
+_Target = (
+    Annotated[
+        AdmittanceTarget,
+        Rule(properties={"min_m_s_per_n": _ABOVE_ZERO, "band_hz": _BAND}, required=["min_m_s_per_n", "band_hz"]),
+    ]
+    | Annotated[
+        NoiseLimit,
+        Rule(
+            properties={"max_speed_rms_m_s": _ABOVE_ZERO, "force_noise_rms_n": Rule(minimum=0)},
+            required=["max_speed_rms_m_s", "force_noise_rms_n"],
+        ),
+    ]
+    | Annotated[PassivityTarget, Rule(properties={"passive_below_hz": _ABOVE_ZERO})]
+)
+Requirement = Annotated[
+    float | bool | _Target,
+    Rule(
+        description="a number, true or false, {min_m_s_per_n, band_hz}, {max_speed_rms_m_s, force_noise_rms_n} or "
+        "{passive_below_hz}",
+        turning=Rule(
+            description="a number, true or false, {min_rad_s_per_n_m, band_hz}, {max_speed_rms_rad_s, "
+            "torque_noise_rms_n_m} or {passive_below_hz}"
+        ),
+    ),
+]
 Asked = Mapping[str, Requirement]
 
 
@@ -223,9 +305,9 @@ class SoftRequirement:
     None where no finite limit exists.
     """
 
-    asked: float | AdmittanceTarget | NoiseLimit | PassivityTarget
-    soft_n: float
-    achieved: float | None
+    asked: Annotated[AboveZero | _Target, Rule(description="a requirement")]
+    soft_n: AboveZero
+    achieved: Annotated[float | None, Rule(minimum=0)]
 
     def __post_init__(self) -> None:
         if self.achieved == math.inf:
@@ -241,15 +323,25 @@ class Certificate:
     `soft` holds by axis what need not be met, and what was achieved, `continuous` what of the modulus is proved.
     """
 
-    domain: Mapping[str, AxisDomain]
-    sample_time_s: float
+    domain: Mapping[
+        Axis,
+        Annotated[
+            AxisDomain,
+            Rule(
+                description=_APPROACHED.format("approach_force_n, approach_speed_m_s"),
+                anyOf=_APPROACH,
+                turning=Rule(description=_APPROACHED.format("approach_torque_n_m, approach_speed_rad_s")),
+            ),
+        ],
+    ]
+    sample_time_s: Period
     requirements: Mapping[str, Requirement]
     proved: tuple[Proof, ...]
-    margins: Mapping[str, AxisMargins]
+    margins: Mapping[Axis, AxisMargins]
     rotational_requirements: Mapping[str, Requirement] | None = None
     sampled: tuple[Proof, ...] = ()
-    soft: Mapping[str, Mapping[str, SoftRequirement]] | None = None
-    continuous: Mapping[str, tuple[ProvenRegion, ...]] | None = None
+    soft: Mapping[Axis, Mapping[str, SoftRequirement]] | None = None
+    continuous: Mapping[Axis, Annotated[tuple[ProvenRegion, ...], Rule(minItems=1)]] | None = None
 
     def __post_init__(self) -> None:
         freeze(self, "domain", "requirements", "margins")

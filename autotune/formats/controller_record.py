@@ -4,20 +4,28 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any
+from typing import Annotated, Any, Literal
 
 from problems.contact.nonlinearities import Deadband, DeadbandType
 from problems.design.uncertainty import Scenario
 from problems.errors import ParameterError
 from problems.frozen import freeze
-from problems.model.controller import AdmittanceController
+from problems.model.controller import SMALLEST_FEEDBACK_DAMPING_S, AdmittanceController
 
-from .certificate_record import Certificate, Interval, check_interval
-from .limits import CollisionResponse, Limits, ResidualPeaks
+from .certificate_record import (
+    Axis,
+    Band,
+    Certificate,
+    FurtherName,
+    Period,
+    Text,
+    check_interval,
+)
+from .limits import CollisionResponse, Limits, Peak, ResidualPeaks
+from .schema import Rule
 
 Vector = tuple[float, float, float]
-
-SMALLEST_FEEDBACK_DAMPING_S = 1e-4
+Corner = Annotated[float, Rule(minimum=0.1, maximum=1_000_000)]
 
 
 class ControllerStatus(StrEnum):
@@ -35,11 +43,19 @@ class AxisGains:
     the values printed in the paper (2e-5, 7.5e-6) cannot be seconds.
     """
 
-    mass: float
-    damping: float
-    lead_s: float
-    feedback_damping_s: float
-    deadband: float
+    mass: Annotated[float, Rule(minimum=0.01, maximum=10_000, turning=Rule(minimum=1e-5, maximum=1000))]
+    damping: Annotated[float, Rule(minimum=1, maximum=1_000_000, turning=Rule(minimum=0.001, maximum=100_000))]
+    lead_s: Annotated[float, Rule(minimum=0, maximum=1)]
+    feedback_damping_s: Annotated[
+        float,
+        Rule(
+            description="0 or at least 1e-4 s, and at most 1 s; a smaller value, such as the 2e-5 and 7.5e-6 "
+            "printed in the paper, cannot be seconds (it would change the admittance by 0.003 dB at most) and must be "
+            "converted first: times 1000 if the robot reports mm, or divided by the sample time if it is per sample",
+            anyOf=[{"const": 0}, Rule(minimum=SMALLEST_FEEDBACK_DAMPING_S, maximum=1)],
+        ),
+    ]
+    deadband: Annotated[float, Rule(minimum=0, maximum=100, turning=Rule(maximum=20))]
     deadband_type: DeadbandType
 
     def __post_init__(self) -> None:
@@ -58,8 +74,8 @@ class AxisGains:
 class Filters:
     """ω_v and ω_a, rad/s."""
 
-    velocity_rad_per_s: float
-    acceleration_rad_per_s: float
+    velocity_rad_per_s: Corner
+    acceleration_rad_per_s: Corner
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,7 +83,7 @@ class CollisionSettings:
     """The collision response and its force threshold (N); None exactly when there is no response."""
 
     response: CollisionResponse
-    threshold_n: float | None
+    threshold_n: Annotated[float | None, Rule(minimum=0.1, maximum=10_000)]
 
     def __post_init__(self) -> None:
         if (self.response == CollisionResponse.NONE) != (self.threshold_n is None):
@@ -82,11 +98,17 @@ class RuntimePayload:
     loads the controller must say the payload.
     """
 
-    mass_kg: float
-    com_m: Vector
-    force_bias_n: Vector
-    torque_bias_n_m: Vector
-    set_in_cell: bool = False
+    mass_kg: Annotated[float, Rule(minimum=0, maximum=1000)]
+    com_m: Annotated[Vector, Rule(items=Rule(minimum=-2, maximum=2))]
+    force_bias_n: Annotated[Vector, Rule(items=Rule(minimum=-300, maximum=300))]
+    torque_bias_n_m: Annotated[Vector, Rule(items=Rule(minimum=-50, maximum=50))]
+    set_in_cell: Annotated[
+        bool,
+        Rule(
+            description="true where centre of mass and bias were not known: the runtime starts only with a payload "
+            "that the cell gives"
+        ),
+    ] = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,13 +118,13 @@ class ScenarioPrediction:
     `further` holds what of the plant is not nominal beyond K_e and M_p.
     """
 
-    name: str
-    environment_stiffness_n_per_m: float
+    name: Text
+    environment_stiffness_n_per_m: Annotated[float, Rule(exclusiveMinimum=0, maximum=1_000_000_000)]
     payload_mass_kg: float
-    peak_sensor_force_n: float
-    peak_contact_force_n: float
-    time_of_peak_s: float
-    further: Mapping[str, float] | None = None
+    peak_sensor_force_n: Peak
+    peak_contact_force_n: Peak
+    time_of_peak_s: Annotated[float, Rule(minimum=0, maximum=1000)]
+    further: Mapping[FurtherName, float] | None = None
 
     def __post_init__(self) -> None:
         if self.further is not None:
@@ -121,9 +143,9 @@ class ScenarioPrediction:
 class FreeSpaceAdmittance:
     """The least |G| over the band (Hz), m/s per N, and the steady hand force per speed, N/(m/s)."""
 
-    band_hz: Interval
-    min_m_s_per_n: float
-    hand_force_n_per_m_s: float
+    band_hz: Band
+    min_m_s_per_n: Annotated[float, Rule(minimum=1e-9, maximum=10, turning=Rule(maximum=100))]
+    hand_force_n_per_m_s: Annotated[float, Rule(minimum=0, maximum=1_000_000_000)]
 
     def __post_init__(self) -> None:
         check_interval("band_hz", self.band_hz)
@@ -137,9 +159,14 @@ class AxisPrediction:
     `with_residual_weight` holds the worst peaks of all under the residual that the start check of the runtime allows.
     """
 
-    scenarios: tuple[ScenarioPrediction, ...]
+    scenarios: Annotated[tuple[ScenarioPrediction, ...], Rule(description="without a collision response", minItems=1)]
     free_space_admittance: FreeSpaceAdmittance
-    with_collision_response: tuple[ScenarioPrediction, ...] = ()
+    with_collision_response: Annotated[
+        tuple[ScenarioPrediction, ...],
+        Rule(
+            description="the same contacts with it, and the worst one where that is another", minItems=1, turning=None
+        ),
+    ] = ()
     with_residual_weight: ResidualPeaks | None = None
 
 
@@ -154,15 +181,24 @@ class Controller:
     """
 
     status: ControllerStatus
-    sample_time_s: float
-    discretization: str
-    delay_samples: float
-    axes: Mapping[str, AxisGains]
+    sample_time_s: Period
+    discretization: Literal["tustin"]
+    delay_samples: Annotated[float, Rule(minimum=0, maximum=1000)]
+    axes: Annotated[Mapping[Axis, AxisGains], Rule(minProperties=1)]
     filters: Filters
-    compensation_mass_kg: float
-    collision: CollisionSettings
+    compensation_mass_kg: Annotated[float, Rule(minimum=0, maximum=1000)]
+    collision: Annotated[
+        CollisionSettings,
+        Rule(
+            {
+                "if": {"properties": {"response": {"const": "none"}}},
+                "then": {"properties": {"threshold_n": {"type": "null"}}},
+                "else": {"properties": {"threshold_n": {"type": "number"}}},
+            }
+        ),
+    ]
     payload: RuntimePayload
-    predicted: Mapping[str, AxisPrediction]
+    predicted: Mapping[Axis, AxisPrediction]
     certificate: Certificate
     provenance: Mapping[str, Any]
     limits: Limits | None = None

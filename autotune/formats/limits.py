@@ -4,22 +4,16 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import Annotated, get_type_hints
 
 from problems.errors import ParameterError
 from problems.frozen import FrozenDict, freeze
 
-MOST_REST_SAMPLES = 100_000
+from .schema import Rule
+from .units import AXES
 
-_POSITIVE = (
-    "force_n",
-    "torque_n_m",
-    "pose_speed_m_s",
-    "pose_speed_rad_s",
-    "stale_wrench_s",
-    "stale_pose_s",
-    "rest_force_n",
-    "rest_torque_n_m",
-)
+MOST_REST_SAMPLES = 100_000
+Peak = Annotated[float, Rule(minimum=-1_000_000, maximum=1_000_000)]
 
 
 class CollisionResponse(StrEnum):
@@ -39,11 +33,11 @@ class AxisLimits:
     Raises ParameterError unless both are positive and finite.
     """
 
-    speed: float
-    acceleration: float
+    speed: Annotated[float, Rule(exclusiveMinimum=0, maximum=20)]
+    acceleration: Annotated[float, Rule(exclusiveMinimum=0, maximum=100_000)]
 
     def __post_init__(self) -> None:
-        _check_positive(self, ("speed", "acceleration"))
+        _check_positive(self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,20 +53,20 @@ class Limits:
     Raises ParameterError unless every number is positive and finite and `rest_samples` is between 1 and 100000.
     """
 
-    force_n: float
-    torque_n_m: float
-    axes: Mapping[str, AxisLimits]
-    pose_speed_m_s: float
-    pose_speed_rad_s: float
-    stale_wrench_s: float
-    stale_pose_s: float
-    rest_samples: int
-    rest_force_n: float
-    rest_torque_n_m: float
+    force_n: Annotated[float, Rule(exclusiveMinimum=0, maximum=100_000)]
+    torque_n_m: Annotated[float, Rule(exclusiveMinimum=0, maximum=10_000)]
+    axes: Annotated[Mapping[Annotated[str, Rule(enum=AXES)], AxisLimits], Rule(minProperties=1)]
+    pose_speed_m_s: Annotated[float, Rule(exclusiveMinimum=0, maximum=20)]
+    pose_speed_rad_s: Annotated[float, Rule(exclusiveMinimum=0, maximum=50)]
+    stale_wrench_s: Annotated[float, Rule(exclusiveMinimum=0, maximum=10)]
+    stale_pose_s: Annotated[float, Rule(exclusiveMinimum=0, maximum=10)]
+    rest_samples: Annotated[int, Rule(minimum=1, maximum=MOST_REST_SAMPLES)]
+    rest_force_n: Annotated[float, Rule(exclusiveMinimum=0, maximum=1000)]
+    rest_torque_n_m: Annotated[float, Rule(exclusiveMinimum=0, maximum=200)]
     reasons: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        _check_positive(self, _POSITIVE)
+        _check_positive(self)
         if not 1 <= self.rest_samples <= MOST_REST_SAMPLES or self.rest_samples != int(self.rest_samples):
             raise ParameterError("rest_samples", self.rest_samples, f"a whole number from 1 to {MOST_REST_SAMPLES}")
         object.__setattr__(self, "rest_samples", int(self.rest_samples))
@@ -83,9 +77,9 @@ class Limits:
 class ResidualPeaks:
     """The worst peaks (N) where the gravity compensation leaves `force_n` along F^d, as the runtime allows."""
 
-    force_n: float
-    peak_sensor_force_n: float
-    peak_contact_force_n: float
+    force_n: Annotated[float, Rule(minimum=0)]
+    peak_sensor_force_n: Peak
+    peak_contact_force_n: Peak
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,9 +95,11 @@ class LimitsSpec:
         object.__setattr__(self, "axes", FrozenDict(of_axes))
 
 
-def _check_positive(record: object, names: tuple[str, ...]) -> None:
-    for name in names:
-        value = float(getattr(record, name))
-        if not 0.0 < value < math.inf:
-            raise ParameterError(name, value, "greater than 0")
-        object.__setattr__(record, name, value)
+def _check_positive(record: AxisLimits | Limits) -> None:
+    """Make a float of each that is declared as one; raises ParameterError unless it is positive and finite."""
+    for name, kind in get_type_hints(type(record)).items():
+        if kind is float:
+            value = float(getattr(record, name))
+            if not 0.0 < value < math.inf:
+                raise ParameterError(name, value, "greater than 0")
+            object.__setattr__(record, name, value)

@@ -22,6 +22,7 @@ from .canonical import Place, spell
 from .limits import LimitsSpec
 from .records import ROTATIONAL_KEYS, rename_axis_keys
 from .schema import check_document, load_schema
+from .units import AXES
 from .yaml12 import Document, load_document
 
 Interval = tuple[float, float]
@@ -204,9 +205,10 @@ def problem_schema(tree: Mapping[str, Any]) -> dict[str, Any]:
     """Return the schema of the file with an entry for every requirement that it names and that has none there.
 
     The built-in ones have one whether they are named or not; those of other packages where they are installed. So do
-    the objectives.
+    the objectives. The limits are those of `controller.yaml`, none of which must be there.
     """
     schema = deepcopy(load_schema("problem"))
+    schema["properties"]["limits"] |= _limits_schema()
     # Text or not: a list is no key of a mapping.
     is_known = tree.get("objective", CONTACT_FORCE.name) in tuple(BUILT_IN_OBJECTIVES)
     schema["properties"]["objective"] = {"enum": list(BUILT_IN_OBJECTIVES if is_known else objective_names())}
@@ -222,6 +224,14 @@ def problem_schema(tree: Mapping[str, Any]) -> dict[str, Any]:
             further += [each for each in found if each is not None]
         known |= {each.name: _entry_schema(each, price) for each in further}
     return schema
+
+
+def _limits_schema() -> dict[str, Any]:
+    known = load_schema("controller")["$defs"]
+    entries = {name: each for name, each in known["Limits"]["properties"].items() if name != "reasons"}
+    axis = {**known["AxisLimits"], "required": [], "minProperties": 1}
+    entries["axes"] = {"type": "object", "properties": dict.fromkeys(AXES, axis), "additionalProperties": False}
+    return {"type": "object", "properties": entries, "additionalProperties": False}
 
 
 def _entry_schema(requirement: Requirement[Any], price: str) -> dict[str, Any]:

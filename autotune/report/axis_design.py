@@ -82,7 +82,7 @@ class AxisDesign:
 
     def worst_plant(self, margin: str = "modulus") -> Plant | None:
         """Return the plant at which the certificate found a margin smallest; None where it does not say."""
-        case = {name: value for name, value in self.margins.worst.get(margin, {}).items() if isinstance(value, float)}
+        case = dict(self.margins.worst.get(margin, {}))
         stiffness = case.pop(_STIFFNESS, None)
         if stiffness is None or "payload_mass_kg" not in case:
             return None

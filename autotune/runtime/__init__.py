@@ -1,9 +1,10 @@
 """The cell's side: load a controller file and step its six axes. Needs the YAML parser, and no other library."""
 
 from autotune.formats.limits import AxisLimits, CollisionResponse, Limits
+from autotune.formats.units import AXES
 
 from .controller import RuntimeController
-from .law import AXES, AxisLaw, Payload
+from .law import AxisLaw, Payload
 from .load import load_controller
 from .step import START, Command, Fault, Phase, State, rearm, step
 

@@ -6,11 +6,12 @@ from dataclasses import dataclass, field
 
 from autotune.errors import CertificateError, UsageError
 from autotune.formats.limits import CollisionResponse, Limits
+from autotune.formats.units import AXES
 from problems.errors import ParameterError
 from problems.frozen import FrozenDict
 
 from .guard import Guard
-from .law import AXES, TRANSLATIONS, AxisLaw, Payload, is_number
+from .law import TRANSLATIONS, AxisLaw, Payload, is_number
 
 # A sample time is declared, not measured: the same number, or another one.
 SAME_SAMPLE_TIME = 1e-6

@@ -5,13 +5,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from numbers import Real
 
+from autotune.formats.units import AXES
 from problems.errors import ParameterError
 from problems.model.difference import write_blocks
 
 Vector = tuple[float, float, float]
 Interval = tuple[float, float]
 
-AXES = ("x", "y", "z", "rx", "ry", "rz")
 TRANSLATIONS = 3
 
 # Of the Tustin rule, the only one that a controller file may say.

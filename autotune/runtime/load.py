@@ -10,13 +10,14 @@ from typing import Any
 from autotune.errors import CertificateError, UsageError
 from autotune.formats.canonical import checksum as checksum_of
 from autotune.formats.canonical import short
-from autotune.formats.limits import AxisLimits, CollisionResponse, Limits
+from autotune.formats.limits import MOST_REST_SAMPLES, AxisLimits, CollisionResponse, Limits
 from autotune.formats.schema import check_format, explain, load_schema, refuse_first
+from autotune.formats.units import AXES
 from autotune.formats.yaml12 import Document, load_document
 from problems.errors import ParameterError
 
 from .controller import RuntimeController
-from .law import AXES, STANDARD_GRAVITY_M_S2, AxisLaw, Payload
+from .law import STANDARD_GRAVITY_M_S2, AxisLaw, Payload
 from .loop import corner_plants, is_stable
 from .schema_check import breaches
 
@@ -31,7 +32,7 @@ _ABOVE_APPROACH = 2.0
 _SHARE_PER_PERIOD = 0.5
 _LEAST_POSE_SPEED_M_S, _LEAST_POSE_SPEED_RAD_S, _ABOVE_COMMAND = 1.0, 5.0, 4.0
 _STALE_WRENCH_S, _STALE_POSE_S = 0.05, 0.2
-_REST_S, _MOST_REST_SAMPLES = 0.1, 100_000
+_REST_S = 0.1
 # A centre of mass that is so far off, and the residual where no deadband says what is little.
 _COM_OFF_M, _REST_FORCE_N, _LEAST_REST_TORQUE_N_M = 0.02, 1.0, 1.0
 
@@ -249,7 +250,7 @@ def default_limits(tree: Mapping[str, Any]) -> Limits:
         pose_speed_rad_s=max([_LEAST_POSE_SPEED_RAD_S, *(_ABOVE_COMMAND * each for each in turning)]),
         stale_wrench_s=_STALE_WRENCH_S,
         stale_pose_s=_STALE_POSE_S,
-        rest_samples=max(1, min(_MOST_REST_SAMPLES, round(_REST_S / tree["sample_time_s"]))),
+        rest_samples=max(1, min(MOST_REST_SAMPLES, round(_REST_S / tree["sample_time_s"]))),
         rest_force_n=_smallest_deadband(tree, turning=False) or _REST_FORCE_N,
         rest_torque_n_m=_smallest_deadband(tree, turning=True) or max(_LEAST_REST_TORQUE_N_M, _COM_OFF_M * weight),
     )

@@ -9,7 +9,7 @@ import numpy as np
 
 from autotune.errors import UsageError
 from autotune.formats.controller_record import AxisPrediction, Controller
-from autotune.formats.limits import AxisLimits, Limits, LimitsSpec, ResidualPeaks
+from autotune.formats.limits import MOST_REST_SAMPLES, AxisLimits, Limits, LimitsSpec, ResidualPeaks
 from autotune.formats.problem import ProblemSpec
 from autotune.formats.units import ROTATIONAL_AXES, axis_units
 from autotune.runtime.law import STANDARD_GRAVITY_M_S2
@@ -29,7 +29,6 @@ _POSE_ABOVE_COMMAND, _LEAST_POSE_SPEED_M_S, _LEAST_POSE_SPEED_RAD_S = 4.0, 1.0, 
 _STALE_WRENCH_S, _STALE_POSE_S, _STALE_PERIODS = 0.02, 0.1, 10
 _REST_S, _REST_SHARE, _REST_DEVIATIONS = 0.1, 0.2, 3.0
 _LEAST_REST_N, _LEAST_REST_N_M, _COM_OFF_M = 1.0, 0.2, 0.02
-_MOST_REST_SAMPLES = 100_000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,7 +108,7 @@ def _choose(controller: Controller, settings: LimitsSettings) -> Limits:
         pose_speed_rad_s=_rounded_up(turn + noise / LEVER_M),
         stale_wrench_s=max(_STALE_WRENCH_S, _STALE_PERIODS * h),
         stale_pose_s=max(_STALE_POSE_S, _STALE_PERIODS * h),
-        rest_samples=max(1, min(_MOST_REST_SAMPLES, round(_REST_S / h))),
+        rest_samples=max(1, min(MOST_REST_SAMPLES, round(_REST_S / h))),
         rest_force_n=rest_force,
         rest_torque_n_m=rest_torque,
         reasons=reasons,
