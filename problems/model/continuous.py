@@ -7,11 +7,13 @@ are reported come from the exact sampled loop (`problems.model.sampled`, `proble
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.polynomial.polynomial import polyval
 
 from .._checks import positive
 from ..arrays import ComplexArray, FloatArray
 from ..errors import ParameterError
 from .controller import AdmittanceController
+from .difference import filters_in_s, forward_in_s
 from .plant import Plant
 
 
@@ -35,14 +37,13 @@ class PlantBlocks:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ControllerBlocks:
-    """A, C_ff, C_fb and O_a of docs/method.md, "The loop", shapes as `frequency_rad_per_s`.
+    """A(1 + C_ff), C_fb and O_a of docs/method.md, "The loop", shapes as `frequency_rad_per_s`.
 
-    `admittance` A [m/N], `lead` C_ff [-], `feedback` C_fb [-], `acceleration` O_a [1/s²], whether P̂ uses it or not.
+    `forward` A(1 + C_ff) [m/N], `feedback` C_fb [-], `acceleration` O_a [1/s²], whether P̂ uses it or not.
     """
 
     frequency_rad_per_s: FloatArray
-    admittance: ComplexArray
-    lead: ComplexArray
+    forward: ComplexArray
     feedback: ComplexArray
     acceleration: ComplexArray
 
@@ -93,14 +94,12 @@ def plant_blocks(
 def controller_blocks(controller: AdmittanceController, frequency_rad_per_s: FloatArray) -> ControllerBlocks:
     """Evaluate the controller's blocks at s = jω, see `plant_blocks`."""
     omega, s = _laplace(frequency_rad_per_s)
-    velocity, acceleration = controller.velocity_filter_rad_per_s, controller.acceleration_filter_rad_per_s
-    filters = velocity * acceleration / ((s + acceleration) * (s + velocity))
+    feedback, acceleration = filters_in_s(controller.numbers(), controller.compensation == "ideal")
     return ControllerBlocks(
         frequency_rad_per_s=omega,
-        admittance=1.0 / (controller.mass_kg * s * s + controller.damping_n_s_per_m * s),
-        lead=controller.lead_s * s,
-        feedback=controller.feedback_damping_s * velocity * s / (s + velocity),
-        acceleration=s * s * (1.0 if controller.compensation == "ideal" else filters),
+        forward=_value(forward_in_s(controller.numbers()), s),
+        feedback=_value(feedback, s),
+        acceleration=_value(acceleration, s),
     )
 
 
@@ -118,7 +117,7 @@ def continuous_loop(
     blocks = plant_blocks(plant, frequency_rad_per_s, half_sample_of_s=half_sample_of_s)
     law = controller_blocks(controller, frequency_rad_per_s)
     _, s = _laplace(frequency_rad_per_s)
-    forward = law.admittance * (1.0 + law.lead) * blocks.robot
+    forward = law.forward * blocks.robot
     damped = blocks.robot * law.feedback / s - forward * controller.compensation_mass_kg * law.acceleration / s
     # With a filter of the wrench only what comes from the force passes it; without one this is 1.
     forward = forward * blocks.wrench
@@ -134,6 +133,12 @@ def continuous_loop(
         closed_loop=-at_force * sensitivity,
         sensitivity=sensitivity,
     )
+
+
+def _value(fraction: tuple[tuple[float, ...], tuple[float, ...]], s: ComplexArray) -> ComplexArray:
+    """Return numerator over denominator, in ascending powers of s."""
+    numerator, denominator = (polyval(s, each) for each in fraction)
+    return np.asarray(numerator / denominator, dtype=np.complex128)
 
 
 def _laplace(frequency_rad_per_s: FloatArray) -> tuple[FloatArray, ComplexArray]:

@@ -140,6 +140,7 @@ def _printed(feedback_damping: float) -> float:
 
 # Written once in plain arithmetic, and compiled into whatever kernel calls them.
 write_first_order = equation(difference.write_first_order)
+forward_in_s = equation(difference.forward_in_s)
 write_blocks = equation(difference.write_blocks)
 controller_step = equation(difference.controller_step)
 steady_states = equation(difference.steady_states)

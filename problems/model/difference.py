@@ -35,6 +35,19 @@ def write_first_order(block: Any, row: int, n1: Any, n0: Any, d1: Any, d0: Any, 
     block[row, 2] = (n0 * h * (1.0 - theta) - n1) / lead + pole * direct
 
 
+def forward_in_s(parameters: Any) -> Any:
+    """Return A(1 + C_ff) = (1 + K_l s)/(B_a s + M_a s²): numerator and denominator in ascending powers of s."""
+    return (1.0, parameters[2]), (0.0, parameters[1], parameters[0])
+
+
+def filters_in_s(parameters: Any, ideal: bool) -> Any:
+    """Return C_fb = B_fb ω_v s/(ω_v + s) and O_a = ω_v ω_a s²/((ω_v + s)(ω_a + s)), ideal s², as `forward_in_s`."""
+    feedback, corner, acceleration = parameters[3], parameters[4], parameters[5]
+    both = corner * acceleration
+    observer = ((0.0, 0.0, 1.0), (1.0,)) if ideal else ((0.0, 0.0, both), (both, corner + acceleration, 1.0))
+    return ((0.0, feedback * corner), (corner, 1.0)), observer
+
+
 def write_blocks(blocks: Any, parameters: Any, h: float, theta: float, ideal: bool) -> None:
     """Write the controller's first-order blocks into `blocks` (6, 3), see `controller_step`.
 
@@ -44,9 +57,9 @@ def write_blocks(blocks: Any, parameters: Any, h: float, theta: float, ideal: bo
     ideal compensation is A(1 + C_ff) s² = (K_l/M_a) s + κ − κ B_a/(M_a s + B_a) with κ = (1 − K_l B_a/M_a)/M_a, whose
     lag shares its pole, and so its state, with the second block; the fourth block is then the derivative.
     """
-    mass, damping, lead, feedback = parameters[0], parameters[1], parameters[2], parameters[3]
-    corner, acceleration, compensation = parameters[4], parameters[5], parameters[6]
-    write_first_order(blocks, 0, 0.0, 1.0 / damping, 1.0, 0.0, h, theta)
+    (one, lead), (_, damping, mass) = forward_in_s(parameters)
+    feedback, corner, acceleration, compensation = parameters[3], parameters[4], parameters[5], parameters[6]
+    write_first_order(blocks, 0, 0.0, one / damping, 1.0, 0.0, h, theta)
     write_first_order(blocks, 1, 0.0, lead - mass / damping, mass, damping, h, theta)
     write_first_order(blocks, 2, corner, 0.0, 1.0, corner, h, theta)
     blocks[FEEDBACK_DAMPING] = feedback

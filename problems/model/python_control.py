@@ -11,6 +11,7 @@ from scipy.linalg import matrix_balance
 from ..arrays import FloatArray
 from ..errors import ParameterError
 from .controller import AdmittanceController
+from .difference import filters_in_s, forward_in_s
 from .plant import Environment, Plant
 from .sampled import CutLoop, SampledPlant, build_cut_loop, build_sampled_plant, translation_state
 
@@ -74,8 +75,7 @@ def _built(plant: Plant, sample_time_s: float, controller: AdmittanceController)
 def to_control(sampled: SampledPlant, controller: AdmittanceController) -> ControlObjects:
     """Return the blocks and the sampled loop of one axis as python-control objects with named signals."""
     plant, cut, h = sampled.plant, build_cut_loop(sampled, controller), sampled.sample_time_s
-    velocity, acceleration = controller.velocity_filter_rad_per_s, controller.acceleration_filter_rad_per_s
-    ideal = controller.compensation == "ideal"
+    feedback, acceleration = filters_in_s(controller.numbers(), controller.compensation == "ideal")
     return ControlObjects(
         plant=plant,
         controller=controller,
@@ -89,17 +89,9 @@ def to_control(sampled: SampledPlant, controller: AdmittanceController) -> Contr
         environment=_environment(plant.environment),
         wrench=_block("wrench", [1.0], [plant.wrench_filter.time_constant_s, 1.0], "F", "F_m"),
         wrench_delay_s=plant.wrench_filter.delay_s,
-        forward=_block(
-            "forward", [controller.lead_s, 1.0], [controller.mass_kg, controller.damping_n_s_per_m, 0.0], "e", "x_a"
-        ),
-        feedback=_block("feedback", [controller.feedback_damping_s * velocity, 0.0], [1.0, velocity], "x", "x_fb"),
-        acceleration=_block(
-            "acceleration",
-            [1.0 if ideal else velocity * acceleration, 0.0, 0.0],
-            [1.0] if ideal else [1.0, velocity + acceleration, velocity * acceleration],
-            "x",
-            "a",
-        ),
+        forward=_law_block("forward", forward_in_s(controller.numbers()), "e", "x_a"),
+        feedback=_law_block("feedback", feedback, "x", "x_fb"),
+        acceleration=_law_block("acceleration", acceleration, "x", "a"),
         at_force=_system("L", _cut_at_force(cut, sampled, controller), h, ["e"], ["-F"]),
         at_command=_system("L_x", _cut_at_command(cut, sampled), h, ["w"], ["-x_d"]),
         closed_loop=_system("closed_loop", _closed(cut, sampled), h, ["F_d", "f"], ["F", "x_d", "F_e"]),
@@ -135,6 +127,11 @@ def _system(name: str, matrices: Matrices, h: float, inputs: list[str], outputs:
 
 def _block(name: str, numerator: Any, denominator: Any, source: str, target: str) -> Any:
     return control.tf(numerator, denominator, name=name, inputs=[source], outputs=[target])
+
+
+def _law_block(name: str, fraction: Any, source: str, target: str) -> Any:
+    numerator, denominator = (list(reversed(each)) for each in fraction)
+    return _block(name, numerator, denominator, source, target)
 
 
 def _environment(environment: Environment) -> Any:

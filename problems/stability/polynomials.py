@@ -10,6 +10,7 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..compiled import compiled
+from ..model.controller import forward_in_s
 
 STABLE, UNSTABLE, DOUBTFUL = 1, 0, -1
 # Rows of the plant's polynomials and, without whole delays, of what `plant_at` takes; rows of a controller's.
@@ -91,17 +92,20 @@ def controller_polynomials(parameters: FloatArray, ideal: bool, out: FloatArray)
     With A(1 + C_ff) = (1 + K_l s)/(s (M_a s + B_a)): s (M_a s + B_a) D − (1 + K_l s)(F + P̂ O_a X) + s (M_a s + B_a)
     C_fb X, times the filters' denominators as far as they are in use.
     """
-    mass, damping, lead, feedback = parameters[0], parameters[1], parameters[2], parameters[3]
-    corner, acceleration, compensation = parameters[4], parameters[5], parameters[6]
+    numerator, denominator = forward_in_s(parameters)
+    feedback, corner, acceleration, compensation = parameters[3], parameters[4], parameters[5], parameters[6]
     filtered = compensation > 0.0 and not ideal
     out[:] = 0.0
-    out[OWN, 1], out[OWN, 2] = damping, mass
-    out[SENSED, 0], out[SENSED, 1] = 1.0, lead
+    for power, each in enumerate(denominator):
+        out[OWN, power] = each
+    for power, each in enumerate(numerator):
+        out[SENSED, power] = each
     degree = 2
     if compensation > 0.0:
         gain = compensation * corner * acceleration if filtered else compensation
-        out[FED, 2], out[FED, 3] = -gain, -gain * lead
-        if ideal and lead > 0.0:
+        for power, each in enumerate(numerator):
+            out[FED, power + 2] = -gain * each
+        if ideal and numerator[1] > 0.0:
             degree = 3
     if feedback > 0.0 or filtered:
         for row in range(3 if ideal else 2):
@@ -110,6 +114,7 @@ def controller_polynomials(parameters: FloatArray, ideal: bool, out: FloatArray)
     if feedback > 0.0:
         gain, share = feedback * corner, 1.0 if filtered else 0.0
         # s (M_a s + B_a) B_fb ω_v s, times s + ω_a when that filter is there.
+        _, damping, mass = denominator
         out[FED, 2] += gain * damping * (acceleration if filtered else 1.0)
         out[FED, 3] += gain * (mass * (acceleration if filtered else 1.0) + share * damping)
         out[FED, 4] += gain * share * mass

@@ -69,7 +69,7 @@ def test_the_two_break_points_share_the_closed_loop(
     found, s = at(plant, controller, omega), 1j * omega
     robot, law = found.plant.robot, found.controller
     damped = 1.0 + robot * law.feedback / s
-    damped -= law.admittance * (1.0 + law.lead) * robot * controller.compensation_mass_kg * law.acceleration / s
+    damped -= law.forward * robot * controller.compensation_mass_kg * law.acceleration / s
     size = (1.0 + abs(damped)) * (1.0 + abs(found.at_force[0]))
     assert abs((1.0 + found.at_command - damped * (1.0 + found.at_force))[0]) < 1e-13 * size[0]
     assert abs((found.sensitivity - found.closed_loop - 1.0)[0]) < 1e-12 * (1.0 + abs(found.sensitivity[0]))
