@@ -17,7 +17,7 @@ from autotune.formats.units import axis_units
 from autotune.formats.yaml12 import dump_yaml
 from autotune.results import Validation
 from autotune.shown import Progress, ResultTable, Shown, data_frame, reporting
-from problems.design.uncertainty import Scenario
+from problems.design.uncertainty import SYMBOLS, Scenario
 from problems.model.axis_kind import AxisKind
 
 if TYPE_CHECKING:
@@ -120,11 +120,35 @@ class Design(Shown):
                     for each in prediction.scenarios
                 ),
             )
-        yield ResultTable(
-            title="proved",
-            columns=("claim", "over", "method"),
-            rows=tuple((each.claim, each.over_text(), each.method) for each in self.controller.certificate.proved),
-        )
+        certificate = self.controller.certificate
+        for title, claims in (
+            ("proved", certificate.proved),
+            ("sampled, not proved", certificate.sampled),
+        ):
+            yield ResultTable(
+                title=title,
+                columns=("claim", "over", "method"),
+                rows=tuple((each.claim, each.over_text(), each.method) for each in claims),
+            )
+        yield self._proved_margins()
+
+    def _proved_margins(self) -> ResultTable:
+        """Return on what share of its plants the modulus margin of each axis is proved, 0 % where it is nowhere."""
+        regions = self.controller.certificate.continuous or {}
+        rows = [
+            (
+                name,
+                f"{each.modulus:.4g}",
+                f"{100.0 * each.share:.4g} %",
+                ", ".join(SYMBOLS[parameter] for parameter in each.over),
+                " to ".join(f"{end:.4g}" for end in each.environment_stiffness_n_per_m),
+            )
+            for name in self.gains
+            for each in regions.get(name, ())
+        ]
+        rows += [(name, "none", "0 %", "", "") for name in self.gains if name not in regions]
+        columns = ("axis", "modulus", "of the plants", "over the ranges of", "all for K_e [N/m, N·m/rad]")
+        return ResultTable(title="modulus margin proved at all frequencies", columns=columns, rows=tuple(rows))
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -135,7 +159,7 @@ class Design(Shown):
         return self.notes
 
     def summary(self) -> None:
-        """Print gains, margins, predicted contacts, what is proved, and what should not be overlooked."""
+        """Print gains, margins, predicted contacts, what is proved and what is not, and what not to overlook."""
         print(self)
 
     def to_dict(self) -> dict[str, Any]:

@@ -4,11 +4,12 @@ import math
 from dataclasses import dataclass
 
 from problems.errors import ParameterError
-from problems.model.robot import RobotModel, bandwidth_share
+from problems.model.robot import RobotModel, bandwidth_hz, bandwidth_share
 
 from .quantity import Interval, Quantity, as_interval, as_numbers, as_quantity, nominal_value
 
 LONGEST_DELAY_S = 0.1
+SLOWEST_HZ, FASTEST_HZ = 0.01, 1000.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,7 +19,8 @@ class Robot:
     Parameters
     ----------
     bandwidth
-        Frequency at which the gain falls to 1/sqrt(2) [Hz]: a robot of one pole, or with `damping_ratio` of two.
+        Frequency at which the gain falls to 1/sqrt(2), 0.01 to 1000 [Hz]: a robot of one pole, or with
+        `damping_ratio` of two.
     delay
         Dead time from command to motion, without the hold of one period, below 0.1 [s].
     damping_ratio
@@ -59,7 +61,12 @@ class Robot:
         if self.ranges()["delay"][1] >= LONGEST_DELAY_S:
             must = f"below {LONGEST_DELAY_S:g} s: no contact is controlled through a robot that is later"
             raise ParameterError("delay", self.delay, must)
-        self.model()
+        model, given = self.model(), self.ranges().get("bandwidth")
+        low, high = given or (bandwidth_hz(model),) * 2
+        if not SLOWEST_HZ <= low <= high <= FASTEST_HZ:
+            name, found = ("denominator", self.denominator) if given is None else ("bandwidth", self.bandwidth)
+            must = f"{'' if given else 'of a bandwidth '}from {SLOWEST_HZ:g} to {FASTEST_HZ:g} Hz; mind its unit"
+            raise ParameterError(name, found, must)
 
     def ranges(self) -> dict[str, Interval]:
         """Return the lowest and highest value of bandwidth [Hz], damping ratio and delay [s], as far as given."""

@@ -124,6 +124,17 @@ def test_every_result_shows_copies_and_pickles(design: at.Design, capsys: pytest
     assert "smallest margins" in capsys.readouterr().out
 
 
+def test_the_summary_says_what_is_not_proved(design: at.Design) -> None:
+    certificate = design.controller.certificate
+    assert certificate.continuous is not None
+    half = replace(certificate.continuous["x"][0], share=0.5, environment_stiffness_n_per_m=(4e4, 5e4))
+    for continuous, said in (({"x": (half,)}, "50 %"), (None, "none")):
+        changed = replace(design.controller, certificate=replace(certificate, continuous=continuous))
+        text = str(at.Design(controller=changed))
+        assert said in text.partition("modulus margin proved at all frequencies")[2]
+        assert all(each.claim in text.partition("sampled, not proved")[2] for each in certificate.sampled)
+
+
 def test_html_of_a_result_escapes_what_it_shows() -> None:
     check = at.Check(axis="x", name="<script>", passed=False, message="a & b")
     html = at.Validation(checks=(check,))._repr_html_()
