@@ -14,6 +14,7 @@ from autotune.formats.identified import IdentifiedFile
 from autotune.formats.units import ROTATIONAL_AXES, axis_units
 from identification.errors import EstimateError
 from identification.result import AxisEstimate, EnvironmentEstimate, Estimate, Identified, Status
+from identification.robot.logged_command import TICK_S
 from problems.arrays import FloatArray
 from problems.design.uncertainty import PlantSet, Scenario
 from problems.model.plant import Coupling, Environment, PayloadDynamics, Plant, WrenchFilter
@@ -132,7 +133,7 @@ def build_plants(
     estimates = result.axes[name]
     touched = find_surface(estimates, name, surface)
     label = touched.name if touched is not None else surface.label(name)
-    period = sample_time_s if sample_time_s is not None else _number(result.sample_time_s)
+    period = sample_time_s if sample_time_s is not None else _control_period(result.sample_time_s)
     if touched is not None and _is_blow_only(estimates, touched):
         return _blow_only(name, touched, period or 0.0, model_error(estimates.held_out), seed)
     if period is None:
@@ -160,6 +161,15 @@ def build_plants(
         blow=known.value("blow", {}),
         other_blows=tuple(known.value("blow", draw) for draw in draws),
     )
+
+
+def _control_period(estimate: Estimate) -> float | None:
+    """Return the period of the controller [s]; that of a slow log without a command is no more than the log's own.
+
+    Half a control period is in the delay that such a log shows, so that a short period adds little to it.
+    """
+    period = _number(estimate)
+    return min(period, TICK_S) if period is not None and estimate.status is Status.WEAK else period
 
 
 def _is_blow_only(axis: AxisEstimate, touched: EnvironmentEstimate) -> bool:

@@ -29,7 +29,14 @@ ROOT = HERE.parents[1]
 # Which trace without the collision response is of which surface; the one with it (_coll) gives the stiffness.
 TRACES = ("flex_jt", "yellow_feet")
 # Every log that shows the cell's robot on z.
-ROBOTS = ("flex_jt_imco.csv", "yellow_feet_imco.csv", "single_mode_middle.bag", "yellow_table_1.bag")
+ROBOTS = (
+    "flex_jt_imco.csv",
+    "yellow_feet_imco.csv",
+    "single_mode_middle.bag",
+    "yellow_table_1.bag",
+    "hard_low_2.bag",
+    "soft_low_1.bag",
+)
 # Logs of one surface each; the rest of the bags with contacts show no stiffness, or have a surface of their own.
 REPEATS = (
     ("hard_low_1.bag", "hard_low_2.bag"),

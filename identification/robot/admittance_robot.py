@@ -27,6 +27,8 @@ _TRACE_STARTS = 3
 _BANDWIDTH_STARTS_RAD_PER_S = (6.0, 20.0, 60.0)
 _SLOWEST_RAD_PER_S, _FASTEST_RAD_PER_S = 0.5, 400.0
 _POOR_FIT, _POOR_TRACE_FIT = 0.2, 0.4
+# What is left besides the white noise of the pose, where that alone makes more than _POOR_FIT.
+_POOR_BUT_NOISE = 0.1
 _RIVAL_RATIO = 1.25
 _NUDGE = 1e-5
 # A force that is linear between the samples of the log: measured on simulated robots, this is what it costs.
@@ -89,7 +91,7 @@ def identify_admittance_robot(motion: AdmittanceMotion) -> AdmittanceRobotFit:
     effective = min(fits, key=lambda fit: fit.residual_rms).effective_samples
     chosen = min(fits, key=lambda fit: fit.criterion(effective))
     error = chosen.residual_rms / max(float(np.std(moved)), 1e-15)
-    _check(chosen, error * chosen.coloured_share, _POOR_FIT)
+    _check(chosen, error if error * chosen.coloured_share > _POOR_BUT_NOISE else 0.0, _POOR_FIT)
     rivals = [fit for fit in fits if len(fit.linear) == len(chosen.linear) and fit.rivals(chosen)]
     between = spread_of_parts(*_without_lever(motion, chosen), motion.edge_s[:-1][motion.used])
     return _described(chosen, rivals, error, motion.period_s, between)

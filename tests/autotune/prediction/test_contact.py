@@ -10,6 +10,7 @@ from autotune.prediction.certified import predict_certified
 from autotune.prediction.contact import Law, nominal_contact, peak_interval, simulate_on, simulate_others
 from autotune.prediction.plants import Surface, build_plants, series_plant
 from autotune.prediction.result import predict_contact
+from identification.result import Status
 from problems.contact.nonlinearities import Deadband
 from problems.contact.transient import Approach, build_sampled_contact
 from problems.model.controller import AdmittanceController
@@ -147,6 +148,16 @@ def test_the_band_is_the_interval_at_the_peak_and_the_desired_force_at_rest() ->
     assert found.band.high[-1] == pytest.approx(30.0, rel=2e-3)
     assert np.all(found.band.low <= found.contact.sensor_force_n + 1e-9)
     assert np.all(found.contact.sensor_force_n <= found.band.high + 1e-9)
+
+
+@pytest.mark.parametrize(
+    ("status", "expected_s"), [(Status.WEAK, 1.5e-3), (Status.IDENTIFIED, 25e-3), (Status.GIVEN, 25e-3)]
+)
+def test_the_period_of_a_slow_log_without_a_command_is_not_the_controllers(status: Status, expected_s: float) -> None:
+    """Half a control period is in the delay of such a log; 25 ms of hold would add half of that once more."""
+    file = plant_of(Cell(wall=2e3)).file()
+    logged = replace(file.result, sample_time_s=replace(file.result.sample_time_s, value=25e-3, status=status))
+    assert build_plants(replace(file, result=logged), Surface()).sample_time_s == expected_s
 
 
 def test_the_interval_of_a_design_is_over_all_its_payloads_unless_one_is_said() -> None:
