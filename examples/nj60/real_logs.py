@@ -65,7 +65,8 @@ At the measured speed of the approach, with gains and F^d of the contact (traces
 30 N). A trace `_coll` ran with a collision response: it gives a stiffness and is no contact to predict. What a log
 predicts of itself with the stiffness of another is "in part"; "held out" is what took part on neither side. "and more":
 on some of the plants inside the uncertainty the loop is unstable. The bags do not say K_l, so the robot of a bag holds
-what lead it had, and the robot of a trace does not: for a contact of a bag that loop lacks the lead, and may be unstable.
+what lead it had, and the robot of a trace does not: for a contact of a bag that loop lacks the lead and may be
+unstable.
 
 | robot from | surface from | contact of | measured [N] | {between} | predicted [N] | error [%] | {interval} | in |
 |---|---|---|---|---|---|---|---|---|
