@@ -33,14 +33,15 @@ class Evidence:
 
     Force (n, 3) in N, torque (n, 3) about the sensor's origin in N·m. Sample k was taken k `period_s` after the start
     of the log; what a hole swallowed is NaN. `log` names the recording, `reading` is what was found when it was read.
-    `gain_error_share` is the share by which the force's scale may be wrong, as the rests show it.
+    `gain_error_share` is the share by which the force's scale may be wrong, as the rests show it. Of a log whose weight
+    was removed before recording there is the wrench as logged alone: what would be without weight and bias is None.
     """
 
     period_s: float
     raw_S_n: FloatArray
-    compensated_S_n: FloatArray
+    compensated_S_n: FloatArray | None
     raw_torque_S_n_m: FloatArray
-    compensated_torque_S_n_m: FloatArray
+    compensated_torque_S_n_m: FloatArray | None
     axes: Mapping[str, AxisEvidence]
     log: str = ""
     reading: tuple[Finding, ...] = ()

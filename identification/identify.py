@@ -92,7 +92,7 @@ def identify_with_evidence(
     given: Mapping[str, Given] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> tuple[Identified, Evidence | None]:
-    """Return what `identify_cell` does, and the signals that it rests on; None where gravity was taken off before.
+    """Return what `identify_cell` does, and the signals that it rests on; None where it has no wrench over time.
 
     Parameters
     ----------
@@ -103,7 +103,9 @@ def identify_with_evidence(
 
     """
     found, cell, results = _identify(recording, frames, given or {}, progress if progress is not None else no_progress)
-    return found, None if cell is None or cell.gravity is None else _evidence(cell, cell.gravity, results)
+    if cell is None or cell.gravity is None:
+        return found, _wrench_as_logged(recording) if found.timelines else None
+    return found, _evidence(cell, cell.gravity, results)
 
 
 def _identify(
@@ -190,6 +192,23 @@ def _identify_incomplete(recording: Recording, frames: Frames | None, given: Map
     gravity = identify_gravity(read.poses)
     sensor, about_sensor = describe_sensor(read, gravity, frames)
     return at_rest_only(gravity, sensor, _sample_time(recording), (*about_spikes, *read.findings, *about_sensor))
+
+
+def _wrench_as_logged(recording: Recording) -> Evidence | None:
+    """Gather what a picture of a log without weight shows, from where its time line begins."""
+    wrench, pose = recording.wrench, recording.pose
+    inside = (wrench.stamp_ns >= pose.stamp_ns[0]) & (wrench.stamp_ns <= pose.stamp_ns[-1])
+    stamps = wrench.stamp_ns[inside]
+    if len(stamps) < 2 or not wrench.measured_axes or recording.keeps_holes:
+        return None
+    return Evidence(
+        period_s=float(stamps[-1] - stamps[0]) * 1e-9 / (len(stamps) - 1),
+        raw_S_n=wrench.force_n[inside],
+        compensated_S_n=None,
+        raw_torque_S_n_m=wrench.torque_n_m[inside],
+        compensated_torque_S_n_m=None,
+        axes={},
+    )
 
 
 def _evidence(cell: CellSignals, gravity: GravityFit, results: Mapping[str, AxisResult]) -> Evidence:

@@ -28,8 +28,8 @@ def wrench_charts(evidence: Evidence, timeline: Timeline | None, mark: str) -> I
     yield Chart(
         key=f"wrench-{mark}",
         title="Force of the sensor, and what happened when",
-        alternative=f"Three curves over {time[-1]:.0f} s, Fx, Fy, Fz in the sensor frame, as logged and without weight "
-        f"and bias; without them the force reaches {_largest(evidence.compensated_S_n):.1f} N. {_phases(timeline)}",
+        alternative=f"Curves over {time[-1]:.3g} s, Fx, Fy, Fz in the sensor frame, as logged"
+        f"{_without_weight('force', evidence.raw_S_n, evidence.compensated_S_n, 'N')}. {_phases(timeline)}",
         caption="Shaded: the phases that were found. What is not shaded is rest.",
         panels=_panels(time, "F", "N", evidence.raw_S_n, evidence.compensated_S_n, shades),
         linked=True,
@@ -39,11 +39,18 @@ def wrench_charts(evidence: Evidence, timeline: Timeline | None, mark: str) -> I
     yield Chart(
         key=f"torque-{mark}",
         title="Torque of the sensor",
-        alternative=f"Three curves over {time[-1]:.0f} s, Tx, Ty, Tz about the sensor's origin, as logged and without "
-        f"weight and bias; without them the torque reaches {_largest(evidence.compensated_torque_S_n_m):.2f} N·m.",
+        alternative=f"Curves over {time[-1]:.3g} s, Tx, Ty, Tz about the sensor's origin, as logged"
+        f"{_without_weight('torque', evidence.raw_torque_S_n_m, evidence.compensated_torque_S_n_m, 'N·m')}.",
         panels=_panels(time, "T", "N·m", evidence.raw_torque_S_n_m, evidence.compensated_torque_S_n_m, ()),
         linked=True,
     )
+
+
+def _without_weight(what: str, logged: FloatArray, compensated: FloatArray | None, unit: str) -> str:
+    """Say what the curves reach."""
+    if compensated is None:
+        return f", its weight removed before; the {what} reaches {_largest(np.nan_to_num(logged)):.3g} {unit}"
+    return f" and without weight and bias; without them the {what} reaches {_largest(compensated):.3g} {unit}"
 
 
 def logged_charts(recording: Recording) -> tuple[Chart, ...]:
@@ -77,6 +84,8 @@ def _panels(
 ) -> tuple[Panel, ...]:
     panels = []
     for i, name in enumerate("xyz"):
+        if not np.isfinite(logged[:, i]).any():
+            continue
         lines = [
             Line(x=time, y=logged[:, i], label="as logged", role="before" if compensated is not None else "measured")
         ]
@@ -102,7 +111,7 @@ def _shades(timeline: Timeline) -> Iterator[Stretch]:
 def _phases(timeline: Timeline | None) -> str:
     if timeline is None:
         return ""
-    contacts = [p.contact for p in timeline.phases if p.contact is not None]
+    contacts = [p for p in timeline.phases if p.kind is PhaseKind.CONTACT]
     kinds = ", ".join(dict.fromkeys(p.kind.value.replace("-", " ") for p in timeline.phases))
     return f"Phases: {kinds}; {len(contacts)} contacts."
 

@@ -9,7 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from autotune.formats.cell import read_cell
+from autotune.report.sensor_charts import wrench_charts
 from identification.errors import EstimateError
+from identification.identify import identify_with_evidence
 from identification.logs.read import read_recording
 from identification.partial import identify_partial
 from identification.result import Estimate, Identified, Status
@@ -81,6 +83,21 @@ def test_gains_that_foretell_another_speed_are_told() -> None:
 def test_without_gains_nothing_is_told_and_that_is_an_error() -> None:
     with pytest.raises(EstimateError, match=r"Gravity is already removed.*declare `gains`"):
         identify_partial(replace(lively(), gains=None), PERIOD)
+
+
+def test_the_pictures_of_a_log_without_weight_show_its_force_and_when_it_touched() -> None:
+    recording = lively()
+    found, evidence = identify_with_evidence(recording)
+    assert evidence is not None
+    assert evidence.compensated_S_n is None
+    assert np.array_equal(evidence.raw_S_n, recording.wrench.force_n)
+    charts = list(wrench_charts(evidence, found.timelines[0], "1"))
+    assert [len(chart.panels) for chart in charts] == [3, 3]
+    assert "its weight removed before; the force reaches" in charts[0].alternative
+    # Axes that were not measured are no empty pictures.
+    along_x = np.where([True, False, False], recording.wrench.force_n, np.nan)
+    trace = replace(evidence, raw_S_n=along_x, raw_torque_S_n_m=np.full_like(along_x, np.nan))
+    assert [len(chart.panels) for chart in wrench_charts(trace, None, "1")] == [1]
 
 
 def test_a_sign_that_nothing_shows_is_said_to_be_assumed() -> None:
