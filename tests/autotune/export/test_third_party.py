@@ -19,7 +19,7 @@ from autotune.export.retune import QuickJudge, retune
 from autotune.export.ros2_axis import JOINT_DAMPING_PER_S, Ros2Axis
 from autotune.export.ros2_control import Ros2Options
 from autotune.export.third_party import Translation
-from autotune.formats.controller import write_controller
+from autotune.formats.controller import read_controller, write_controller
 from autotune.formats.controller_record import AxisGains
 from autotune.formats.limits import AxisLimits, Limits
 from autotune.validation.bouncing import BounceSearch
@@ -39,6 +39,7 @@ from tests.autotune.export.peer_cases import (
     peer_controller,
     requirements,
     task_of,
+    translated,
 )
 
 LEVEL = FziOptions(orientation=(0.0, 0.0, 0.0, 1.0))
@@ -222,7 +223,8 @@ def test_fewer_joints_than_axes_are_refused_and_fewer_than_six_are_told(tmp_path
 
 
 def test_the_same_file_gives_the_same_bytes(tmp_path: Path, plain: Translation) -> None:
-    again = exported(tmp_path, peer_controller({"x": PLAIN}, EASY), Ros2Options())
+    write_controller(tmp_path / "controller.yaml", peer_controller({"x": PLAIN}, EASY))
+    again = translated(read_controller(tmp_path / "controller.yaml"), Ros2Options())
     assert again.text == plain.text
 
 
