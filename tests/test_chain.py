@@ -158,7 +158,8 @@ def test_from_a_log_to_an_exported_controller(run_process: RunCli, tmp_path: Pat
         "command": PLAIN.command,
     }
     (tmp_path / "problem.yaml").write_text(PROBLEM, encoding="utf-8")
-    optimized = json_of(run_process("optimize", "identified.yaml", "--problem", "problem.yaml", "--json"))
+    asked = ("--problem", "problem.yaml", "--proof-budget", "1")
+    optimized = json_of(run_process("optimize", "identified.yaml", *asked, "--json"))
     domain = optimized["certificate"]["domain"]["x"]
     assert domain["environment_stiffness_n_per_m"][0] < SimulatedCell().environment.stiffness_n_per_m
     assert domain["environment_stiffness_n_per_m"][1] > SimulatedCell().environment.stiffness_n_per_m

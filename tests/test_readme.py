@@ -10,7 +10,7 @@ import matplotlib as mpl
 import pytest
 
 import autotune as at
-from autotune.validation.axis_proof import ProofOptions
+from tests.autotune.tuning.cases import shorten_proofs
 
 
 def _python_blocks(page: Path) -> list[str]:
@@ -44,10 +44,7 @@ def test_the_examples_of_the_python_page_run(
     chain, written, below = _python_blocks(repository / "docs" / "python.md")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(mpl.rcParams, "backend", "agg")
-    # A second of proof is enough to show that it is there; it is spent by the search, and again by `validate`.
-    defaults = ProofOptions.__init__.__kwdefaults__
-    assert defaults is not None
-    monkeypatch.setitem(defaults, "further_s", 1.0)
+    shorten_proofs(monkeypatch)
 
     def printed(code: str) -> str:
         exec(code, {})

@@ -15,7 +15,7 @@ from autotune.formats.identified import read_identified
 from autotune.formats.yaml12 import load_yaml
 from autotune.report import page
 from tests.autotune.cli.conftest import SHORT
-from tests.autotune.tuning.cases import FAST_SPEC
+from tests.autotune.tuning.cases import FAST_SPEC, shorten_proofs
 
 RunCli = Callable[..., "subprocess.CompletedProcess[str]"]
 
@@ -53,6 +53,7 @@ def brief(tmp_path_factory: pytest.TempPathFactory) -> tuple[DemoResult, list[st
     MadeHere(folder, []).add(folder / "controller.yaml")
     steps, shares = list[str](), list[float]()
     with pytest.MonkeyPatch.context() as patch:
+        shorten_proofs(patch)
         patch.setattr(demo_module, "Program", lambda: SHORT)
         patch.setattr(demo_module, "ProblemSpec", lambda: FAST_SPEC)
         return run_demo(folder, seed=3, step=steps.append, progress=shares.append), steps, shares

@@ -5,6 +5,8 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
+import pytest
+
 from autotune.formats.controller_record import Controller
 from autotune.formats.identified import IdentifiedFile, read_identified, write_identified
 from autotune.formats.problem import ProblemSpec
@@ -184,6 +186,13 @@ def uncertain_optimized() -> Optimized:
     plant = IdentifiedFile(result=identified_plant(), provenance={}, path=Path("identified.yaml"), sha256="0" * 64)
     # A second of proof is enough to show that it is there, and is done again wherever the file is validated.
     return optimize(plant, FURTHER_SPEC, seed=1, proof=ProofOptions(further_s=1.0))
+
+
+def shorten_proofs(patch: pytest.MonkeyPatch) -> None:
+    """Leave a proof over everything that is uncertain one second instead of ten: enough to show that it is there."""
+    defaults = ProofOptions.__init__.__kwdefaults__
+    assert defaults is not None
+    patch.setitem(defaults, "further_s", 1.0)
 
 
 def relaxed(problem: DesignProblem, requirement: str, share: float) -> DesignProblem:
