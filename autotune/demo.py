@@ -1,6 +1,6 @@
 """The whole chain on a simulated cell, beside the truth that only a simulation knows."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
@@ -23,6 +23,7 @@ from autotune.tuning.optimize import Optimized, optimize
 from autotune.validation.report import ValidationReport
 from autotune.validation.validate import validate_controller
 from identification.result import Estimate
+from problems.frozen import FrozenDict
 from problems.progress import Progress, no_progress
 
 LIST = "demo.yaml"
@@ -72,6 +73,16 @@ def _digest(path: Path) -> str:
     return found.hexdigest()
 
 
+CELLS: Mapping[str, tuple[Callable[[], SimulatedCell], ProblemSpec]] = FrozenDict(
+    {
+        "standard": (SimulatedCell, ProblemSpec()),
+        "low-drag": (
+            SimulatedCell.low_drag,
+            ProblemSpec(payload_mass_kg=(12.0, 20.0), environment_stiffness_n_per_m=(2e4, 5e5)),
+        ),
+    }
+)
+"""The cells of the demo by name, and what is asked of the controller of each."""
 STEPS = (
     "simulating a cell",
     "writing its log",
@@ -139,11 +150,12 @@ class DemoResult:
 def run_demo(
     directory: Path,
     *,
+    cell: str = "standard",
     seed: int = 0,
     step: Callable[[str], None] | None = None,
     progress: Progress | None = None,
 ) -> DemoResult:
-    """Simulate the default cell, then identify, optimize, validate and export, through the files of a real run.
+    """Simulate a cell of `CELLS`, then identify, optimize, validate and export, through the files of a real run.
 
     `step` receives the name of each step as it begins, `progress` the share of the work done since the last call.
     Files of an earlier demo in the same folder are replaced. Raises UsageError where one of these names is that of
@@ -154,8 +166,9 @@ def run_demo(
     files = DemoFiles.inside(directory)
     made = MadeHere(directory, [each.name for each in (*vars(files).values(), directory / PAGE)])
     begin(STEPS[0])
-    cell = SimulatedCell()
-    run = simulate_cell(cell, Program(), seed=seed)
+    build, spec = CELLS[cell]
+    simulated = build()
+    run = simulate_cell(simulated, Program(), seed=seed)
     report(_SHARES[0])
     begin(STEPS[1])
     logged = (run.recording.wrench, run.recording.pose, run.recording.command)
@@ -169,7 +182,7 @@ def run_demo(
     begin(STEPS[3])
     optimized = optimize(
         read_identified(files.identified),
-        ProblemSpec(),
+        spec,
         seed=seed,
         progress=lambda share: report(_SHARES[3] * share),
     )
@@ -184,7 +197,7 @@ def run_demo(
     made.add(files.twin)
     return DemoResult(
         identified=found,
-        comparisons=compare(cell, found),
+        comparisons=compare(simulated, found),
         optimized=optimized,
         report=checked,
         checksum=read.checksum,

@@ -1,6 +1,8 @@
 """Errors of the tool itself; the exit code of each branch is chosen in `autotune.cli`."""
 
 import math
+from collections.abc import Mapping
+from typing import Any
 
 from problems.errors import AutotuneError
 
@@ -15,6 +17,7 @@ class InfeasibleError(AutotuneError):
     `relaxations` are the single requirements that would be enough to ease, and by how much: name, asked, possible.
     `bare` is the message without what some design misses, for where the relaxations are listed instead. `missed` is the
     share of a requirement that the closest design found misses, infinite where nothing was found to be stable.
+    `suggestion` is a part of `problem.yaml` with which a search found a controller.
     """
 
     def __init__(
@@ -24,9 +27,10 @@ class InfeasibleError(AutotuneError):
         *,
         bare: str | None = None,
         missed: float = math.inf,
+        suggestion: Mapping[str, Any] | None = None,
     ) -> None:
         super().__init__(message)
-        self.relaxations, self.missed = relaxations, missed
+        self.relaxations, self.missed, self.suggestion = relaxations, missed, dict(suggestion or {})
         self.bare = message.removesuffix(".") if bare is None else bare
 
 

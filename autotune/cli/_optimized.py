@@ -60,6 +60,15 @@ def active_lines(found: "Optimized", name: str) -> list[str]:
     return [*lines, *_optimality_lines(report, units.force, (".2f", ".3f"), bool(problem.requirements.soft_n))]
 
 
+def default_lines(found: "Optimized", name: str) -> Iterator[str]:
+    """Yield what was asked of one axis by default, where it follows the robot; a lowered one is among the notes."""
+    from autotune.tuning.defaults import default_message
+
+    default = found.defaults.get(name)
+    if default is not None and default.attainable is None:
+        yield default_message(name, default, found.searches[name].problem)
+
+
 def _objective_lines(report: "OptimalityReport", problem: "DesignProblem", *, turning: bool) -> Iterator[str]:
     """Yield the value of an objective that is no peak force, what holds it back, and how near it is to the best."""
     objective = problem.objective

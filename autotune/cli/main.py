@@ -260,9 +260,14 @@ def _report(error: BaseException, arguments: Sequence[str], delivery: Delivery) 
 
 def _details(error: BaseException) -> dict[str, Any]:
     """Return what an error carries beside its sentence."""
-    eased = error.relaxations if isinstance(error, InfeasibleError) else ()
+    if not isinstance(error, InfeasibleError):
+        return {}
     names = ("name", "asked", "possible")
-    return {"relaxations": [dict(zip(names, each, strict=True)) for each in eased]} if eased else {}
+    eased = [dict(zip(names, each, strict=True)) for each in error.relaxations]
+    return {
+        **({"relaxations": eased} if eased else {}),
+        **({"suggestion": error.suggestion} if error.suggestion else {}),
+    }
 
 
 def _one_line(error: BaseException, code: ExitCode) -> str:

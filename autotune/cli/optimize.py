@@ -14,6 +14,7 @@ from ._optimized import (
     compare_lines,
     compare_tree,
     contact_spark,
+    default_lines,
     limit_lines,
     print_compliance,
     response_lines,
@@ -225,7 +226,7 @@ def print_optimized(found: "Optimized", out: Path, checksum: str, existing: "Con
             )
         _print_peaks(controller.predicted[name].scenarios, units)
         _print_spark(found, name, units)
-        for line in active_lines(found, name):
+        for line in (*default_lines(found, name), *active_lines(found, name)):
             print_message(f"  {line}")
     for line in (*response_lines(controller), *limit_lines(controller)):
         print_message(line)

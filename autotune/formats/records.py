@@ -33,7 +33,7 @@ _TRANSLATIONAL_KEYS = {rotational: key for key, rotational in ROTATIONAL_KEYS.it
 
 
 def record_tree(record: object, name: str = "") -> Any:
-    """Return the plain tree of a dataclass; a field that has a default and equals it is left out.
+    """Return the plain tree of a dataclass; a field that has a default and equals it, or is not compared, is left out.
 
     Raises ParameterError, with the path of the entry, when a number is not finite or something has no plain form.
     """
@@ -42,7 +42,7 @@ def record_tree(record: object, name: str = "") -> Any:
         return {
             field.name: record_tree(value, f"{name}.{field.name}")
             for field, value in pairs
-            if field.default is MISSING or value != field.default
+            if field.compare and (field.default is MISSING or value != field.default)
         }
     if isinstance(record, Mapping):
         return {str(key): record_tree(value, f"{name}.{key}") for key, value in record.items()}

@@ -79,6 +79,26 @@ class SimulatedCell:
         }
         return cls(**{**usual, **changes})
 
+    @classmethod
+    def low_drag(cls, **changes: Any) -> "SimulatedCell":
+        """Return a cell whose payload hardly loses any energy to ground, on a robot of second order.
+
+        What damps the payload on its coupling is the controller alone, so little admittance can be had. `changes` are
+        fields.
+        """
+        omega = 2.0 * np.pi * 10.83
+        usual: dict[str, Any] = {
+            "payload_mass_kg": 16.0,
+            "coupling": Coupling(stiffness_n_per_m=3.0e5, damping_n_s_per_m=150.0),
+            "drag_n_s_per_m": 20.0,
+            # -3 dB at 6.97 Hz.
+            "robot": RobotModel(
+                numerator=np.array([omega**2]), denominator=np.array([1.0, 2.0 * omega, omega**2]), delay_s=2.6e-3
+            ),
+            "controller": AdmittanceController(mass_kg=60.0, damping_n_s_per_m=3000.0),
+        }
+        return cls(**{**usual, **changes})
+
     @property
     def axis_index(self) -> int:
         """0, 1 or 2 for the approach axis, along it or about it."""

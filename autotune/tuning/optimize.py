@@ -11,6 +11,7 @@ from autotune.formats.controller import ControllerFile
 from autotune.formats.controller_record import Controller, RuntimePayload
 from autotune.formats.identified import IdentifiedFile
 from autotune.formats.problem import ComplianceSpec, ProblemSpec
+from autotune.formats.records import rename_axis_keys
 from autotune.formats.units import ROTATIONAL_AXES
 from autotune.validation.axis_proof import AxisProof, ProofOptions
 from autotune.validation.report import ValidationReport
@@ -22,6 +23,7 @@ from problems.design.problem import FURTHER_VARIABLES, VARIABLES, DesignProblem
 from problems.design.uncertainty import MASS, STIFFNESS
 from problems.progress import ProgressSlice, no_progress
 
+from .causes import explain, explanation_message
 from .compare import SideBySide, check_comparable, compare, start_design
 from .compliance import (
     Compliance,
@@ -31,13 +33,13 @@ from .compliance import (
     infeasible_message,
     settle_compliance,
 )
+from .defaults import DefaultAdmittance, default_admittance, default_message, lower_default
 from .design_notes import design_notes, exact_names
 from .limits import LimitsSettings, limits_settings, with_limits
 from .optimality_report import OptimalityReport, optimality_tree
 from .plausible import left_out_tree
 from .problems import build_problems, certified_mass_kg, runtime_mass_kg, within_domain
 from .record import build_controller, runtime_payload
-from .relax import find_relaxations, relaxation_message
 from .search import SearchResult, solve_design
 from .settling import Settled, prove_search, settle
 from .threshold import ThresholdSettings, choose_threshold, threshold_settings
@@ -54,8 +56,8 @@ class Optimized:
     """A controller that passed validation, the searches behind it, their optimality, and the checks it passed.
 
     `compared` puts it beside an existing controller, axis by axis, if one was given; `compliance` holds the stiffness
-    that was chosen for the axis, where the problem left it open. What the user should know is in the provenance, as
-    `notes`.
+    that was chosen for the axis, where the problem left it open; `defaults` what was asked by default and followed the
+    cell. What the user should know is in the provenance, as `notes`.
     """
 
     controller: Controller
@@ -64,6 +66,7 @@ class Optimized:
     report: ValidationReport
     compared: Mapping[str, SideBySide] = field(default_factory=dict)
     compliance: Mapping[str, Compliance] = field(default_factory=dict)
+    defaults: Mapping[str, DefaultAdmittance] = field(default_factory=dict)
 
 
 def optimize(
@@ -80,7 +83,8 @@ def optimize(
 ) -> Optimized:
     """Tune every axis, on the compliance to build if that is open, and return a controller that validation has passed.
 
-    `proof` says how closely the modulus is proved. `existing` is a controller to compare with; its gains join the
+    An admittance that nobody asked for follows the cell (`defaults`), with `relax` down to what can be had. `proof`
+    says how closely the modulus is proved. `existing` is a controller to compare with; its gains join the
     search where they lie inside the bounds. `step` is called with the compliance that is worked on, `progress` with the
     share of the work done since the last call.
 
@@ -106,15 +110,21 @@ def optimize(
     settled = _settle_all(searches, asked, seed, report)
     searches = {name: each.search for name, each in settled.items()}
     optimality_reports = {name: each.optimality for name, each in settled.items()}
+    by_default = {name: default_admittance(problems[name], each) for name, each in searches.items()}
+    defaults = {name: each for name, each in by_default.items() if each is not None}
+    problems = {name: each.problem for name, each in searches.items()}
     provenance = make_provenance(identified, problems, spec, seed, problem_path, existing, asked)
     provenance |= _optimality_tree(optimality_reports) | _surfaces_tree(problems, identified.result, chosen)
+    provenance |= _defaults_tree(defaults)
     controller, checked = certify(
         searches, payload, provenance, asked, lambda done: report((1.0 - _SEARCH_SHARE) * done),
         threshold=threshold_settings(identified.result, spec),
         limits=limits_settings(identified.result, spec),
         proved={name: each.proved for name, each in settled.items()},
     )  # fmt: skip
-    notes = list(design_notes(identified, controller, problems, spec, has_compliance=bool(chosen)))
+    lowered = {name: each for name, each in defaults.items() if each.attainable is not None}
+    notes = [default_message(name, each, problems[name]) for name, each in lowered.items()]
+    notes += design_notes(identified, controller, problems, spec, has_compliance=bool(chosen))
     if notes:
         controller = replace(controller, provenance={**controller.provenance, "notes": notes})
     return Optimized(
@@ -124,6 +134,7 @@ def optimize(
         report=checked,
         compared={} if existing is None else compare(existing.controller, searches),
         compliance=chosen,
+        defaults=defaults,
     )
 
 
@@ -144,6 +155,12 @@ def _optimality_tree(optimality_reports: Mapping[str, OptimalityReport]) -> dict
         name: optimality_tree(each, rotational=name in ROTATIONAL_AXES) for name, each in optimality_reports.items()
     }
     return {"optimality": trees}
+
+
+def _defaults_tree(defaults: Mapping[str, DefaultAdmittance]) -> dict[str, Any]:
+    """Return what was asked by default, axis by axis, where it followed the cell."""
+    trees = {name: rename_axis_keys(name, each.tree(), reading=False) for name, each in defaults.items()}
+    return {"defaults": trees} if trees else {}
 
 
 def _surfaces_tree(
@@ -266,7 +283,9 @@ def _named_compliance(name: str, compliance: Compliance | None) -> Iterator[None
         if compliance is None:
             raise
         bare = str(error).removeprefix(f"Axis {name}: ")
-        raise InfeasibleError(f"{infeasible_message(name, compliance)} {bare}", error.relaxations) from error
+        raise InfeasibleError(
+            f"{infeasible_message(name, compliance)} {bare}", error.relaxations, suggestion=error.suggestion
+        ) from error
 
 
 def _start(
@@ -293,29 +312,20 @@ def _search(
     except InfeasibleError as error:
         if not relax:
             raise InfeasibleError(f"Axis {name}: {error}") from error
+        lowered = lower_default(problem, seed=seed)
+        if lowered is not None:
+            return _search(name, lowered, seed, start, relax, report, portion)
         # In the place of what a controller would still have to pass.
-        relaxed = find_relaxations(problem, seed=seed, progress=ProgressSlice(report, 1.0 - _SEARCH_SHARE))
-        numbers = tuple((each.name, each.asked, each.possible) for each in relaxed)
-        why = f"{error.bare}. {relaxation_message(problem, relaxed)}" if relaxed else str(error)
-        raise InfeasibleError(f"Axis {name}: {why}{_without_uncertainty(problem, seed)}", numbers) from error
+        why = explain(name, problem, seed=seed, progress=ProgressSlice(report, 1.0 - _SEARCH_SHARE))
+        if not why.relaxations:
+            raise InfeasibleError(f"Axis {name}: {error}") from error
+        raise InfeasibleError(
+            f"Axis {name}: {error.bare}. {explanation_message(name, problem, why)}",
+            tuple((each.name, each.asked, each.possible) for each in why.relaxations),
+            suggestion=why.suggestion,
+        ) from error
     portion.finish()
     return found
-
-
-def _without_uncertainty(problem: DesignProblem, seed: int) -> str:
-    """Say whether it is what is uncertain beyond K_e and M_p that leaves no controller."""
-    if not problem.plants.further:
-        return ""
-    try:
-        found = solve_design(replace(problem, plants=problem.plants.only()), seed=seed)
-    except InfeasibleError:
-        return ""
-    best = f"{problem.objective.value(found.evaluation.cost):.4g} {problem.objective.unit}".rstrip()
-    return (
-        f" With everything but K_e and M_p at its nominal value there is one, of {best}: "
-        f"the obstacle is how little is known of {', '.join(problem.plants.further)}. Record more, or say in "
-        "problem.yaml what is sure."
-    )
 
 
 def make_provenance(

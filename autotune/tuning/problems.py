@@ -25,6 +25,7 @@ from problems.design.uncertainty import ALWAYS_UNCERTAIN, PlantSet
 from problems.model.plant import WrenchFilter
 from problems.model.robot import RobotModel
 
+from .defaults import follow_robot
 from .plausible import check_plausible, unexplained_contacts
 from .uncertain import with_uncertainty
 from .wrench import LAG, LATE, build_wrench, check_wrench, without_position
@@ -194,12 +195,13 @@ def certified_mass_kg(problems: Mapping[str, DesignProblem]) -> Interval | None:
 def _build_problem(identified: Identified, name: str, spec: ProblemSpec) -> DesignProblem:
     axis, coupling = identified.axes[name], identified.axes[name].coupling
     wrench = build_wrench(identified.sensor.wrench_filter, spec.uncertain)
+    plants = _nominal_set(identified, name, spec, wrench.nominal)
     nominal = DesignProblem(
-        plants=_nominal_set(identified, name, spec, wrench.nominal),
+        plants=plants,
         sample_time_s=_value(identified.sample_time_s, "sample_time_s"),
         approach=spec.approach or Approach(force_n=_DEFAULT_APPROACH_N),
         bounds=without_position({**spec.bounds, **spec.free}, wrench),
-        requirements=_with_noise(spec.requirements, identified, name),
+        requirements=follow_robot(_with_noise(spec.requirements, identified, name), plants.nominal.robot),
         objective=spec.objective,
     )
     bounded = {

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from autotune.errors import InfeasibleError
+from problems.arrays import FloatArray
 from problems.design.batch_evaluation import EVERY_REQUIREMENT
-from problems.design.problem import DesignProblem
+from problems.design.problem import VARIABLES, DesignProblem, Requirements
 from problems.design.uncertainty import Scenario
 from problems.progress import ProgressSlice, no_progress
 from problems.stability.margins import UnstableLoopError
@@ -16,20 +17,28 @@ from problems.stability.margins import UnstableLoopError
 from .scenario_exchange import WholeSet, margin_scenarios
 from .search import Search, presentable
 
+ADMITTANCE = "free_space_admittance"
+DAMPING = VARIABLES.index("damping")
 _ROUNDS = 6
-# Which requirements can be met without one needs fewer generations than the last newton of a peak.
-_GENERATIONS, _EXPLORED = 30, 0.6
+# Which requirements can be met without one needs fewer generations than the last newton of a peak, and fewer again
+# from a design that misses all of them equally.
+_GENERATIONS, _NEARBY_GENERATIONS, _EXPLORED = 30, 15, 0.6
 _DIGITS = 3
 _HAIR = 2e-3
+_BINDS = 0.9
 
 
 @dataclass(frozen=True, kw_only=True)
 class Relaxation:
-    """One requirement, what is asked of it, and the most that can be had while every other one is met."""
+    """One requirement, what is asked of it, and the most that can be had while every other one is met.
+
+    `damping` is B_a of the design that has it.
+    """
 
     name: str
     asked: float
     possible: float
+    damping: float | None = None
 
     @property
     def share(self) -> float:
@@ -39,7 +48,30 @@ class Relaxation:
     def __str__(self) -> str:
         if self.name == EVERY_REQUIREMENT:
             return f"all requirements together at {self.possible:g} % of what is asked"
-        return f"{self.name} {self.possible:g} instead of {self.asked:g}"
+        gains = "" if self.damping is None else f" (with B_a {self.damping:.3g})"
+        return f"{self.name} {self.possible:g} instead of {self.asked:g}{gains}"
+
+    def within(self, requirements: Requirements, share: float = 0.0) -> Requirements:
+        """Return the requirements with this relaxation, easier by a further share."""
+        names = asked_of(requirements) if self.name == EVERY_REQUIREMENT else {self.name: self.asked}
+        eased = self.possible / self.asked
+        for name, asked in names.items():
+            kind = requirements.kind(name)
+            # What is asked of all together is a share of each: an upper limit is eased by its inverse.
+            factor = 1.0 / eased if kind.is_upper_limit and self.name == EVERY_REQUIREMENT else eased
+            factor *= 1.0 + share if kind.is_upper_limit else 1.0 - share
+            threshold = _rounded(asked * factor, is_upper=kind.is_upper_limit)
+            requirements = requirements.with_asked(name, kind.with_threshold(requirements.asked()[name], threshold))
+        return requirements
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Least:
+    """The least required/achieved of a goal over the whole uncertainty, the design (n,) that has it, and its others."""
+
+    ratio: float
+    design: FloatArray
+    ratios: Mapping[str, float]
 
 
 def find_relaxations(
@@ -50,32 +82,51 @@ def find_relaxations(
     For each requirement in turn, required/achieved is minimised over the bounds while all others are met, over the
     whole uncertainty as in the search; what is returned was reached by a design, exactly evaluated, and is rounded to
     the easier side. Where no single one is enough, all together by one share (`EVERY_REQUIREMENT`, in per cent of what
-    is asked). Empty where nothing is stable. `progress` gets the share of the work done since the last call.
+    is asked). Empty where nothing is stable. What does not bind where all are missed by the same share is not tried
+    alone. `progress` gets the share of the work done since the last call.
     """
     asked, report = asked_numbers(problem), progress or no_progress
 
-    def least(goal: str) -> float | None:
+    def least(goal: str, start: FloatArray | None = None) -> _Least | None:
         part = ProgressSlice(report, 1.0 / (len(asked) + 1))
-        ratio = _least_ratio(problem, goal, seed, part)
+        found = _least(problem, goal, seed, part, start)
         part.finish()
-        return ratio
+        return found
 
     together = least(EVERY_REQUIREMENT)
     found = []
-    for name, number in asked.items() if together is not None else ():
-        ratio = least(name)
-        if ratio is not None:
+    for name, number in asked.items():
+        # Without one that does not bind where all are missed by the same least share, that share stays what it is.
+        binds = together is not None and together.ratios[name] >= _BINDS * together.ratio
+        if together is None or not binds:
+            report(1.0 / (len(asked) + 1))
+            continue
+        alone = least(name, together.design)
+        if alone is not None:
             found.append(
                 Relaxation(
                     name=name,
                     asked=number,
-                    possible=_reached(number, ratio, is_upper=problem.requirements.kind(name).is_upper_limit),
+                    possible=_reached(number, alone.ratio, is_upper=problem.requirements.kind(name).is_upper_limit),
+                    damping=float(alone.design[DAMPING]) if name == ADMITTANCE else None,
                 )
             )
     if together is not None and not found:
-        possible = _reached(100.0, together)
+        possible = _reached(100.0, together.ratio)
         return (Relaxation(name=EVERY_REQUIREMENT, asked=100.0, possible=possible),)
     return tuple(sorted(found, key=lambda each: each.share))
+
+
+def attainable(problem: DesignProblem, *, seed: int, progress: Callable[[float], None] = no_progress) -> float | None:
+    """Return the most free-space admittance that can be had while every other requirement is met; None without any."""
+    found = _least(problem, ADMITTANCE, seed, progress)
+    return None if found is None else _reached(problem.requirements.threshold(ADMITTANCE), found.ratio)
+
+
+def is_feasible(problem: DesignProblem, *, seed: int) -> bool:
+    """Return whether a design was found that meets every requirement, whatever its objective."""
+    found = _least(problem, EVERY_REQUIREMENT, seed)
+    return found is not None and found.ratio <= 1.0
 
 
 def relaxation_message(problem: DesignProblem, found: Sequence[Relaxation]) -> str:
@@ -94,29 +145,40 @@ def relaxation_message(problem: DesignProblem, found: Sequence[Relaxation]) -> s
 
 def asked_numbers(problem: DesignProblem) -> dict[str, float]:
     """Return what is asked of each requirement as one number, soft requirements left out."""
-    requirements = problem.requirements
+    return asked_of(problem.requirements)
+
+
+def asked_of(requirements: Requirements) -> dict[str, float]:
+    """Return the threshold of each hard requirement."""
     return {name: requirements.threshold(name) for name in requirements.asked() if name not in requirements.soft_n}
 
 
-def _least_ratio(
-    problem: DesignProblem, goal: str, seed: int, report: Callable[[float], None] = no_progress
-) -> float | None:
+def _least(
+    problem: DesignProblem,
+    goal: str,
+    seed: int,
+    report: Callable[[float], None] = no_progress,
+    start: FloatArray | None = None,
+) -> _Least | None:
     """Return the least required/achieved of one requirement over the whole uncertainty; None if others are missed.
 
-    `report` gets the share of the work done since the last call.
+    `start` is a design (n,) that joins the search, which then looks around less. `report` gets the share of the work
+    done since the last call.
     """
-    search, whole = Search(problem, seed, goal=goal, generations=_GENERATIONS), WholeSet(problem, seed)
+    generations = _GENERATIONS if start is None else _NEARBY_GENERATIONS
+    search, whole = Search(problem, seed, start, goal=goal, generations=generations), WholeSet(problem, seed)
     active: tuple[Scenario, ...] = problem.scenarios(3, 2)
-    best: float | None = None
+    best: _Least | None = None
     try:
         unit = search.explore(active, lambda done: report(_EXPLORED * done))
         for _ in range(_ROUNDS):
             report((1.0 - _EXPLORED) / _ROUNDS)
             unit = search.polish(active, unit)
-            controller = problem.controller(presentable(problem, search.box.design(unit)))
+            design = presentable(problem, search.box.design(unit))
+            controller = problem.controller(design)
             expected = 1.0 if search.last is None else _of(goal, search.last.requirements)
             try:
-                exact = whole.evaluate(controller)
+                exact = whole.evaluate(controller, climbs_objective=False)
             except UnstableLoopError:
                 active = tuple(dict.fromkeys((*active, *whole.unstable(controller))))
                 continue
@@ -125,9 +187,11 @@ def _least_ratio(
             others = {name: value for name, value in ratios.items() if name not in sought}
             if all(value <= 1.0 for value in others.values()):
                 before, reached = best, _of(goal, ratios)
-                best = reached if before is None else min(reached, before)
+                if before is None or reached < before.ratio:
+                    best = _Least(ratio=reached, design=design, ratios=ratios)
                 # What more scenarios no longer change is not worth another look at the whole uncertainty.
-                if reached <= expected * (1.0 + _HAIR) or (before is not None and reached >= before * (1.0 - _HAIR)):
+                no_better = before is not None and reached >= before.ratio * (1.0 - _HAIR)
+                if reached <= expected * (1.0 + _HAIR) or no_better:
                     break
             worse = margin_scenarios(others, exact.margins)
             worse = (*worse, *margin_scenarios(sought, exact.margins, limit=expected))
@@ -140,7 +204,7 @@ def _least_ratio(
     except InfeasibleError:
         pass
     # A port that is passive nowhere has no number to be relaxed to.
-    return best if best is not None and np.isfinite(best) else None
+    return best if best is not None and np.isfinite(best.ratio) else None
 
 
 def _of(goal: str, ratios: Mapping[str, float]) -> float:
@@ -149,7 +213,11 @@ def _of(goal: str, ratios: Mapping[str, float]) -> float:
 
 def _reached(asked: float, ratio: float, *, is_upper: bool = False) -> float:
     """Return what the design reached, with three digits, on the easier side of it."""
-    reached = asked * ratio if is_upper else asked / ratio
+    return _rounded(asked * ratio if is_upper else asked / ratio, is_upper=is_upper)
+
+
+def _rounded(reached: float, *, is_upper: bool) -> float:
+    """Return a value with three digits, on the easier side of it."""
     unit = 10.0 ** (math.floor(math.log10(reached)) - _DIGITS + 1)
     steps = math.ceil(reached / unit) if is_upper else math.floor(reached / unit)
     return float(f"{steps * unit:.{_DIGITS}g}")

@@ -60,13 +60,14 @@ class WholeSet:
         """The scenarios that every design is held against."""
         return self.prepared.scenarios
 
-    def evaluate(self, controller: AdmittanceController) -> ExactEvaluation:
+    def evaluate(self, controller: AdmittanceController, *, climbs_objective: bool = True) -> ExactEvaluation:
         """Evaluate exactly over the scenarios, and at the worst plants that a local search finds from them.
 
-        Raises UnstableLoopError when any of them is unstable.
+        Without `climbs_objective` that search looks for the worst of the requirements alone. Raises UnstableLoopError
+        when any of them is unstable.
         """
         exact = self.prepared.evaluate_exactly(controller)
-        found = self._search(controller, exact)
+        found = self._search(controller, exact, climbs_objective=climbs_objective)
         if not found:
             return exact
         return exact.together_with(build_scenarios(self.problem, found).evaluate_exactly(controller))
@@ -85,7 +86,9 @@ class WholeSet:
         asked = [(each, value) for each, value in self.problem.requirements.of(*depends_on) if each.name in names]
         return tuple(each.worst_scenario(value, design) for each, value in asked)
 
-    def _search(self, controller: AdmittanceController, exact: ExactEvaluation) -> tuple[Scenario, ...]:
+    def _search(
+        self, controller: AdmittanceController, exact: ExactEvaluation, *, climbs_objective: bool
+    ) -> tuple[Scenario, ...]:
         if not self.plants.varying:
             return ()
         found: list[Scenario] = []
@@ -97,9 +100,11 @@ class WholeSet:
             found += [self._climb(start, lambda s, n=name: self._missed(s, controller, n)) for start in starts]  # type: ignore[misc]
         # The objective, and the force at the contact, which may be limited whatever the objective is.
         costs: dict[Objective, list[tuple[Scenario, float]]] = {}
-        costs[CONTACT_FORCE] = [(p.scenario, p.peak_contact_force_n) for p in exact.evaluation.peaks]
-        costs[self.problem.objective] = [(row.scenario, row.cost) for row in exact.evaluation.objective]
-        for objective in dict.fromkeys((self.problem.objective, *costs)):
+        if climbs_objective or self.problem.requirements.max_peak_force_n is not None:
+            costs[CONTACT_FORCE] = [(p.scenario, p.peak_contact_force_n) for p in exact.evaluation.peaks]
+        if climbs_objective:
+            costs[self.problem.objective] = [(row.scenario, row.cost) for row in exact.evaluation.objective]
+        for objective in sorted(costs, key=lambda each: each is not self.problem.objective):
             starts = _worst([s for s, _ in costs[objective]], [cost for _, cost in costs[objective]])
             found += [self._climb(start, lambda s, o=objective: self._cost(s, controller, o)) for start in starts]  # type: ignore[misc]
         known = set(self.scenarios)

@@ -229,7 +229,7 @@ class Search:
 
     def explore(self, active: tuple[Scenario, ...], report: Callable[[float], None]) -> FloatArray:
         """Run differential evolution on the active scenarios; return the best point, keep the best few."""
-        screen = self._screen(active)
+        screen = self.screen(active)
         seen: list[tuple[float, FloatArray]] = []
         # A limited peak is a requirement too: without it a miss by a hair elsewhere would look closest.
         limited = self.problem.requirements.max_peak_force_n is not None
@@ -299,7 +299,8 @@ class Search:
             # scipy takes a ValueError of the costs, such as that of an objective, for one of its own map.
             raise (error.__cause__ if isinstance(error.__cause__, AutotuneError) else error) from None
 
-    def _screen(self, active: tuple[Scenario, ...]) -> BatchEvaluator:
+    def screen(self, active: tuple[Scenario, ...]) -> BatchEvaluator:
+        """Return the batch evaluator over the active scenarios, of the goal if there is one."""
         self._calm = np.inf
         return replace(build_batch_evaluator(build_scenarios(self.problem, active)), goal=self.goal)
 
@@ -337,7 +338,7 @@ class Search:
 
     def polish(self, active: tuple[Scenario, ...], unit: FloatArray) -> FloatArray:
         """Improve locally from `unit` and from the elite; return the best design that is feasible."""
-        screen = self._screen(active)
+        screen = self.screen(active)
         known = [unit, *self.elite] if self.start is None else [unit, *self.elite, self.start]
         starts = spread_out(known, _SAME, len(known))
         candidates = np.array([unit, *(self.local(screen, start) for start in starts)])

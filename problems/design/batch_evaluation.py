@@ -265,7 +265,7 @@ class BatchEvaluator:
     """Prepared scenarios as the compiled loop takes them; `slow` are requirements that it does not know.
 
     With a `goal` that requirement is minimised in place of the objective, see `BatchEvaluation.towards`, and every
-    design is evaluated in full.
+    design is evaluated in full; contacts are simulated only where a requirement asks for their peaks.
     """
 
     prepared: PreparedScenarios
@@ -287,7 +287,7 @@ class BatchEvaluator:
         h = problem.sample_time_s
         whole = np.empty((len(designs), COLUMNS))
         by_plant = np.empty((len(designs), len(self.prepared.plants), PLANT_COLUMNS))
-        by_pair = np.empty((len(designs), len(self.prepared.pairs), PEAK_COLUMNS))
+        by_pair = np.empty((len(designs), len(self.prepared.pairs) if self._has_contacts else 0, PEAK_COLUMNS))
         evaluate_designs(
             self.plants,
             self.contacts,
@@ -319,13 +319,17 @@ class BatchEvaluator:
         return found if self.goal is None else found.towards(self.goal)
 
     @property
+    def _has_contacts(self) -> bool:
+        return self.goal is None or self.prepared.problem.requirements.max_peak_force_n is not None
+
+    @property
     def _has_slow_objective(self) -> bool:
         return self.goal is None and self.prepared.problem.objective.batch_column is None
 
     def _objective_rows(self, whole: FloatArray, by_plant: FloatArray, by_pair: FloatArray) -> FloatArray:
         """Return the objective's costs (m, k), infinite where not evaluated and of one without a compiled form."""
         objective = self.prepared.problem.objective
-        if objective.batch_column is None:
+        if objective.batch_column is None or not self._has_contacts:
             return np.full((len(whole), objective.count(self.prepared)), np.inf)
         numbers = {
             "contact_peak": by_pair[:, :, PEAK_CONTACT],

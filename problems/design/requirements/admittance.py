@@ -23,11 +23,16 @@ _AROUND_A_DIP = np.linspace(-2.0, 2.0, 17)
 
 @dataclass(frozen=True, kw_only=True)
 class AdmittanceTarget:
-    """|G(j2πf)| ≥ `min_m_s_per_n` for f in `band_hz` (docs/method.md, "The loop")."""
+    """|G(j2πf)| ≥ `min_m_s_per_n` for f in `band_hz` (docs/method.md, "The loop").
+
+    `is_default` marks a target that nobody asked for: it may follow the cell (`autotune.tuning.defaults`). It is no
+    part of what is asked, so it is neither compared nor written.
+    """
 
     # Made anew, so that files say these numbers also where they are the usual ones.
     min_m_s_per_n: float = field(default_factory=lambda: 7e-4)
     band_hz: tuple[float, float] = field(default_factory=lambda: (0.1, 2.0))
+    is_default: bool = field(default=False, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "min_m_s_per_n", positive("min_m_s_per_n", self.min_m_s_per_n))

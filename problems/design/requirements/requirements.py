@@ -39,7 +39,7 @@ class Requirements:
     delay_margin_s: float | None = 1e-3
     decay_rate_per_s: float | None = None
     max_peak_force_n: float | None = None
-    free_space_admittance: AdmittanceTarget | None = field(default_factory=AdmittanceTarget)
+    free_space_admittance: AdmittanceTarget | None = field(default_factory=lambda: AdmittanceTarget(is_default=True))
     command_noise: NoiseLimit | None = None
     passivity: PassivityTarget | None = None
     further: Mapping[str, float] = field(default_factory=dict)

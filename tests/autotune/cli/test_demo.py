@@ -3,17 +3,24 @@
 import json
 import subprocess
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
+import click
 import pytest
 
 from autotune import demo as demo_module
+from autotune.cli.demo import command
 from autotune.cli.main import main
 from autotune.demo import STEPS, DemoResult, MadeHere, run_demo
 from autotune.formats.controller import read_controller
 from autotune.formats.identified import read_identified
 from autotune.formats.yaml12 import load_yaml
 from autotune.report import page
+from autotune.simulation.truth import SimulatedCell
+from problems.model.plant import FREE_SPACE
+from problems.model.robot import bandwidth_hz
+from problems.model.sampled import build_loop, build_sampled_plant, spectral_radius
 from tests.autotune.cli.conftest import SHORT
 from tests.autotune.tuning.cases import FAST_SPEC, shorten_proofs
 
@@ -55,7 +62,7 @@ def brief(tmp_path_factory: pytest.TempPathFactory) -> tuple[DemoResult, list[st
     with pytest.MonkeyPatch.context() as patch:
         shorten_proofs(patch)
         patch.setattr(demo_module, "Program", lambda: SHORT)
-        patch.setattr(demo_module, "ProblemSpec", lambda: FAST_SPEC)
+        patch.setattr(demo_module, "CELLS", {"standard": (SimulatedCell, FAST_SPEC)})
         return run_demo(folder, seed=3, step=steps.append, progress=shares.append), steps, shares
 
 
@@ -80,6 +87,21 @@ def test_the_files_of_an_earlier_run_are_replaced(brief: tuple[DemoResult, list[
     source = read_identified(found.files.identified)
     assert written.controller.provenance["identified"]["sha256"] == source.sha256
     assert Path(source.provenance["logs"][0]["path"]) == found.files.log
+
+
+def test_the_command_offers_the_cells_that_there_are() -> None:
+    (option,) = (each for each in command.params if each.name == "cell")
+    assert isinstance(option.type, click.Choice)
+    assert tuple(option.type.choices) == tuple(demo_module.CELLS)
+    build, spec = demo_module.CELLS["low-drag"]
+    cell = build()
+    assert cell.drag_n_s_per_m == 20.0
+    assert bandwidth_hz(cell.robot) == pytest.approx(6.97, abs=0.005)
+    assert (spec.payload_mass_kg, spec.environment_stiffness_n_per_m) == ((12.0, 20.0), (2e4, 5e5))
+    # The controller that drives it while the log is made is stable in free space and on the wall.
+    plant = cell.contact_plant()
+    for each in (plant, replace(plant, environment=FREE_SPACE)):
+        assert spectral_radius(build_loop(build_sampled_plant(each, cell.sample_time_s), cell.controller)) < 1.0
 
 
 def test_people_see_a_summary(

@@ -16,6 +16,7 @@ from autotune.formats.identified import IdentifiedFile
 from autotune.formats.problem import ComplianceSpec, ProblemSpec
 from autotune.tuning import compliance as module
 from autotune.tuning import optimize as optimize_module
+from autotune.tuning.causes import Explanation
 from autotune.tuning.compliance import (
     RESOLUTION,
     Compliance,
@@ -251,11 +252,12 @@ def test_no_compliance_at_all_tells_the_nearest_and_what_would_have_to_be_eased(
 ) -> None:
     """The relaxations are those of the ordinary problem on the compliance that misses least."""
 
-    def relaxations(problem: DesignProblem, **_: Any) -> tuple[Relaxation, ...]:
+    def explained(_: str, problem: DesignProblem, **_options: Any) -> Explanation:
         low, high = problem.plants.environment_stiffness_n_per_m
-        return (Relaxation(name="max_peak_force_n", asked=30.5, possible=0.5e-3 * (low + high)),)
+        eased = Relaxation(name="max_peak_force_n", asked=30.5, possible=0.5e-3 * (low + high))
+        return Explanation(relaxations=(eased,))
 
-    monkeypatch.setattr(optimize_module, "find_relaxations", relaxations)
+    monkeypatch.setattr(optimize_module, "explain", explained)
     asked = replace(FAST_REQUIREMENTS, max_peak_force_n=30.5)
     spec = replace(SPEC, bounds=BARE_SPEC.bounds, requirements=asked, compliance=ComplianceSpec(bounds=(6e4, 6.3e4)))
     with pytest.raises(InfeasibleError, match="Axis x: none of 2 compliances from 60000 to 63000 N/m") as caught:

@@ -13,7 +13,7 @@ from identification.errors import EstimateError
 from identification.result import CONTACT_UNEXPLAINED, AxisEstimate, Estimate, Finding, Identified, Status
 from problems.contact.transient import Approach
 from problems.design.objectives import SensorForce
-from problems.design.problem import DEFAULT_BOUNDS, NoiseLimit, Requirements
+from problems.design.problem import DEFAULT_BOUNDS, AdmittanceTarget, NoiseLimit, Requirements
 from tests.autotune.tuning.cases import absent, identified_axis, identified_plant, known, known_vector, with_axis
 
 DEFAULT = ProblemSpec()
@@ -29,7 +29,9 @@ def test_the_plant_is_the_identified_one() -> None:
     np.testing.assert_array_equal(nominal.robot.denominator, [1.0, 20.0])
     assert problem.approach == Approach(force_n=30.0)
     assert problem.bounds == DEFAULT_BOUNDS
-    assert problem.requirements == Requirements()
+    # The default admittance ends where this robot of 3.2 Hz still follows: a third of its bandwidth.
+    target = AdmittanceTarget(min_m_s_per_n=7e-4, band_hz=(0.1, 1.0))
+    assert problem.requirements == replace(Requirements(), free_space_admittance=target)
 
 
 def test_the_default_ranges_hold_the_uncertainty_and_at_least_a_daily_change() -> None:

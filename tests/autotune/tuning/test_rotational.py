@@ -46,7 +46,9 @@ def test_the_defaults_are_those_of_a_straight_axis_at_the_lever_of_the_deadbands
         "feedback_damping_s": DEFAULT_BOUNDS["feedback_damping_s"],
     }
     assert problem.approach == Approach(force_n=6.0)
-    assert problem.requirements == Requirements(free_space_admittance=AdmittanceTarget(min_m_s_per_n=0.0175))
+    # The default band ends at a third of this robot's bandwidth, as on a straight axis.
+    target = AdmittanceTarget(min_m_s_per_n=0.0175, band_hz=(0.1, 1.0))
+    assert problem.requirements == Requirements(free_space_admittance=target)
 
 
 @LAW

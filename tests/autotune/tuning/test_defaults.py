@@ -1,0 +1,105 @@
+"""The default admittance follows the cell: its band the robot, its level what can be had; what is asked stays."""
+
+import math
+import pickle
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from autotune.formats.problem import read_problem
+from autotune.formats.records import record_tree
+from autotune.tuning.defaults import default_admittance, default_message, follow_robot, lower_default
+from autotune.tuning.search import solve_design
+from problems.design.problem import AdmittanceTarget, Requirements
+from problems.model.robot import RobotModel
+from tests.autotune.tuning.cases import design_problem
+
+ONE_POLE = RobotModel.from_bandwidth(bandwidth_rad_per_s=2.0 * math.pi * 3.6, delay_s=2e-3)
+# Few requirements and one scenario: the searches are short.
+FEW = Requirements(gain_margin_db=None, phase_margin_deg=None, delay_margin_s=None)
+
+
+def band(asked: Requirements, robot: RobotModel) -> tuple[float, float]:
+    target = follow_robot(asked, robot).free_space_admittance
+    assert target is not None
+    return target.band_hz
+
+
+@pytest.mark.parametrize(("bandwidth_hz", "end_hz"), [(3.6, 1.2), (3.2, 1.0), (6.5, 2.0), (30.0, 2.0), (0.15, 0.05)])
+def test_the_default_band_ends_at_a_third_of_the_bandwidth_and_at_2_hz_at_most(
+    bandwidth_hz: float, end_hz: float
+) -> None:
+    robot = RobotModel.from_bandwidth(bandwidth_rad_per_s=2.0 * math.pi * bandwidth_hz, delay_s=2e-3)
+    # Two digits, downwards; the lower end never lies above the upper one.
+    assert band(Requirements(), robot) == (min(0.1, end_hz), end_hz)
+
+
+def test_up_to_there_a_robot_of_one_pole_follows_to_a_twentieth() -> None:
+    _, end_hz = band(Requirements(), ONE_POLE)
+    (response,) = abs(ONE_POLE.position_response(2.0 * math.pi * end_hz * np.ones(1)))
+    assert response == pytest.approx(1.0 / math.hypot(1.0, 1.0 / 3.0), rel=1e-6)
+    assert response > 0.94
+
+
+def test_what_somebody_asked_for_stays_as_it_is() -> None:
+    said = Requirements(free_space_admittance=AdmittanceTarget())
+    assert follow_robot(said, ONE_POLE) is said
+    nothing = Requirements(free_space_admittance=None)
+    assert follow_robot(nothing, ONE_POLE) is nothing
+    # Another requirement that is said leaves the default a default, and so do copies of it.
+    other = pickle.loads(pickle.dumps(replace(Requirements(modulus_margin=0.6), gain_margin_db=None)))
+    assert band(other, ONE_POLE) == (0.1, 1.2)
+
+
+def test_a_file_that_asks_for_the_usual_numbers_asks_for_them(tmp_path: Path) -> None:
+    path = tmp_path / "problem.yaml"
+    path.write_text("requirements: {free_space_admittance: {min_m_s_per_n: 7.0e-4, band_hz: [0.1, 2.0]}}\n")
+    assert band(read_problem(path).requirements, ONE_POLE) == (0.1, 2.0)
+    path.write_text("requirements: {modulus_margin: 0.6}\n")
+    assert band(read_problem(path).requirements, ONE_POLE) == (0.1, 1.2)
+
+
+def test_whether_it_was_asked_for_is_neither_compared_nor_written() -> None:
+    default = Requirements().free_space_admittance
+    assert default == AdmittanceTarget()
+    assert record_tree(default) == {"min_m_s_per_n": 7e-4, "band_hz": [0.1, 2.0]}
+
+
+def test_a_default_that_cannot_be_had_is_lowered_to_what_can() -> None:
+    default = AdmittanceTarget(min_m_s_per_n=5e-3, is_default=True)
+    problem = design_problem(requirements=replace(FEW, free_space_admittance=default), mass=(16.0, 16.0))
+    lowered = lower_default(problem, seed=0)
+    assert lowered is not None
+    found = solve_design(lowered)
+    assert found.evaluation.is_feasible
+    told = default_admittance(problem, found)
+    assert told is not None
+    assert told.attainable is not None
+    assert found.problem.requirements.threshold("free_space_admittance") == told.target.min_m_s_per_n
+    message = default_message("x", told, found.problem)
+    assert "the usual 0.005 cannot be had in this cell" in message
+    assert f"{told.target.min_m_s_per_n:g} m/s/N are asked" in message
+    # A quarter above four fifths is all that can be had: a little more than that has no controller.
+    more = replace(default, min_m_s_per_n=1.1 * told.attainable)
+    again = lower_default(
+        replace(problem, requirements=replace(problem.requirements, free_space_admittance=more)), seed=0
+    )
+    assert again is not None
+    asked = replace(problem.requirements, free_space_admittance=AdmittanceTarget(min_m_s_per_n=5e-3))
+    assert lower_default(replace(problem, requirements=asked), seed=0) is None
+
+
+def test_the_price_of_the_band_is_that_of_a_search_with_the_usual_one() -> None:
+    fixed = design_problem(requirements=FEW, mass=(16.0, 16.0))
+    narrow = replace(fixed, requirements=follow_robot(FEW, fixed.plants.nominal.robot))
+    found = solve_design(narrow)
+    told = default_admittance(narrow, found)
+    assert told is not None
+    assert told.attainable is None
+    assert told.objective == found.evaluation.cost
+    assert told.objective_with_usual == pytest.approx(solve_design(fixed).evaluation.cost, rel=5e-3)
+    assert told.objective_with_usual is not None
+    assert told.objective_with_usual > told.objective
+    assert default_admittance(fixed, solve_design(fixed)) is None
