@@ -18,7 +18,8 @@ from .solve import Point, Problem, Signals, cost, information, linearise, minimi
 _ROUNDS = 6
 _STEPS = 4
 _SETTLED = 0.1
-_SIGNIFICANT_STDS = 2.0
+_SIGNIFICANT_STDS = 4.0
+_PIECE_S = 0.5
 _BETWEEN_SAMPLES, _BLURRED_SAMPLES = 0.03, 0.06
 _NEAR_SAMPLES = 0.05
 _BESIDE_SAMPLES = 0.0005
@@ -71,7 +72,7 @@ def fit_latency(
 
     What is left of it counts as a systematic error. `force_n` (n,) is the force as logged, `prior` the latency's mean
     and deviation [s], `applied_s` what the problem's force is already shifted by. One Gauss-Newton step of the latency
-    beside all other parameters, -F'(t) being what it does to the force, repeated while it moves. A latency within two
+    beside all other parameters, -F'(t) being what it does to the force, repeated while it moves. A latency within four
     deviations of what is applied is left where it is: shifting interpolates the noise. `blurred`: the command is a mean
     over every sample.
     """
@@ -105,7 +106,11 @@ def advance_in_time(force_n: FloatArray, samples: float) -> FloatArray:
 
 
 def latency_step(problem: Problem, point: Point, prior: tuple[float, float], applied_s: float) -> tuple[float, float]:
-    """Return by how much the latency should grow, and its deviation with all other parameters free [s]."""
+    """Return by how much the latency should grow, and its deviation with all other parameters free [s].
+
+    Scores of pieces of half a second that scatter by more than white residuals make the deviation larger: friction
+    looks like a latency that is not the same everywhere.
+    """
     mean, std = prior
     blocks = linearise(replace(problem, signals=replace(problem.signals, latency_std_s=std)), point)
     count = len(problem.layout)
@@ -121,9 +126,20 @@ def latency_step(problem: Problem, point: Point, prior: tuple[float, float], app
     scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix)[free], 1e-300))
     inverse = np.linalg.pinv(matrix[np.ix_(free, free)] * np.outer(scale, scale), hermitian=True)
     inverse *= np.outer(scale, scale)
-    left = own - float(coupled[free] @ inverse @ coupled[free])
-    step = (slope - float(coupled[free] @ inverse @ gradient[free])) / left
-    return float(step * std), float(std / np.sqrt(left))
+    follows, moves = np.zeros((2, count))
+    follows[free], moves[free] = inverse @ coupled[free], inverse @ gradient[free]
+    left = own - float(coupled @ follows)
+    step = (slope - float(coupled @ moves)) / left
+    scores, expected = 0.0, 1.0
+    for block in blocks:
+        if block.systematic is not None:
+            alone = block.systematic[:, -1] - block.jacobian @ follows[block.indices]
+            after = block.residual - block.jacobian @ moves[block.indices] - step * alone
+            starts = np.arange(0, len(alone), max(1, round(_PIECE_S / problem.signals.period_s)))
+            scores += float(np.sum(np.add.reduceat(alone * after, starts) ** 2))
+            expected += float(alone @ alone)
+    scatter = float(np.sqrt(max(scores / expected, 1.0)))
+    return float(step * std), float(scatter * std / np.sqrt(left))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,6 +14,7 @@ SHORTEST_S = 1.0
 _WINDOW_S = 0.5
 _PIECE_S = 2.0
 _DRIVEN = 0.3
+_CHANGE_S = 5e-3
 
 
 def cut(spans: Iterable[Segment], length_s: float, period_s: float) -> list[Segment]:
@@ -34,15 +35,17 @@ def windows_of(spans: Iterable[Segment], period_s: float) -> list[Segment]:
 def telling_pieces(
     spans: Iterable[Segment], position_m: FloatArray, force_n: FloatArray, period_s: float
 ) -> list[Segment]:
-    """Return the pieces of two seconds in which nothing drives the payload, those with most force first.
+    """Return the pieces of two seconds in which nothing drives the payload, those whose force changes most first.
 
     A passive payload takes work and gives back what it took: ∫F dx is not most of ∫|F dx|, as where a hand leads it.
+    Changes are those over 5 ms: a force that only holds, on a surface, shows nothing of the payload.
     """
-    passive = []
+    passive, lag = [], max(1, round(_CHANGE_S / period_s))
     for piece in cut(spans, _PIECE_S, period_s):
         power = force_n[piece.slice][:-1] * np.diff(position_m[piece.slice])
         if len(piece) * period_s >= SHORTEST_S and float(np.sum(power)) < _DRIVEN * float(np.sum(np.abs(power))):
-            passive.append((float(np.var(force_n[piece.slice])) * len(piece), piece))
+            force = force_n[piece.slice]
+            passive.append((float(np.sum((force[lag:] - force[:-lag]) ** 2)), piece))
     return [piece for _, piece in sorted(passive, key=lambda pair: -pair[0])]
 
 

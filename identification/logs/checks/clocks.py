@@ -246,10 +246,14 @@ class ClockReport:
 
     @property
     def lag_left_s(self) -> tuple[float, float] | None:
-        """Return how late the wrench still is against the pose, value and deviation, None where it is unknown."""
+        """Return how late the wrench still is against the pose, value and deviation, None where it is unknown.
+
+        An offset that is too small to be one is left where it is, and counts as deviation: joint friction does that.
+        """
         if self.offset.offset_s is None or self.offset.std_s is None:
             return None
-        return (0.0 if self.offset.verdict is OffsetVerdict.FOUND else self.offset.offset_s), self.offset.std_s
+        left = 0.0 if self.offset.verdict is OffsetVerdict.FOUND else self.offset.offset_s
+        return 0.0, float(np.hypot(self.offset.std_s, left))
 
     @property
     def shifted_s(self) -> float:
