@@ -185,6 +185,9 @@ def _left(problem: Problem, segment: Segment, block: Block, windows: Sequence[Se
     edges = [max(w.start - segment.start - noise.order, 0) for w in windows] + [len(white)]
     shown = []
     for first, last in pairwise(edges):
+        if last <= first:  # a window without a past of its own shows nothing
+            shown.append((0.0, 0.0))
+            continue
         residual, own = block.residual[first:last], np.column_stack([white, np.gradient(white)])[first:last]
         left = residual - own @ np.linalg.lstsq(own, residual, rcond=None)[0]
         shown.append((np.mean(left**2), np.mean(own[:, 0] ** 2)))

@@ -18,7 +18,7 @@ from .solve import Point, Problem, Signals, cost, information, linearise, minimi
 _ROUNDS = 6
 _STEPS = 4
 _SETTLED = 0.1
-_SIGNIFICANT_STDS = 4.0
+_SIGNIFICANT_STDS, _FURTHER_STDS = 4.0, 2.0
 _PIECE_S = 0.5
 _BETWEEN_SAMPLES, _BLURRED_SAMPLES = 0.03, 0.06
 _NEAR_SAMPLES = 0.05
@@ -79,7 +79,9 @@ def fit_latency(
     period = problem.signals.period_s
     for _ in range(_ROUNDS):
         step, std = latency_step(problem, point, prior, applied_s)
-        if abs(step) < _SIGNIFICANT_STDS * std:
+        # Beside what a shift itself may cost, and friction may make, a first one must be clear.
+        first = _SIGNIFICANT_STDS * float(np.hypot(std, _BETWEEN_SAMPLES * period))
+        if abs(step) < (first if applied_s == 0.0 else _FURTHER_STDS * std):
             break
         applied_s += step
         signals = replace(problem.signals, force_n=advance_in_time(force_n, applied_s / period))

@@ -31,6 +31,12 @@ def test_a_wall_that_chatters_is_a_weak_surface_and_in_the_default_range(shared_
     assert high > 2e5
     # Dry friction of 20 N makes the wrench look 0.11 ms late, which is no filter.
     assert found.sensor.wrench_filter is None
+    # Nor is it a clock's offset: the clocks agree, and with it taken out the delay leaves the truth of 2.6 ms.
+    assert not {"clock-offset", "wrench-lag"}.intersection(finding.code for finding in found.findings)
+    delay = found.axes["z"].robot.delay_s
+    assert delay.value is not None
+    assert delay.std is not None
+    assert abs(delay.value - 2.6e-3) < 2.0 * delay.std
 
 
 @pytest.mark.slow
