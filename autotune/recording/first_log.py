@@ -106,7 +106,7 @@ class FirstLog:
     rest_s: float = 1.0
     pose_count: int = 8
     tilts_rad: tuple[float, float] = (0.5, 1.1)
-    pose_move_s: float = 0.8
+    pose_move_s: float = 1.0
     pose_hold_s: float = 1.0
     sweep_s: float = 12.0
     sweep_hz: tuple[float, float] = (0.5, 50.0)

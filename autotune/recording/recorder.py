@@ -1,6 +1,7 @@
 """Record wrench, measured pose and command of a control loop, and write them when it ends."""
 
 import math
+import time
 from array import array
 from collections.abc import Sequence
 from pathlib import Path
@@ -27,7 +28,7 @@ class Recorder:
     path
         The file, which must not exist: a log of an experiment is not replaced.
     start_ns
-        Stamp of the time 0 [ns since 1970]; 0 where times are those of a clock already.
+        Stamp of the time 0 [ns since 1970]; that of now unless it is said, 0 where times are Unix times.
     wrench_topic, pose_topic, command_topic
         Names of the channels.
     sensor_frame, base_frame
@@ -52,7 +53,7 @@ class Recorder:
         self,
         path: str | Path,
         *,
-        start_ns: int = 0,
+        start_ns: int | None = None,
         wrench_topic: str = "/ft_sensor/wrench",
         pose_topic: str = "/flange/pose",
         command_topic: str = "/flange/command",
@@ -66,7 +67,7 @@ class Recorder:
             raise UsageError(f"{self.path} needs a folder that exists, and {self.path.parent} does not; make it first.")
         if len({wrench_topic, pose_topic, command_topic}) < 3:
             raise UsageError(f"Topics must differ, found {wrench_topic}, {pose_topic}, {command_topic}.")
-        self._start_ns = start_ns
+        self._start_ns = time.time_ns() if start_ns is None else start_ns
         self._tracks = {
             "wrench": _Track(wrench_topic, sensor_frame, StampedKind.WRENCH),
             "pose": _Track(pose_topic, base_frame, StampedKind.POSE),
@@ -109,8 +110,9 @@ class Recorder:
         if not math.isfinite(time_s):
             raise ParameterError("time_s", time_s, "a finite number of seconds")
         stamp = self._start_ns + round(time_s * 1e9)
-        if not 0 <= stamp < _END_NS:
-            raise ParameterError("time_s", time_s, "a time of which a ROS header can be made: from 1970 to 2038")
+        if not 0 < stamp < _END_NS:
+            must = "a time that a ROS header holds, from 1970 to 2038, counted from start_ns (0 for Unix times)"
+            raise ParameterError("time_s", time_s, must)
         given = [
             (name, row) for name, row in (("wrench", wrench), ("pose", pose), ("command", command)) if row is not None
         ]

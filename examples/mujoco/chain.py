@@ -15,7 +15,7 @@ from examples.mujoco.cell import Hand, MujocoCell, Running, Wall
 
 FORCE_N, PRESSED_S, LONGEST_S = 30.0, 1.2, 8.0
 # A servo of second order lags more than the robots that the usual 7e-4 m/s/N are meant for.
-EASED = at.Problem(requirements=at.Requirements(free_space_admittance=at.AdmittanceTarget(min_m_s_per_n=2e-4)))
+EASED = at.Problem(requirements=at.Requirements(free_space_admittance=at.AdmittanceTarget(min_m_s_per_n=3e-4)))
 
 
 def first_log(cell: MujocoCell, wall: Wall) -> FirstLog:
@@ -24,7 +24,7 @@ def first_log(cell: MujocoCell, wall: Wall) -> FirstLog:
     return FirstLog(
         axis="z",
         pose_count=6,
-        pose_move_s=0.6,
+        pose_move_s=1.0,
         sweep_s=10.0,
         sweep_speed_m_s=0.01,
         robot_bandwidth_hz=3.0,

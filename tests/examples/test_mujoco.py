@@ -133,10 +133,10 @@ def _told(drawn: Drawn, deviations: float) -> dict[str, Any]:
 
 def test_the_page_counts_what_the_intervals_hold_and_what_was_refused(tmp_path: Path) -> None:
     folders = {seed: tmp_path / str(seed) for seed in range(4)}
-    late = "The stamps of /ft are late against those of /pose."
+    late = {"code": "clock-offset", "severity": "warning", "message": "late"}
     kept_of = {
-        0: {"estimates": _told(draw(0), 1.0), "findings": []},
-        1: {"estimates": _told(draw(1), -4.0), "findings": [late]},
+        0: {"estimates": _told(draw(0), 1.0), "findings": [late]},
+        1: {"estimates": _told(draw(1), -4.0), "findings": []},
         2: {"refused": "no sweep"},
     }
     for seed, held in kept_of.items():
@@ -150,7 +150,7 @@ def test_the_page_counts_what_the_intervals_hold_and_what_was_refused(tmp_path: 
     assert "## Parameters: 3 cells, 1 logs refused" in text
     assert "| K_s | 2 | 0 | 1 | 2.5 | 4 | **1 of 2** | -4.0 (cell 1) |" in text
     assert "K_s, B_s, B_p, T_d and bandwidth have a value in 2 cells; in 1 of them" in text
-    assert "disagree in 1 of 3 cells" in text
+    assert "Of 2 cells without a filter, which delays the wrench, 1 are told" in text
     assert "Cell 2 (B_p 38, joints 39 N) refused: no sweep" in text
     assert "| wall of the log | 1 | +10.0 | +10.0 | +10.0 | 1 | 0 |" in text
     assert "| half as stiff | 1 | – | – | – | 0 | 1 |" in text

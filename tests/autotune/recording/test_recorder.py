@@ -51,6 +51,7 @@ def test_the_channels_are_recognised_by_inspect(tmp_path: Path) -> None:
     )
     for topic in ("/ft_sensor/wrench", "/flange/pose", "/flange/command"):
         assert topic in done.stdout
+    assert "zero" not in done.stdout + done.stderr  # stamps of a clock that begins at 0 would be no stamps
 
 
 def test_an_exception_in_the_loop_leaves_a_whole_log_of_what_was_before(tmp_path: Path) -> None:
