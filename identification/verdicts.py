@@ -11,7 +11,7 @@ from .result import AxisEstimate, CouplingEstimate, Estimate, Finding, RobotEsti
 IDENTIFIED_SHARE = 0.05
 WEAK_SHARE = 0.2
 _BOUND_SHARE = 0.25
-_TWO_SIDED = 1.96
+TWO_SIDED = 1.96
 # The share to which a cell repeats from one recording to the next: less scatter than this is no disagreement.
 _REPEATABILITY = 0.0005
 _HALVINGS = 100
@@ -52,7 +52,7 @@ def judged_damping(
     estimate = judged(value, std, method=method, ci95=ci95)
     if estimate.status is not Status.UNIDENTIFIABLE or not std <= _BOUND_SHARE * floor:
         return estimate
-    interval = (max(value - _TWO_SIDED * std, 0.0), max(value, 0.0) + _TWO_SIDED * std) if ci95 is None else ci95
+    interval = (max(value - TWO_SIDED * std, 0.0), max(value, 0.0) + TWO_SIDED * std) if ci95 is None else ci95
     return replace(estimate, ci95=interval)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from problems.arrays import FloatArray
 
+from ..verdicts import TWO_SIDED
 from .latency import CompetingMinimum
 from .solve import Block, Point, Problem, Summary, cost, information, linearise, minimise, sizes_of
 
@@ -25,7 +26,6 @@ SHARPEST_DELAY_SAMPLES = 1e-3
 _SWING_STIFFNESS_SHARE, _SWING_DAMPING_SHARE = 0.02, 0.1
 _FREE_MISFITS, _CONTACT_MISFITS = 40, 10
 _LEVEL = 3.841  # the 95 % quantile of χ² with one degree of freedom
-_TWO_SIDED = 1.96
 _PROFILE_STEPS = 3
 _TRIES = 3
 
@@ -268,12 +268,12 @@ def bounded_intervals(
     out = {}
     for index in linear:
         std = float(np.sqrt(spread.covariance[index, index])) * float(sizes[index])
-        if point.values[index] > _TWO_SIDED * std:
+        if point.values[index] > TWO_SIDED * std:
             continue
         part, start = _part(problem, point, blocks, index)
         level = _LEVEL * float(spread.covariance[index, index] / spread.plain[index, index])
         floor = cost(part, start)
-        upper = _crossing(part, start, index, float(point.values[index]) + _TWO_SIDED * std, level, floor)
+        upper = _crossing(part, start, index, float(point.values[index]) + TWO_SIDED * std, level, floor)
         at_zero = _profiled(part, start, index, 0.0) - floor
         lower = 0.0
         if at_zero > level:

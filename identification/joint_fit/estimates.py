@@ -9,12 +9,11 @@ from problems.arrays import FloatArray
 
 from ..result import CouplingEstimate, Covariance, EnvironmentEstimate, Estimate, RobotEstimate, Status
 from ..robot.position_loop import find_bandwidth_hz
-from ..verdicts import IDENTIFIED_SHARE, judged, judged_damping, vector, weak_at_best
+from ..verdicts import IDENTIFIED_SHARE, TWO_SIDED, judged, judged_damping, vector, weak_at_best
 from .model import COUPLING_NAMES, SURFACE_NAMES, robot_model
 from .result import JointFit, JointSurface
 
 # Sizes below which a value does not matter: a tenth of the critical damping, a tenth of the payload.
-_TWO_SIDED = 1.96
 DAMPING_FLOOR = 0.1
 MASS_FLOOR = 0.1
 _DELAY_SAMPLES = 0.2
@@ -129,7 +128,7 @@ class JointEstimates:
         interval = self._interval(name)
         if interval is not None:
             # Whoever reads the deviation must not come to less, or more, than the interval admits.
-            low, high = value - _TWO_SIDED * std, value + _TWO_SIDED * std
+            low, high = value - TWO_SIDED * std, value + TWO_SIDED * std
             interval = (max(min(interval[0], low), 0.0), max(interval[1], high))
         return judged(value, std, method=self.method, floor=floor, ci95=interval)
 

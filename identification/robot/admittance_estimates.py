@@ -9,9 +9,9 @@ from scipy.signal import butter, sosfiltfilt
 from problems.arrays import FloatArray
 
 from ..errors import EstimateError
-from ..result import Finding, RobotEstimate, Status
+from ..result import Estimate, Finding, RobotEstimate, Status
 from ..signals.recording import AXES, Recording
-from ..verdicts import judged, missing, unidentifiable_vector, vector, weak_at_best
+from ..verdicts import TWO_SIDED, judged, missing, unidentifiable_vector, vector, weak_at_best
 from .admittance_motion import AdmittanceMotion, admittance_motions
 from .admittance_robot import AdmittanceRobotFit, identify_admittance_robot, robot_response
 
@@ -128,6 +128,11 @@ def _estimate(fit: AdmittanceRobotFit, motion: AdmittanceMotion) -> RobotEstimat
         stds = fit.denominator_std
         numerator = vector(fit.model.numerator, stds[-1:], method=method, status=Status.WEAK)
         denominator = vector(fit.model.denominator, stds, method=method, status=Status.WEAK)
+        if delay.value is None:
+            # Poles and delay are one model: without the delay the poles alone would lag less than the robot does.
+            value, std = fit.model.delay_s, fit.delay_std_s
+            ends = max(value - TWO_SIDED * std, 0.0), value + TWO_SIDED * std
+            delay = Estimate(value=value, std=std, status=Status.WEAK, method=method, note=delay.note, ci95=ends)
     return RobotEstimate(
         numerator=numerator,
         denominator=denominator,
