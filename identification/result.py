@@ -9,6 +9,8 @@ from typing import Literal
 from problems.errors import ParameterError
 from problems.frozen import freeze
 
+from .measured_response import FrequencyResponse
+
 _SAME_ONSET_S = 0.3
 
 
@@ -307,7 +309,8 @@ class AxisEstimate:
     """Everything that one axis of the control frame needs.
 
     `drag_n_s_per_m` is B_p; `mass_kg` is M_p as motion along this axis shows it; `fits` has an entry for every log that
-    shows something of the axis, `held_out` for every contact that was predicted without itself.
+    shows something of the axis, `held_out` for every contact that was predicted without itself; `frequency_response` is
+    what free motion shows without a model.
     """
 
     coupling: CouplingEstimate
@@ -318,6 +321,7 @@ class AxisEstimate:
     covariance: Covariance | None = None
     fits: tuple[FitQuality, ...] = ()
     held_out: tuple[HeldOutPeak, ...] = ()
+    frequency_response: FrequencyResponse | None = None
 
     def plant_estimates(self) -> dict[str, Estimate]:
         """Return what is identified of the plant beside K_e and M_p, by `problems.model.plant_parameters`."""

@@ -48,6 +48,7 @@ class WrenchLatency:
 
     Where `is_filter`, that is the time constant of a first-order low-pass, which the problem's prediction passes.
     Where `is_whole`, it is a number of samples that is deeper than what lies about it.
+    Such a force is logged `advanced_s` too early beside it: by what was taken off its stamps as a clock's offset.
     `evidence` is by how much −2 log L prefers that to a delay, None where the two were not compared.
     """
 
@@ -57,6 +58,7 @@ class WrenchLatency:
     is_filter: bool = False
     is_whole: bool = False
     evidence: float | None = None
+    advanced_s: float = 0.0
 
 
 def fit_latency(
@@ -251,8 +253,16 @@ def filter_or_delay(
             seconds=whole * period, std_s=std, applied_s=whole * period, is_whole=True, evidence=evidence
         )
         return replace(problem, signals=signals), there, late
-    constant = filtered.signals.sensor_dynamics.time_constant_s
-    return filtered, here, WrenchLatency(seconds=constant, std_s=std, applied_s=0.0, is_filter=True, evidence=evidence)
+    dynamics = filtered.signals.sensor_dynamics
+    late = WrenchLatency(
+        seconds=dynamics.time_constant_s,
+        std_s=std,
+        applied_s=0.0,
+        is_filter=True,
+        evidence=evidence,
+        advanced_s=-dynamics.delay_s,
+    )
+    return filtered, here, late
 
 
 def _fitted_filter(

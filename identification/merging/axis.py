@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..joint_fit.estimates import DAMPING_FLOOR, MASS_FLOOR, describe_robot, robot_bandwidth
+from ..measured_response import join_responses
 from ..result import AxisEstimate, CouplingEstimate, Covariance, EnvironmentEstimate, Estimate, RobotEstimate
 from ..verdicts import judged, judged_damping
 from .values import ORDER, Merge, Normal, is_beyond_chance, is_stated, merge_normals, with_priors, with_verdict
@@ -70,6 +71,7 @@ class AxisRecord:
                 if axis is not None
                 for each in axis.held_out
             ),
+            frequency_response=join_responses([axis.frequency_response for axis in there]),
         )
 
     @property

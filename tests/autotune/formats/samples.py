@@ -17,6 +17,7 @@ from autotune.formats.controller_record import (
     ScenarioPrediction,
 )
 from autotune.formats.limits import AxisLimits, CollisionResponse, Limits
+from identification.measured_response import FrequencyResponse, MeasuredResponse
 from identification.result import (
     AxisEstimate,
     ContactPhase,
@@ -258,6 +259,10 @@ HELD_OUT = (
     HeldOutPeak(without="contact", surface="x1", time_s=2.5, measured_peak=50.0, predicted_peak=48.5),
     HeldOutPeak(without="log", surface="x1", time_s=2.5, measured_peak=50.0, predicted_peak=51.0, log="run7.mcap"),
 )
+RESPONSE = FrequencyResponse(
+    command_to_pose=MeasuredResponse(points=((0.5, 0.98, -0.1, 0.002, 0.001), (1.0, 0.9, -0.2, 0.003, 0.003))),
+    pose_to_force=MeasuredResponse(points=((1.0, -3.5e3, 40.0, 12.5, 9.0),), records=2),
+)
 
 
 def identified_results() -> st.SearchStrategy[Identified]:
@@ -291,6 +296,7 @@ def identified_results() -> st.SearchStrategy[Identified]:
         covariance=st.none() | covariances(),
         fits=st.lists(st.just(FIT), max_size=2).map(tuple),
         held_out=st.lists(st.sampled_from(HELD_OUT), max_size=2).map(tuple),
+        frequency_response=st.none() | st.just(RESPONSE),
     )
     sensor = st.builds(
         SensorEstimate,

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from identification.given import Given
+from identification.measured_response import FrequencyResponse, MeasuredResponse
 from identification.merging.axis import estimate_of
 from identification.merging.combine import NamedResult, combine_identified
 from identification.payload.gravity import LOCAL_GRAVITY_STD
@@ -164,6 +165,17 @@ def test_surfaces_keep_their_numbers_under_their_new_names() -> None:
     stiffness = {each.name: each.stiffness_n_per_m.value for each in found.axes["x"].environments}
     assert stiffness == pytest.approx({"x1": HARD[0], "x2": SOFT[0]}, rel=0.02)
     assert [each.contacts for each in found.axes["x"].environments] == [4, 2]
+
+
+def test_measured_responses_are_joined() -> None:
+    point = (2.0, 0.9, -0.2, 0.01, 0.01)
+    response = FrequencyResponse(command_to_pose=MeasuredResponse(points=(point,)))
+    log = with_surfaces(SOFT)
+    measured = replace(log, axes={"x": replace(log.axes["x"], frequency_response=response)})
+    merged = combined(measured, measured).axes["x"].frequency_response
+    assert merged is not None
+    assert merged.command_to_pose is not None
+    assert merged.command_to_pose.points == ((2.0, 0.9, -0.2, 0.00707107, 0.00707107),)
 
 
 def test_a_renamed_surface_is_renamed_in_the_time_line_and_the_messages() -> None:
