@@ -10,7 +10,7 @@ from problems.arrays import FloatArray
 from problems.progress import ProgressSlice
 
 from .axes.straight import AXIS_NAMES, AxisMotion, commanded_motion, free_motions, unguided_spans
-from .axes.turning import LEVER_M, AxisTurn, rests_after
+from .axes.turning import AxisTurn, rests_after
 from .axis_findings import contact_findings, first_rests, force_beside, latency_findings, mass_findings, misfit_findings
 from .axis_response import measure_axis
 from .errors import EstimateError
@@ -81,14 +81,13 @@ class CellSignals:
 class AxisResult:
     """Result of one axis: the estimate with priors, its findings, and the fit to the log alone.
 
-    `contacts` are its rests under force with the coupling as far as it is known; `data` is what the fit began with.
+    `contacts` are its rests under force with the coupling as far as it is known.
     """
 
     estimate: AxisEstimate
     findings: tuple[Finding, ...]
     contacts: AxisContacts
     fit: JointFit | None
-    data: JointData | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -183,7 +182,7 @@ def fit_axis(
     alone, both = (replace(each, frequency_response=measured) for each in (alone, both))
     estimate, contradictions = settle_axis(axis.name, alone, both, cell.given)
     contacts = AxisContacts(axis=axis, holds=holds, coupling=found.values[: len(COUPLING_NAMES)])
-    return AxisResult(estimate=estimate, findings=(*findings, *contradictions), contacts=contacts, fit=fit, data=data)
+    return AxisResult(estimate=estimate, findings=(*findings, *contradictions), contacts=contacts, fit=fit)
 
 
 def _joint_fit(
@@ -282,17 +281,8 @@ def _check_lag(fit: JointFit, known_s: tuple[float, float] | None) -> None:
 
 
 def axis_evidence(result: AxisResult) -> AxisEvidence:
-    """Return the signals of an axis that the joint fit could use or not, a turn in rad and N·m."""
-    axis, data = result.contacts.axis, result.data
-    lever = LEVER_M if axis.name not in AXIS_NAMES else 1.0
-    command = None if data is None or data.command is None else data.command.command_m
-    return AxisEvidence(
-        position=axis.position_m / lever,
-        force=axis.force_n * lever,
-        command=None if command is None else command / lever,
-        spans=() if result.fit is None else result.fit.spans,
-        free=() if data is None else tuple(data.free),
-    )
+    """Return the signals of an axis that the joint fit used, a turn in N·m."""
+    return AxisEvidence(spans=() if result.fit is None else result.fit.spans)
 
 
 def _estimate(

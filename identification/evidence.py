@@ -9,22 +9,13 @@ from problems.frozen import freeze
 
 from .joint_fit.result import FittedSpan
 from .result import Finding
-from .signals.aligned import Span
 
 
 @dataclass(frozen=True, kw_only=True)
 class AxisEvidence:
-    """One axis on the log's clock: flange `position`, `force` on the sensor without weight and bias, `command`.
+    """One axis: the `spans` that its joint fit used, measured against model."""
 
-    Arrays (n,) in m and N, of a rotational axis rad and N·m; `command` None where it is not known. `spans` are those
-    that the joint fit used, measured against model; `free` those of free motion without a hand.
-    """
-
-    position: FloatArray
-    force: FloatArray
-    command: FloatArray | None
     spans: tuple[FittedSpan, ...]
-    free: tuple[Span, ...]
 
 
 @dataclass(frozen=True, kw_only=True)

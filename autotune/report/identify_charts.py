@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import csd, welch
+from scipy.signal import welch
 from scipy.stats import norm
 
 from autotune.charts.chart import (
@@ -23,6 +23,7 @@ from autotune.charts.chart import (
 )
 from identification.evidence import AxisEvidence
 from identification.joint_fit.result import FittedSpan
+from identification.measured_response import FrequencyResponse, MeasuredResponse
 from identification.result import AxisEstimate, Covariance
 from problems.arrays import ComplexArray, FloatArray
 from problems.model.axis_kind import AxisKind
@@ -30,8 +31,6 @@ from problems.model.axis_kind import AxisKind
 from .page import Table, build_table
 
 _TIME = "time [s]"
-_WINDOW_S = 2.0
-_COHERENT = 0.9
 _MOST_LAGS = 60
 _CHANCE_95 = 1.96
 _PANELS = 3
@@ -268,42 +267,32 @@ def _autocorrelation(spans: Sequence[FloatArray], period_s: float) -> Panel:
     )
 
 
-def response_charts(
-    axis: str, units: AxisKind, estimate: AxisEstimate, evidence: AxisEvidence | None, period_s: float
-) -> Iterator[Chart]:
-    """Draw the frequency responses of robot and coupling: measured where the motion excites them, and the fit."""
-    top = min(0.4 / period_s, 200.0)
-    frequency = np.geomspace(0.2, top, 400)
-    robot = _robot_response(estimate, frequency, period_s)
+def response_charts(axis: str, units: AxisKind, estimate: AxisEstimate, period_s: float) -> Iterator[Chart]:
+    """Draw the frequency responses of robot and coupling: as motion shows them without a model, and the fit."""
+    frequency = np.geomspace(0.2, min(0.4 / period_s, 200.0), 400)
+    shown = estimate.frequency_response or FrequencyResponse()
+    robot = _robot_response(estimate, frequency)
     if robot is not None:
-        measured = (
-            None
-            if evidence is None or evidence.command is None
-            else _measured(evidence, evidence.command, evidence.position, period_s)
-        )
         delay, bandwidth = estimate.robot.delay_s.value, estimate.robot.bandwidth_hz.value
         facts = (
             "" if delay is None or bandwidth is None else f" Bandwidth {bandwidth:.2f} Hz, delay {1e3 * delay:.2f} ms."
         )
-        yield _bode(f"{axis}-robot", "Robot: from command to pose", "|x / x_d|", frequency, robot, measured, facts)
+        named = f"{axis}-robot", "Robot: from command to pose", "|x / x_d|"
+        yield _bode(*named, frequency, robot, shown.command_to_pose, facts)
     coupling = _coupling_response(estimate, frequency)
     if coupling is not None:
-        measured = None if evidence is None else _measured(evidence, evidence.position, evidence.force, period_s)
         angle = "m" if units.force == "N" else "rad"
-        name = f"|F / x| [{units.force}/{angle}]"
-        yield _bode(
-            f"{axis}-coupling", "Coupling and payload: from pose to force", name, frequency, coupling, measured, ""
-        )
+        named = f"{axis}-coupling", "Coupling and payload: from pose to force", f"|F / x| [{units.force}/{angle}]"
+        yield _bode(*named, frequency, coupling, shown.pose_to_force, "")
 
 
-def _robot_response(estimate: AxisEstimate, frequency: FloatArray, period_s: float) -> ComplexArray | None:
+def _robot_response(estimate: AxisEstimate, frequency: FloatArray) -> ComplexArray | None:
     robot = estimate.robot
     if robot.numerator.value is None or robot.denominator.value is None:
         return None
     s = 2j * np.pi * frequency
-    held = (1.0 - np.exp(-s * period_s)) / (s * period_s)
     late = np.exp(-s * (robot.delay_s.value or 0.0))
-    return np.asarray(held * late * np.polyval(robot.numerator.value, s) / np.polyval(robot.denominator.value, s))
+    return np.asarray(late * np.polyval(robot.numerator.value, s) / np.polyval(robot.denominator.value, s))
 
 
 def _coupling_response(estimate: AxisEstimate, frequency: FloatArray) -> ComplexArray | None:
@@ -316,59 +305,39 @@ def _coupling_response(estimate: AxisEstimate, frequency: FloatArray) -> Complex
     return np.asarray(-inertia * spring / (inertia + spring))
 
 
-def _measured(
-    evidence: AxisEvidence, drive: FloatArray, answer: FloatArray, period_s: float
-) -> tuple[FloatArray, ComplexArray] | None:
-    """Return frequency and response where free motion excites it: coherence above 0.9 (Welch's method)."""
-    window = round(_WINDOW_S / period_s)
-    total = np.zeros((3, window // 2 + 1), dtype=np.complex128)
-    frequency = None
-    for span in evidence.free:
-        u, y = drive[span.slice], answer[span.slice]
-        if len(span) < window or not (np.isfinite(u).all() and np.isfinite(y).all()):
-            continue
-        for i, (a, b) in enumerate(((u, y), (u, u), (y, y))):
-            frequency, power = csd(a, b, 1.0 / period_s, nperseg=window, detrend="linear")
-            total[i] += power * len(span)
-    if frequency is None:
-        return None
-    cross, drive_power, answer_power = total[0], total[1].real, total[2].real
-    with np.errstate(divide="ignore", invalid="ignore"):
-        coherence = np.abs(cross) ** 2 / (drive_power * answer_power)
-        response = cross / drive_power
-    good = (coherence > _COHERENT) & (frequency > 0.0) & (frequency < 0.4 / period_s)
-    return (frequency[good], response[good]) if np.any(good) else None
-
-
 def _bode(
     key: str,
     title: str,
     label: str,
     frequency: FloatArray,
     model: ComplexArray,
-    measured: tuple[FloatArray, ComplexArray] | None,
+    measured: MeasuredResponse | None,
     facts: str,
 ) -> Chart:
     panels = []
-    for scale, of in (
-        (Scale(label=label, spacing="log"), np.abs),
-        (Scale(label="phase [°]"), lambda values: np.degrees(np.unwrap(np.angle(values)))),
-    ):
+    turned = np.degrees(np.unwrap(np.angle(model)))
+    magnitude, phase = Scale(label=label, spacing="log"), Scale(label="phase [°]")
+    for scale, of_model in ((magnitude, np.abs(model)), (phase, turned)):
         elements: list[Element] = []
         if measured is not None:
-            elements.append(
-                Points(
-                    x=measured[0],
-                    y=_near(of(measured[1]), measured[0], of(model), frequency, scale),
-                    label="measured",
-                    role="measured",
-                )
-            )
-        elements.append(Line(x=frequency, y=of(model), label="fit", role="model"))
+            at, values, radius = measured.frequency_hz, np.abs(measured.values), measured.radius_95
+            if scale is phase:
+                angle = np.degrees(np.angle(measured.values))
+                values = angle + 360.0 * np.round((np.interp(at, frequency, turned) - angle) / 360.0)
+                radius = np.degrees(np.arcsin(radius / np.abs(measured.values)))
+            elements = [
+                Band(x=at, low=values - radius, high=values + radius, label="measured, 95 %", role="measured"),
+                Points(x=at, y=values, label="measured", role="measured"),
+            ]
+        elements.append(Line(x=frequency, y=of_model, label="fit", role="model"))
         panels.append(Panel(x=Scale(label="frequency [Hz]", spacing="log"), y=scale, elements=tuple(elements)))
     seen = "no measured response"
     if measured is not None:
-        seen = f"measured from {measured[0][0]:.2g} to {measured[0][-1]:.3g} Hz, where free motion excites it"
+        at, share = measured.frequency_hz, float(np.median(measured.radius_95 / np.abs(measured.values)))
+        seen = (
+            f"measured without a model at {len(at)} frequencies from {at[0]:.2g} to {at[-1]:.3g} Hz, where free motion "
+            f"excites it, to ±{100.0 * share:.2g} % (95 %) in the middle"
+        )
     return Chart(
         key=key,
         title=title,
@@ -377,14 +346,6 @@ def _bode(
         linked=True,
         caption=facts.strip(),
     )
-
-
-def _near(values: FloatArray, at: FloatArray, model: FloatArray, frequency: FloatArray, scale: Scale) -> FloatArray:
-    """Return phases on the model's turn; magnitudes as they are."""
-    if scale.spacing == "log":
-        return values
-    turns = np.round((np.interp(at, frequency, model) - values) / 360.0)
-    return values + 360.0 * turns
 
 
 def correlation_chart(axis: str, covariance: Covariance) -> Chart:

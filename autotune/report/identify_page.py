@@ -248,7 +248,7 @@ def _axis_section(result: Identified, name: str, axis: AxisEstimate, evidence: S
     # Of several logs the one with most samples is shown; all are in the table above.
     period_s, shown = max(seen, key=lambda pair: sum(len(span.measured) for span in pair[1].spans), default=(0.0, None))
     period = period_s or result.sample_time_s.value or 1e-3
-    blocks += response_charts(name, units, axis, shown, period)
+    blocks += response_charts(name, units, axis, period)
     if shown is not None:
         blocks += _contact_blocks(name, axis, shown, period)
         blocks += residual_charts(name, units, shown, period)

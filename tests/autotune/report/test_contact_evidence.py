@@ -30,8 +30,7 @@ def touched() -> AxisEvidence:
         for k in range(COUNT)
     ]
     free = FittedSpan(start=40_000, surface=None, measured=shape, predicted=shape, white=shape)
-    nothing = np.zeros(1)
-    return AxisEvidence(position=nothing, force=nothing, command=None, spans=(free, *reversed(spans)), free=())
+    return AxisEvidence(spans=(free, *reversed(spans)))
 
 
 def test_every_contact_is_in_the_table_and_the_strongest_are_drawn_on_one_scale() -> None:
