@@ -59,7 +59,11 @@ def _pair(ctx: click.Context, param: click.Parameter, value: str | None) -> tupl
 
 @click.command("validate", cls=GroupedCommand, groups=_GROUPS, epilog=_EPILOG)
 @click.argument("controller", type=_FILE)
-@click.option("--identified", type=_FILE, help="Check that this identified plant lies inside the certified domain.")
+@click.option(
+    "--identified",
+    type=_FILE,
+    help="Check that this identified plant lies inside the certified domain, and |1 + L| on its measured response.",
+)
 @click.option(
     "--log",
     "logs",
@@ -117,6 +121,7 @@ def _validate(output: Output, path: Path, identified_path: Path | None, options:
     from autotune.formats.controller import read_controller
     from autotune.formats.identified import read_identified
     from autotune.validation.domain import check_domain
+    from autotune.validation.measured_loop import measured_checks
     from autotune.validation.monte_carlo import monte_carlo_tree
     from autotune.validation.report import ValidationReport
     from autotune.validation.verify import verify
@@ -135,7 +140,10 @@ def _validate(output: Output, path: Path, identified_path: Path | None, options:
                 read.controller, samples=samples, seed=options["seed"], disturbances=settings, progress=advance
             )
         checks = [*found.checks]
-        checks += [] if identified is None else check_domain(read.controller, identified.result)
+        measured: dict[str, Any] = {}
+        if identified is not None:
+            of_measured, measured = measured_checks(read.controller, identified.result)
+            checks += [*check_domain(read.controller, identified.result), *of_measured]
         seen.read, seen.simulated, seen.report = read, found.simulated, ValidationReport(checks=tuple(checks))
         compared = seen.compared = _compared(output, read, options) if seen.report.passed else None
         if compared is not None:
@@ -151,6 +159,7 @@ def _validate(output: Output, path: Path, identified_path: Path | None, options:
         "passed": seen.report.passed,
         "signed_by": seen.signed_by,
         "checks": checks_tree(seen.report),
+        "measured": measured,
         "monte_carlo": monte_carlo_tree(found.simulated),
         "log": None if compared is None else comparison_tree(compared),
     }
