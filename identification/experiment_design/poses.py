@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from problems.arrays import BoolArray, FloatArray
 
 from ..merging.values import WEIGHED_MASS
-from ..payload.gravity import LOCAL_GRAVITY_STD
+from ..payload.gravity import COM_TILT_STD_RAD, LOCAL_GRAVITY_STD
 from ..payload.static_poses import GRAVITY_B_M_S2, cross_matrix
 from .values import PlanValues
 
@@ -113,7 +113,7 @@ def predicted_std(turns: Rotation, values: PlanValues, hold_s: float = 1.0) -> t
     mass, com = values.mass_kg.value, values.com_m.value
     mass_std = float(np.sqrt(covariance[0, 0])) if identifies[0] else np.inf
     moment = float(np.max(np.diag(covariance)[4:7])) if identifies[1] else np.inf
-    com_std = float(np.hypot(np.sqrt(moment), com * mass_std) / mass)
+    com_std = float(np.hypot(np.hypot(np.sqrt(moment), com * mass_std) / mass, COM_TILT_STD_RAD * com))
     # Local gravity scales mass and first moment alike: it stays in the mass and cancels in c.
     weighed = float(np.hypot(mass_std, LOCAL_GRAVITY_STD * mass))
     return values.mass_kg.std_after(weighed, WEIGHED_MASS), values.com_m.std_after(com_std)

@@ -23,6 +23,8 @@ from .static_poses import (
 
 # Gravity on the ground lies between 9.780 and 9.832 m/s²; the log does not say where it was recorded.
 LOCAL_GRAVITY_STD = 0.0015
+# How far a payload tilts in its coupling under its own weight, m g |c|/K_r, if it turns on it at some 40 Hz.
+COM_TILT_STD_RAD = 1e-3
 
 _FEWEST_POSES = 4
 _LARGEST_CONDITION = 25.0
@@ -255,7 +257,8 @@ def _misled(terms: tuple[ResidualTerm, ...], size: int) -> FloatArray:
 def _joint_covariance(mass: float, com: FloatArray, force: FloatArray, torque: FloatArray) -> FloatArray:
     """Return the covariance of (m, c, b_f, b_τ) from those of (m, b_f) and (m c, b_τ).
 
-    Local gravity scales m and m c alike: it is added to the mass and cancels in c.
+    Local gravity scales m and m c alike: it is added to the mass and cancels in c. What the payload tilts in its
+    coupling under its own weight moves c towards the hanging, by a share of its lever that no rest shows.
     """
     solved = np.zeros((10, 10))
     solved[np.ix_([0, 4, 5, 6], [0, 4, 5, 6])] = force[:4, :4]
@@ -270,6 +273,7 @@ def _joint_covariance(mass: float, com: FloatArray, force: FloatArray, torque: F
     jacobian[1:4, 1:4] = np.eye(3) / mass
     covariance = jacobian @ solved @ jacobian.T
     covariance[0, 0] += (LOCAL_GRAVITY_STD * mass) ** 2
+    covariance[1:4, 1:4] += COM_TILT_STD_RAD**2 * np.outer(com, com)
     return np.asarray(0.5 * (covariance + covariance.T))
 
 

@@ -22,7 +22,7 @@ _PAUSE_S = 0.15
 _EDGE_S = 0.1
 _SMALLEST_TURN_RAD = np.radians(4.0)
 _FEWEST_TURNS = 3
-_COLUMNS = 24
+_COLUMNS, _LAGS = 24, 3
 _COARSE_STEP_S = 8e-3
 _COARSE_EVERY = 6
 _RIDGE = 1e-10
@@ -59,7 +59,8 @@ class NoEstimate:
 class _Turning:
     """What the fit needs: force (n, 3) at `time_s` (n,) within turn `turn` (n,), and the filtered `signals` of t.
 
-    They are g − a (3), α× + ω×ω× (9), v (3) and ω (3), of which Φ is made; a ramp over the log has slope `ramp`.
+    They are g − a (3), α× + ω×ω× (9), v (3) and ω (3), of which Φ is made, and the base's axes in S (9); a ramp over
+    the log has slope `ramp`.
     """
 
     signals: BSpline
@@ -86,14 +87,21 @@ class _Turning:
         """Return θ at a fixed offset."""
         return _least_squares(np.column_stack([piece.rows(offset_s), piece.force_n.ravel()]) for piece in self.pieces())
 
-    def residual(self, offset_s: float, theta: FloatArray) -> FloatArray:
-        """Return f − Φ(t − T) θ, (n, 3)."""
-        fitted = [(piece.rows(offset_s) @ theta).reshape(-1, 3) for piece in self.pieces()]
+    def residual(self, offset_s: float, found: FloatArray) -> FloatArray:
+        """Return what (θ, 0, lags) leave of the force at an offset, (n, 3)."""
+        theta = found[:_COLUMNS]
+        fitted = [(piece.joint(offset_s, theta) @ found).reshape(-1, 3) for piece in self.pieces()]
         return np.asarray(self.force_n - np.concatenate(fitted))
 
     def joint(self, offset_s: float, theta: FloatArray) -> FloatArray:
-        """Return the derivatives of the force by θ and T, (3n, 25)."""
-        return np.column_stack([self.rows(offset_s), -self.rows(offset_s, 1) @ theta])
+        """Return the derivatives of the force by θ, T and the lag along each axis of the base, (3n, 28)."""
+        rows, slope = self.rows(offset_s), self.rows(offset_s, 1) @ theta
+        own = np.concatenate([np.zeros(6), theta[6:18], np.zeros(6)])  # what the payload does to the force
+        signals = np.asarray(self.signals(self.time_s - offset_s))
+        rate, axes = signals[:, 15:18], signals[:, 18:].reshape(-1, 3, 3)
+        changes = np.cross(rate, (rows @ own).reshape(-1, 3)) + (self.rows(offset_s, 1) @ own).reshape(-1, 3)
+        lagging = -axes * np.einsum("nik,ni->nk", axes, changes)[:, None, :]
+        return np.column_stack([rows, -slope, lagging.reshape(-1, _LAGS)])
 
 
 def offset_from_turning(log: AlignedLog, longest_s: float) -> OffsetEstimate | NoEstimate:
@@ -102,8 +110,11 @@ def offset_from_turning(log: AlignedLog, longest_s: float) -> OffsetEstimate | N
     Φ θ = b + ḃ t + G (g_S − a_S) − α × mc − ω × (ω × mc) − D v_S − ω × d: bias with its drift, weight and inertia of
     the payload (G is m times what the sensor's gains, cross-talk and mounting make of it), drag per axis and drag of
     turning (it looks like a delay where gravity keeps its direction in the sensor frame, so it is estimated with it).
-    All signals go through one zero-phase low-pass. Turns that do not fit (contact, hand) are left out; the standard
-    deviation comes from the scatter between turns, and is never below what a mount's damping hides.
+    Where drag to the ground holds the payload and the coupling gives, F lags along each axis of the base, F +
+    (B_p/K_s) dF/dt being what a stiff coupling would show. There the weight does not change but the inertia's force
+    does, which looks like a delay of all; the three B_p/K_s are estimated beside T. All signals go through one
+    zero-phase low-pass. Turns that do not fit (contact, hand) are left out; the standard deviation comes from the
+    scatter between turns, and is never below what a mount's damping hides.
     """
     prepared = _prepare(log, longest_s)
     if prepared is None or len(np.unique(prepared.turn)) < _FEWEST_TURNS:
@@ -114,8 +125,8 @@ def offset_from_turning(log: AlignedLog, longest_s: float) -> OffsetEstimate | N
     offset = _coarse(prepared, longest_s)
     kept = prepared
     for _ in range(_ROUNDS):
-        offset, theta = _refined(kept, offset)
-        following = prepared.part(_fitting(prepared, offset, theta))
+        offset, found = _refined(kept, offset)
+        following = prepared.part(_fitting(prepared, offset, found))
         if len(following.time_s) == len(kept.time_s):
             break
         kept = following
@@ -123,22 +134,22 @@ def offset_from_turning(log: AlignedLog, longest_s: float) -> OffsetEstimate | N
 
 
 def _judged(prepared: _Turning, kept: _Turning, offset: float, longest_s: float) -> OffsetEstimate | NoEstimate:
-    used, found = len(np.unique(kept.turn)), len(np.unique(prepared.turn))
-    if used < max(_FEWEST_TURNS, 0.5 * found):
+    used, turns = len(np.unique(kept.turn)), len(np.unique(prepared.turn))
+    if used < max(_FEWEST_TURNS, 0.5 * turns):
         return NoEstimate(
-            reason=f"the force follows the weight of one payload in {used} of {found} turns", advice=_ADVICE
+            reason=f"the force follows the weight of one payload in {used} of {turns} turns", advice=_ADVICE
         )
     if abs(offset) > 0.95 * longest_s:
         return NoEstimate(reason=f"no offset within {longest_s:.2f} s explains the force while turning", advice=_ADVICE)
-    theta = kept.solve(offset)
-    residual = kept.residual(offset, theta)
+    found = _fitted(kept, offset, kept.solve(offset))
+    residual = kept.residual(offset, found)
     swing = kept.force_n - kept.force_n.mean(axis=0)
     share = float(np.linalg.norm(residual)) / max(float(np.linalg.norm(swing)), 1e-12)
     if share > _POOR_FIT:
         return NoEstimate(
             reason=f"{100 * share:.0f} % of the force while turning is no payload's weight", advice=_ADVICE
         )
-    std = _standard_deviation(kept, offset, theta, residual)
+    std = _standard_deviation(kept, offset, found[:_COLUMNS], residual)
     return OffsetEstimate(
         offset_s=offset, std_s=float(np.hypot(std, _mount_lag(kept, offset))), spans=used, method=_METHOD
     )
@@ -161,7 +172,9 @@ def _prepare(log: AlignedLog, longest_s: float) -> _Turning | None:
     acceleration = np.asarray(coarse.apply(np.gradient(velocity_B, period, axis=0)))
     spin = _cross(rate)
     turning = (_cross(np.gradient(rate, period, axis=0)) + spin @ spin).reshape(-1, 9)
-    signals = np.concatenate([gravity - acceleration, turning, velocity, rate], axis=1)
+    signals = np.concatenate(
+        [gravity - acceleration, turning, velocity, rate, coarse.as_matrix().reshape(-1, 9)], axis=1
+    )
     time, turn = log.time_s[::step], _number_turns(rate, period)
     edge = longest_s + 3.0 / _BAND_HZ
     inside = (turn >= 0) & (time > time[0] + edge) & (time < time[-1] - edge)
@@ -252,23 +265,28 @@ def _coarse(turning: _Turning, longest_s: float) -> float:
 
 
 def _refined(turning: _Turning, offset: float) -> tuple[float, FloatArray]:
-    """Return offset and θ by Gauss and Newton: Φ(t − T − dT) θ ≈ Φ θ − dT Φ' θ."""
-    theta = np.zeros(_COLUMNS)
+    """Return offset and (θ, 0, lags) by Gauss and Newton: Φ(t − T − dT) θ ≈ Φ θ − dT Φ' θ."""
+    found = turning.solve(offset)
     for _ in range(10):
-        theta = turning.solve(offset)
-        found = _least_squares(
-            np.column_stack([piece.joint(offset, theta), piece.force_n.ravel()]) for piece in turning.pieces()
-        )
-        change = float(np.clip(found[-1], -_COARSE_STEP_S, _COARSE_STEP_S))
+        found = _fitted(turning, offset, found[:_COLUMNS])
+        change = float(np.clip(found[_COLUMNS], -_COARSE_STEP_S, _COARSE_STEP_S))
         offset += change
+        found[_COLUMNS] = 0.0
         if abs(change) < 1e-7:
             break
-    return offset, theta
+    return offset, found
 
 
-def _fitting(turning: _Turning, offset: float, theta: FloatArray) -> NDArray[np.bool_]:
+def _fitted(turning: _Turning, offset: float, theta: FloatArray) -> FloatArray:
+    """Return θ, the change of T and the lags that explain the force best, about an offset and θ."""
+    return _least_squares(
+        np.column_stack([piece.joint(offset, theta), piece.force_n.ravel()]) for piece in turning.pieces()
+    )
+
+
+def _fitting(turning: _Turning, offset: float, found: FloatArray) -> NDArray[np.bool_]:
     """Return the samples of the turns that one payload explains."""
-    residual = turning.residual(offset, theta)
+    residual = turning.residual(offset, found)
     count = int(turning.turn.max()) + 1
     energy = np.bincount(turning.turn, np.sum(residual**2, axis=1), count)
     size = np.bincount(turning.turn, minlength=count)
@@ -285,14 +303,14 @@ def _standard_deviation(turning: _Turning, offset: float, theta: FloatArray, res
     """
     joints = [piece.joint(offset, theta) for piece in turning.pieces()]
     inverse = np.linalg.pinv(sum(joint.T @ joint for joint in joints), hermitian=True, rcond=1e-14)
-    score = np.sum(np.concatenate([joint @ inverse[:, -1] for joint in joints]).reshape(-1, 3) * residual, axis=1)
+    score = np.sum(np.concatenate([joint @ inverse[:, _COLUMNS] for joint in joints]).reshape(-1, 3) * residual, axis=1)
     sums = np.bincount(np.unique(turning.turn, return_inverse=True)[1], score)
     between = len(sums) / max(len(sums) - _FEWEST_TURNS + 1, 1) * float(np.sum(sums**2))
     period = float(np.median(np.diff(turning.time_s)))
     samples_per_value = max(1.0, 1.0 / (2.0 * _BAND_HZ * period))
     freedom = max(residual.size / samples_per_value - len(inverse), 1.0)
     variance = float(np.sum(residual**2)) / samples_per_value / freedom
-    within = samples_per_value * variance * float(inverse[-1, -1])
+    within = samples_per_value * variance * float(inverse[_COLUMNS, _COLUMNS])
     return float(np.sqrt(max(between, within)))
 
 

@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from identification.errors import EstimateError
 from identification.payload.gravity import (
+    COM_TILT_STD_RAD,
     LOCAL_GRAVITY_STD,
     _joint_covariance,
     _solve,
@@ -61,7 +62,8 @@ def test_stated_deviations_are_those_that_repetition_shows() -> None:
         fit = identify_gravity(poses_at(orientation, rng, noise_n=0.3, torque_noise_n_m=0.02))
         from_fit = np.sqrt(fit.mass_std_kg**2 - (LOCAL_GRAVITY_STD * fit.mass_kg) ** 2)
         scores["mass"].append(np.array([fit.mass_kg - MASS_KG]) / from_fit)
-        scores["com"].append((fit.com_S_m - COM_M) / fit.com_std_m)
+        noise_m = np.sqrt(fit.com_std_m**2 - (COM_TILT_STD_RAD * fit.com_S_m) ** 2)
+        scores["com"].append((fit.com_S_m - COM_M) / noise_m)
         scores["force"].append((fit.force_bias_S_n - FORCE_BIAS_N) / fit.force_bias_std_n)
         scores["torque"].append((fit.torque_bias_S_n_m - TORQUE_BIAS_N_M) / fit.torque_bias_std_n_m)
     for name, values in scores.items():
@@ -70,6 +72,21 @@ def test_stated_deviations_are_those_that_repetition_shows() -> None:
         # deviations above, and as far below as all of them together.
         assert 0.65 < float(np.std(values)) < 1.2, name
         assert abs(float(np.mean(values))) < 4.0 / np.sqrt(draws), name
+
+
+@pytest.mark.parametrize("turning_n_m_per_rad", [2e4, 1e5])
+def test_a_payload_that_tilts_in_its_coupling_is_covered(turning_n_m_per_rad: float) -> None:
+    """At rest the payload is turned by c × m g/K_r, which draws c towards the hanging: no rest shows it."""
+    poses = []
+    for pose in poses_at(tilted(9, 1.0)):
+        weight = MASS_KG * pose.gravity_S_m_s2
+        turned = Rotation.from_rotvec(np.cross(COM_M, weight) / turning_n_m_per_rad).apply(COM_M)
+        poses.append(replace(pose, torque_S_n_m=np.cross(turned, weight) + TORQUE_BIAS_N_M))
+    fit = identify_gravity(tuple(poses))
+    error = fit.com_S_m - COM_M
+    assert np.max(np.abs(error / fit.com_std_m)) < 2.0
+    # It is far from nothing: without a share of the lever in the deviations they would not hold the truth.
+    assert np.linalg.norm(error) > 0.2 * np.linalg.norm(COM_M) ** 2 * MASS_KG * G_M_S2 / turning_n_m_per_rad
 
 
 def test_one_pose_tells_nothing() -> None:
@@ -166,6 +183,7 @@ def test_the_covariance_holds_between_the_parameters() -> None:
         fit = identify_gravity(poses_at(orientation, rng, noise_n=3.0, torque_noise_n_m=0.3))
         found.append(np.concatenate([[fit.mass_kg], fit.com_S_m, fit.force_bias_S_n, fit.torque_bias_S_n_m]))
     stated = fit.covariance - np.diag([(LOCAL_GRAVITY_STD * fit.mass_kg) ** 2, *np.zeros(9)])
+    stated[1:4, 1:4] -= COM_TILT_STD_RAD**2 * np.outer(fit.com_S_m, fit.com_S_m)
     size = np.sqrt(np.diag(stated))
     told, seen = stated / np.outer(size, size), np.corrcoef(np.array(found), rowvar=False)
     # A correlation over 400 draws is known to 0.05; four deviations and what the fit's own scatter moves it.

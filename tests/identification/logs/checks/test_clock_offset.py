@@ -2,16 +2,18 @@
 
 from dataclasses import replace
 from functools import cache
+from itertools import pairwise
 
 import numpy as np
 import pytest
 from scipy.signal import butter, lfilter, sosfilt
+from scipy.spatial.transform import Rotation
 
 from autotune.simulation.phases import Program
 from autotune.simulation.simulate import CellRun, simulate_cell
 from autotune.simulation.truth import SimulatedCell
 from identification.logs.checks.clock_offset import ClockOffset, OffsetVerdict, apply_offset, estimate_clock_offset
-from identification.signals.recording import Recording
+from identification.signals.recording import PoseSignal, Recording, WrenchSignal
 from problems.arrays import FloatArray
 
 POSES = Program(jogging_s=0.0, sweep_s=0.0, contact_count=0)
@@ -138,6 +140,51 @@ def test_a_sensors_filter_counts_as_offset() -> None:
     value, std = told(estimated(delayed(run.recording, 0.0, filtered)))
     # y += a (x − y): its delay at low frequency is (1 − a)/a samples.
     assert value == pytest.approx(2e-3 * (1.0 - a) / a, abs=4.0 * std)
+
+
+def dragged_payload(lag_s: float) -> Recording:
+    """Return turns of 20 kg on a flange that stays where it is, its force behind 1/(1 + lag s) along the vertical."""
+    period, moves = 1e-3, [(0.7, 0.0), (0.7, 0.6), (-0.5, 0.6), (-0.5, -0.6), (0.4, -0.3), (0.0, 0.0), (0.6, -0.6)]
+    share = np.clip(np.arange(1400) * period / 0.9, 0.0, 1.0)
+    smooth = share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
+    points = np.array([(0.0, 0.0), *moves])
+    angles = np.concatenate([a + smooth[:, None] * (b - a) for a, b in pairwise(points)])
+    turned = Rotation.from_euler("XY", angles) * Rotation.from_quat([1.0, 0.0, 0.0, 0.0])
+    centre = turned.apply([0.01, -0.005, 0.16])
+    acceleration = np.gradient(np.gradient(centre, period, axis=0), period, axis=0)
+    force_B = 20.0 * (np.array([0.0, 0.0, -9.80665]) - acceleration)
+    tustin = [1.0, 1.0], [1.0 + 2.0 * lag_s / period, 1.0 - 2.0 * lag_s / period]
+    force_B[:, 2] = lfilter(*tustin, force_B[:, 2] - force_B[0, 2]) + force_B[0, 2]
+    noise = 0.05 * np.random.default_rng(3).standard_normal(force_B.shape)
+    stamps = round(period * 1e9) * np.arange(len(angles))
+    wrench = WrenchSignal(
+        stamp_ns=stamps,
+        force_n=turned.inv().apply(force_B) + noise + [3.0, -5.0, 8.0],
+        torque_n_m=np.zeros_like(force_B),
+        topic="/ft",
+        frame_id="sensor",
+    )
+    pose = PoseSignal(
+        stamp_ns=stamps,
+        position_m=np.zeros_like(force_B),
+        quaternion_xyzw=turned.as_quat(),
+        topic="/tcp",
+        frame_id="base",
+    )
+    return Recording(wrench=wrench, pose=pose, command=None)
+
+
+@pytest.mark.parametrize("lag_s", [0.0, 1.6e-3, 4e-3])
+def test_drag_to_the_ground_on_a_soft_coupling_is_no_offset(lag_s: float) -> None:
+    """F + (B_p/K_s) dF/dt = m (g − a): the inertia's force lags, the weight does not."""
+    recording = dragged_payload(lag_s)
+    found = estimated(recording)
+    assert found.verdict is OffsetVerdict.CONSISTENT
+    value, std = told(found)
+    assert abs(value) < 3.0 * std
+    assert std < 1e-4
+    late, _ = told(estimated(delayed(recording, 6e-4)))
+    assert late - value == pytest.approx(6e-4, abs=0.5 * std)
 
 
 def test_a_sensors_gains_and_cross_talk_are_no_offset() -> None:
