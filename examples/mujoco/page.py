@@ -94,8 +94,8 @@ def _parameters(cells: Mapping[int, tuple[Drawn, dict[str, Any]]]) -> Iterator[s
     late = [seed for seed, held in bare.items() if "clock-offset" in _codes(held)]
     yield (
         f"Of {len(bare)} cells without a filter, which delays the wrench, {len(late)} are told that the clocks of\n"
-        f"wrench and pose disagree (target: none): {_listed(late) or 'none'}. Drag to the ground makes\n"
-        "the inertia's force lag by B_p/K_s when the tool turns, 0.05 to 4 ms here, which is estimated beside the clocks."
+        f"wrench and pose disagree (target: none): {_listed(late) or 'none'}. Drag to the ground makes the\n"
+        "inertia's force lag by B_p/K_s when the tool turns, 0.05 to 4 ms here, which is estimated beside the clocks."
     )
     for seed, (_, held) in cells.items():
         for finding in held.get("findings", ()):
