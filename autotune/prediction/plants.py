@@ -287,7 +287,7 @@ class _Known:
         if not self.has_payload:
             missing = ", ".join(lacking) or "K_e apart from K_s"
             self.neglected = (
-                f"{missing} of axis {name} is not known: payload, its drag and the coupling are left out, and the "
+                f"Not known of axis {name}: {missing}. Payload, its drag and the coupling are left out, and the "
                 "stiffness is that over robot travel"
                 + ("" if _number(self.estimates.get("blow")) else "; a first blow of the masses is not predicted"),
             )

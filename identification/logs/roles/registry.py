@@ -205,7 +205,7 @@ ROLES: dict[Role, RoleKind] = {
     ),
     Role.GAINS: RoleKind(
         entry="gains",
-        label="controller's gains",
+        label="set of the controller's gains",
         layouts={ADMITTANCE_STATE: _STATE_GAINS},
         tiers=((ADMITTANCE_STATE,),),
     ),
