@@ -12,7 +12,7 @@ from problems.progress import ProgressSlice
 from .axes.straight import AXIS_NAMES, AxisMotion, commanded_motion, free_motions, unguided_spans
 from .axes.turning import AxisTurn, rests_after
 from .axis_findings import contact_findings, first_rests, force_beside, latency_findings, mass_findings, misfit_findings
-from .axis_response import measure_axis
+from .axis_response import measure_axis, response_findings
 from .errors import EstimateError
 from .evidence import AxisEvidence
 from .given import Given, axis_keys, settle_axis
@@ -179,7 +179,10 @@ def fit_axis(
     if data.command is not None and cell.recording.command is None:
         alone, both = (_of_rebuilt(each, robot, fit) for each in (alone, both))
     measured = measure_axis(axis.name, data, found, cell.log.pose_rate_hz, cell.recording)
-    alone, both = (replace(each, frequency_response=measured) for each in (alone, both))
+    if measured is not None:
+        alone, both = (replace(each, frequency_response=measured) for each in (alone, both))
+        own = found.values[: len(COUPLING_NAMES)]
+        findings += response_findings(axis.name, own, found.robot, measured, data.period_s)
     estimate, contradictions = settle_axis(axis.name, alone, both, cell.given)
     contacts = AxisContacts(axis=axis, holds=holds, coupling=found.values[: len(COUPLING_NAMES)])
     return AxisResult(estimate=estimate, findings=(*findings, *contradictions), contacts=contacts, fit=fit)

@@ -17,7 +17,7 @@ _HIGHEST_HZ = 50.0
 
 
 @dataclass(frozen=True)
-class _Cell:
+class Cell:
     """A one-pole robot late by whole samples, and a payload on a spring with a dry contact between both."""
 
     pole: float = 38.0
@@ -74,7 +74,7 @@ def _swept(duration_s: float, size: float) -> FloatArray:
 
 
 @cache
-def _clean(cell: _Cell, sizes: tuple[float, ...]) -> tuple[tuple[FloatArray, FloatArray, FloatArray], ...]:
+def _clean(cell: Cell, sizes: tuple[float, ...]) -> tuple[tuple[FloatArray, FloatArray, FloatArray], ...]:
     runs = []
     for size in sizes:
         command = _swept(12.0, size)
@@ -82,8 +82,8 @@ def _clean(cell: _Cell, sizes: tuple[float, ...]) -> tuple[tuple[FloatArray, Flo
     return tuple(runs)
 
 
-def _measured(
-    cell: _Cell, seed: int, *, sizes: tuple[float, ...] = (1.0,), noise: tuple[float, float] = (2e-6, 0.3)
+def measured(
+    cell: Cell, seed: int, *, sizes: tuple[float, ...] = (1.0,), noise: tuple[float, float] = (2e-6, 0.3)
 ) -> FrequencyResponse:
     rng = np.random.default_rng(seed)
     records = [
@@ -107,15 +107,15 @@ def _all(found: FrequencyResponse) -> tuple[MeasuredResponse, MeasuredResponse, 
     return pose, force, felt
 
 
-def _true(cell: _Cell, found: FrequencyResponse) -> list[ComplexArray]:
+def _true(cell: Cell, found: FrequencyResponse) -> list[ComplexArray]:
     pose, force, felt = (cell.responses(each.frequency_hz) for each in _all(found))
     return [pose[0], force[1], felt[1] / felt[0]]
 
 
 @pytest.mark.parametrize("drag", [280.0, 60.0])
 def test_without_noise_they_are_the_closed_forms(drag: float) -> None:
-    cell = _Cell(drag=drag)
-    found = _measured(cell, 0, noise=(0.0, 0.0))
+    cell = Cell(drag=drag)
+    found = measured(cell, 0, noise=(0.0, 0.0))
     for each, true in zip(_all(found), _true(cell, found), strict=True):
         swept = each.frequency_hz < 0.75 * _HIGHEST_HZ
         assert np.count_nonzero(swept) > 30
@@ -127,10 +127,10 @@ def test_without_noise_they_are_the_closed_forms(drag: float) -> None:
 
 @pytest.mark.parametrize("sizes", [(1.0,), (1.0, 1.0)])
 def test_of_the_circles_19_in_20_hold_the_truth(sizes: tuple[float, ...]) -> None:
-    cell, draws = _Cell(), 200 if len(sizes) == 1 else 60
+    cell, draws = Cell(), 200 if len(sizes) == 1 else 60
     inside: list[list[float]] = []
     for seed in range(draws):
-        found = _measured(cell, seed, sizes=sizes)
+        found = measured(cell, seed, sizes=sizes)
         pairs = zip(_all(found), _true(cell, found), strict=True)
         inside.append([float(np.mean(np.abs(each.values - true) <= each.radius_95)) for each, true in pairs])
     share = np.mean(inside, axis=0)
@@ -141,7 +141,7 @@ def test_of_the_circles_19_in_20_hold_the_truth(sizes: tuple[float, ...]) -> Non
 
 def test_a_repeated_sweep_narrows_the_circles() -> None:
     # Of a noise that the smallest circle that is claimed does not hide.
-    runs = (_all(_measured(_Cell(), 3, sizes=sizes, noise=(2e-6, 3.0)))[1] for sizes in ((1.0,), (1.0,) * 4))
+    runs = (_all(measured(Cell(), 3, sizes=sizes, noise=(2e-6, 3.0)))[1] for sizes in ((1.0,), (1.0,) * 4))
     once, four = runs
     assert (once.records, four.records) == (1, 4)
     common = [np.isin(each.frequency_hz, other.frequency_hz) for each, other in ((once, four), (four, once))]
@@ -150,10 +150,10 @@ def test_a_repeated_sweep_narrows_the_circles() -> None:
 
 
 def test_dry_friction_is_another_approximation_at_every_size_and_the_circles_say_so() -> None:
-    sizes, cell = (0.5, 1.0, 2.0), _Cell(friction_n=5.0)
-    alone = [_all(_measured(cell, 5, sizes=(size,)))[2] for size in sizes]
-    together = _all(_measured(cell, 5, sizes=sizes))[2]
-    linear = _all(_measured(_Cell(), 5, sizes=sizes))[2]
+    sizes, cell = (0.5, 1.0, 2.0), Cell(friction_n=5.0)
+    alone = [_all(measured(cell, 5, sizes=(size,)))[2] for size in sizes]
+    together = _all(measured(cell, 5, sizes=sizes))[2]
+    linear = _all(measured(Cell(), 5, sizes=sizes))[2]
     # Without friction the sizes differ by no more than noise makes them.
     assert np.median(linear.radius_95 / linear.noise_radius_95) < 1.2
     assert np.median(together.radius_95 / together.noise_radius_95) > 1.5
@@ -167,7 +167,7 @@ def test_dry_friction_is_another_approximation_at_every_size_and_the_circles_say
 
 
 def test_without_a_command_the_pose_is_the_input() -> None:
-    cell = _Cell()
+    cell = Cell()
     ((_, position, force),) = _clean(cell, (1.0,))
     noise = 0.3 * np.random.default_rng(2).standard_normal(len(force))
     found = measure_responses([MotionRecord(position=position, force=force + noise, command=None)], _H, 0.4 / _H)
@@ -188,4 +188,4 @@ def test_rest_shows_nothing() -> None:
 
 def test_the_grid_is_that_of_every_log() -> None:
     assert len(GRID_HZ) == 60
-    assert set(_all(_measured(_Cell(), 1))[0].frequency_hz) <= {float(f"{f:.6g}") for f in GRID_HZ}
+    assert set(_all(measured(Cell(), 1))[0].frequency_hz) <= {float(f"{f:.6g}") for f in GRID_HZ}
