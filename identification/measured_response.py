@@ -26,9 +26,12 @@ class MeasuredResponse:
     records: int = 1
 
     def __post_init__(self) -> None:
-        frequency = [point[0] for point in self.points]
-        if not frequency or frequency[0] <= 0.0 or any(b <= a for a, b in pairwise(frequency)):
-            raise ParameterError("points", frequency, "rows of ascending frequencies above 0, one or more")
+        if not self.points:
+            raise ParameterError("points", "none", "one row or more")
+        for before, after in pairwise([0.0, *(point[0] for point in self.points)]):
+            if after <= before:
+                must = "rows of ascending frequencies above 0; write the file anew with identify"
+                raise ParameterError("points", f"{after:g} Hz after {before:g} Hz", must)
         if any(radius < noise or noise < 0.0 for *_, radius, noise in self.points):
             raise ParameterError(
                 "points", "a radius below that of noise alone", "rows with a radius no smaller than that"
