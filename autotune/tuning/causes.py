@@ -5,8 +5,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-import numpy as np
-
 from autotune.errors import InfeasibleError
 from autotune.formats.canonical import number_text
 from autotune.formats.records import record_tree, rename_axis_keys
@@ -17,15 +15,14 @@ from problems.model.plant_parameters import with_values
 from problems.model.robot import bandwidth_hz
 from problems.progress import no_progress
 
-from .relax import ADMITTANCE, Relaxation, asked_of, find_relaxations, is_feasible, relaxation_message
-from .search import Search, SearchResult, solve_design
+from .relax import ADMITTANCE, Relaxation, asked_of, can_meet, find_relaxations, is_feasible, relaxation_message
+from .search import SearchResult, solve_design
 
 # What is suggested is easier by these shares than what was reached: a search from nowhere must find it again.
 _EASIER = (0.03, 0.1)
 # How far a parameter of the plant is eased, and how often the way there is halved.
 _EASIEST, _FASTER, _LITTLE_DRAG, _HALVINGS = 27.0, 4.0, 1.0, 3
 _FARTHEST = 200.0
-_GENERATIONS = 15
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -173,12 +170,12 @@ def _easiest(problem: DesignProblem) -> dict[str, tuple[float, float]]:
 
 def _enough(problem: DesignProblem, name: str, value: float, easiest: float, seed: int) -> float | None:
     """Return a value of one parameter at which nothing is missed, None if not at the easiest one either."""
-    if not _can_meet(_eased(problem, name, easiest), seed):
+    if not can_meet(_eased(problem, name, easiest), seed=seed):
         return None
     last, good = max(value, easiest / _FARTHEST) if value < easiest else value, easiest
     for _ in range(_HALVINGS):
         middle = math.sqrt(last * good)
-        last, good = (last, middle) if _can_meet(_eased(problem, name, middle), seed) else (middle, good)
+        last, good = (last, middle) if can_meet(_eased(problem, name, middle), seed=seed) else (middle, good)
     return good
 
 
@@ -188,18 +185,6 @@ def _eased(problem: DesignProblem, name: str, value: float) -> DesignProblem:
         low, _ = plants.ranges[name]
         return replace(problem, plants=plants.with_ranges({name: (low, value)}))
     return replace(problem, plants=replace(plants, nominal=with_values(plants.nominal, {name: value})))
-
-
-def _can_meet(problem: DesignProblem, seed: int) -> bool:
-    """Return whether a short search found a design that meets every requirement over a few scenarios."""
-    search, active = Search(problem, seed, goal=EVERY_REQUIREMENT, generations=_GENERATIONS), problem.scenarios(3, 2)
-    try:
-        unit = search.explore(active, no_progress)
-    except InfeasibleError:
-        return False
-    screen = search.screen(active)
-    ends = np.array([unit, search.local(screen, unit)])
-    return bool(np.min(screen.evaluate(search.box.design(ends)).cost) <= 1.0)
 
 
 def _checked(

@@ -25,6 +25,8 @@ _BAND_DIGITS = 2
 # Of the most that can be had: the very most leaves one design and no choice of a gentle one.
 _SHARE_OF_ATTAINABLE = 0.8
 _HAIR = 1e-3
+# A slow hand, at which the force is said that it needs [m/s or rad/s].
+_HAND_SPEED = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,7 +127,10 @@ def default_message(name: str, default: DefaultAdmittance, problem: DesignProble
     if default.attainable is not None:
         return (
             f"{said}; the usual {usual.min_m_s_per_n:g} cannot be had in this cell beside the other requirements, only "
-            f"about {default.attainable:.3g}. A hand moves it with {1.0 / target.min_m_s_per_n:.3g} {units.hand}."
+            f"about {default.attainable:.3g}. To move it at {_HAND_SPEED:g} {units.speed} a hand needs up to "
+            f"{_HAND_SPEED / target.min_m_s_per_n:.3g} {units.force}, with the usual one "
+            f"{_HAND_SPEED / usual.min_m_s_per_n:.3g}. Write free_space_admittance into problem.yaml, and optimize "
+            "says what of the plant is in the way of it."
         )
     here = f"{objective.title} is {default.objective:.4g} {unit}".rstrip()
     if default.objective_with_usual is None:

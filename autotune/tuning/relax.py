@@ -117,6 +117,22 @@ def find_relaxations(
     return tuple(sorted(found, key=lambda each: each.share))
 
 
+def can_meet(problem: DesignProblem, *, seed: int) -> bool:
+    """Return whether a short search found a design that meets every requirement, over a few scenarios only."""
+    search = Search(problem, seed, goal=EVERY_REQUIREMENT, generations=_NEARBY_GENERATIONS, enough=1.0)
+    active = problem.scenarios(3, 2)
+    try:
+        unit = search.explore(active, no_progress)
+    except InfeasibleError:
+        return False
+    screen = search.screen(active)
+
+    def is_met(point: FloatArray) -> bool:
+        return bool(screen.evaluate(search.box.design(point[None])).cost[0] <= 1.0)
+
+    return is_met(unit) or is_met(search.local(screen, unit))
+
+
 def attainable(problem: DesignProblem, *, seed: int, progress: Callable[[float], None] = no_progress) -> float | None:
     """Return the most free-space admittance that can be had while every other requirement is met; None without any."""
     found = _least(problem, ADMITTANCE, seed, progress)

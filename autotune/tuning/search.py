@@ -201,7 +201,7 @@ class Search:
     """One run: the box, what was asked (tightened where a grid flattered), the impacts, the count of evaluations.
 
     With a `goal` the required/achieved of that requirement is minimised instead of the objective. `generations` is the
-    most that the global stage makes.
+    most that the global stage makes; it ends as soon as a design costs `enough`.
     """
 
     def __init__(
@@ -212,9 +212,10 @@ class Search:
         *,
         goal: str | None = None,
         generations: int = _GENERATIONS,
+        enough: float = -np.inf,
         impacts: ImpactTest | None = None,
     ) -> None:
-        self.goal, self.generations, self.impacts = goal, generations, impacts
+        self.goal, self.generations, self.enough, self.impacts = goal, generations, enough, impacts
         self.problem = problem
         self.box = Box(problem)
         self.seed = seed
@@ -256,14 +257,8 @@ class Search:
     def note_round(self, scenarios: int, exact: Evaluation) -> None:
         """Keep what a round ended with."""
         if self.last is not None:
-            self.steps.append(
-                SearchStep(
-                    evaluations=self.evaluations,
-                    scenarios=scenarios,
-                    best_cost=self.last.cost,
-                    whole_cost=exact.cost,
-                )
-            )
+            best, whole, count = self.last.cost, exact.cost, self.evaluations
+            self.steps.append(SearchStep(evaluations=count, scenarios=scenarios, best_cost=best, whole_cost=whole))
 
     def _evolve(
         self,
@@ -278,7 +273,8 @@ class Search:
         def has_gathered(intermediate_result: OptimizeResult) -> bool:
             each()
             energies = intermediate_result.population_energies
-            return bool(np.max(energies) < _MISSED and np.std(energies) <= _GATHERED * abs(np.mean(energies)))
+            gathered = np.max(energies) < _MISSED and np.std(energies) <= _GATHERED * abs(np.mean(energies))
+            return bool(gathered or np.min(energies) <= self.enough)
 
         try:
             return differential_evolution(
@@ -358,8 +354,9 @@ class Search:
         return np.asarray(best)
 
     def _closest(self, seen: Iterable[tuple[float, FloatArray]]) -> list[FloatArray]:
-        """Return the points that miss least, of those that lie apart."""
-        return spread_out((unit for _, unit in sorted(seen, key=lambda pair: pair[0])), _FAR, _OTHER_VALLEYS)
+        """Return the points that miss least, of those that lie apart; fewer for a goal that is sought near a design."""
+        count = _OTHER_VALLEYS if self.goal is None or self.start is None else _POLISH_STARTS
+        return spread_out((unit for _, unit in sorted(seen, key=lambda pair: pair[0])), _FAR, count)
 
     def _recover(self, screen: BatchEvaluator, closest: list[FloatArray]) -> FloatArray:
         """Walk from points that miss something into the feasible set, or say why there is no way.

@@ -81,6 +81,7 @@ def test_a_default_that_cannot_be_had_is_lowered_to_what_can() -> None:
     message = default_message("x", told, found.problem)
     assert "the usual 0.005 cannot be had in this cell" in message
     assert f"{told.target.min_m_s_per_n:g} m/s/N are asked" in message
+    assert f"at 0.1 m/s a hand needs up to {0.1 / told.target.min_m_s_per_n:.3g} N, with the usual one 20." in message
     # A quarter above four fifths is all that can be had: a little more than that has no controller.
     more = replace(default, min_m_s_per_n=1.1 * told.attainable)
     again = lower_default(
