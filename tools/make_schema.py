@@ -45,7 +45,8 @@ def schema() -> Node:
 def _record(record: type, *, turning: bool) -> Node:
     hints = get_type_hints(record, include_extras=True)
     properties, required = dict[str, Node](), list[str]()
-    for field in dataclasses.fields(record):
+    # What is not compared is not written either (`autotune.formats.records`).
+    for field in (each for each in dataclasses.fields(record) if each.compare):
         has_default = not field.default is field.default_factory is dataclasses.MISSING
         hint, turns = hints[field.name], turning or field.name.startswith("rotational_")
         node = _node(_without_none(hint) if has_default else hint, field.name, turning=turns)
