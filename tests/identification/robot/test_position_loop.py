@@ -68,6 +68,25 @@ def test_a_long_log_is_fitted_to_its_end() -> None:
     assert whole.model.order == 1
 
 
+@pytest.mark.parametrize("friction_share", [0.005, 0.02])
+def test_dry_friction_is_held_by_the_stated_deviations(friction_share: float) -> None:
+    """A servo of second order with dry friction: what that does to the bandwidth is seen in the residual alone."""
+    command = sweep(6.0, 1.0 / H_S)
+    position, speed, steps = np.zeros(len(command)), 0.0, 4
+    friction, here = friction_share * 1600.0 * float(np.max(np.abs(command))), 0.0
+    for i, target in enumerate(command):
+        position[i] = here
+        for _ in range(steps):
+            free = speed + H_S / steps * (1600.0 * (target - here) - 56.0 * speed)
+            speed = float(np.sign(free) * max(abs(free) - H_S / steps * friction, 0.0))
+            here += H_S / steps * speed
+    fit = identify_robot(command, noisy(position), H_S)
+    expected = identify_robot(command, followed(TWO_POLES, 0, command), H_S).bandwidth_hz
+    assert abs(fit.bandwidth_hz - expected) < 1.96 * fit.bandwidth_std_hz
+    # Without it the deviations are the noise's: far from what friction does.
+    assert abs(fit.bandwidth_hz / expected - 1.0) > 0.002
+
+
 def test_stated_deviations_cover_what_noise_does() -> None:
     command = sweep(3.0, 1.0 / H_S)
     clean = followed(ONE_POLE, 120, command)
