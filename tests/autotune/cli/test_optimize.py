@@ -167,7 +167,6 @@ def test_quiet_and_the_ranges_of_the_command_line(run_cli: RunCli, tmp_path: Pat
     ("requirements", "named"),
     [
         ("modulus_margin: 0.99", "Enough by itself would be: modulus_margin 0."),
-        ("free_space_admittance: {min_m_s_per_n: 1e-2, band_hz: [1, 2]}", "instead of 0.01"),
         # The band by default would end where the robot follows: beside that one, easing the peak alone is enough.
         (
             "max_peak_force_n: 31\n  free_space_admittance: {min_m_s_per_n: 7e-4, band_hz: [0.1, 2]}",
@@ -185,6 +184,23 @@ def test_what_cannot_be_met_is_exit_5_with_the_reason_and_no_file(
     assert named in done.stderr
     assert (tmp_path / "controller.yaml").read_text(encoding="utf-8") == "format: autotune/controller\n"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["controller.yaml", "identified.yaml", "problem.yaml"]
+
+
+def test_the_line_that_a_refusal_gives_makes_a_proved_controller_with_the_peak_it_names(
+    run_cli: RunCli, tmp_path: Path
+) -> None:
+    bounds, _, _ = FAST_PROBLEM_YAML.partition("requirements:")
+    prepare(tmp_path, bounds + "requirements: {free_space_admittance: {min_m_s_per_n: 1e-2, band_hz: [1, 2]}}\n")
+    refused = run_cli("optimize", "identified.yaml", "--problem", "problem.yaml")
+    assert refused.returncode == 5
+    assert "instead of 0.01" in refused.stderr
+    _, _, checked = refused.stderr.partition("the search finds a controller, peak contact force ")
+    peak, _, lines = checked.partition(" N: ")
+    (tmp_path / "problem.yaml").write_text(bounds + lines, encoding="utf-8")
+    done = run_cli("optimize", "identified.yaml", "--problem", "problem.yaml", "--json")
+    assert done.returncode == 0, done.stderr
+    peaks = json.loads(done.stdout)["predicted"]["x"]["scenarios"]
+    assert max(each["peak_contact_force_n"] for each in peaks) == pytest.approx(float(peak), abs=5e-3)
 
 
 @pytest.mark.parametrize(
