@@ -40,9 +40,9 @@ _SHARP_PERCENT = 5.0
 _DRIFT = "force-follows-drift"
 _DRIFTING = "The sensor drifts, which widens this: see to that first. "
 _COARSE = (
-    "The command is in the log, but not as each control period held it (rows slower than the control rate, or "
-    "smoothed). "
-    "Log the command that the robot receives, and the pose, at the control rate."
+    "The log does not show that each command was held until the next one: it was smoothed, or the controller is "
+    "faster, or what differs is too little to be seen. If it was held, give the control period (`sample_time_s`); else "
+    "log the command that the robot receives, and the pose, at the control rate."
 )
 _TORQUE = "Record the sensor's torques with its forces."
 _COMMAND = "Record the position command with the pose, on one clock, at the control rate."

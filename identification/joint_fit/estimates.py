@@ -27,7 +27,7 @@ _SURFACE_SYMBOLS = ("K_e", "B_e", "M_e")
 
 
 NO_COMMAND = "no commanded pose took part"
-COARSE_COMMAND = "the logged command is not the one that each control period held, so it took no part"
+COARSE_COMMAND = "the log does not show that each command was held until the next one, so the command took no part"
 
 
 @dataclass(frozen=True, kw_only=True)
