@@ -207,6 +207,7 @@ def predict(
     gains
         Any admittance gains for a plant that is none: mass [kg, kg·m²], damping [N·s/m, N·m·s/rad] and, where they are
         not 0, lead [s], feedback_damping [s], deadband [N, N·m] and deadband_type; a design, or a `controller.yaml`.
+        Not for a design, which brings its own.
     surface
         Name of an identified surface, as in `x1`; the only one unless it or a stiffness is said.
     environment_stiffness
@@ -228,12 +229,12 @@ def predict(
     -------
     PredictedContact
         Forces over time, their peaks and the interval of these; `certified` says whether a certificate speaks of this
-        contact.
+        contact, and `outside` what of the plant lies outside of the certified ranges.
 
     Raises
     ------
     ParameterError
-        A number is out of range.
+        A number is out of range, or a stiffness so low that it must be of another unit than N/m.
     UsageError
         There is no such axis or surface, or it is not said which is meant.
     EstimateError
@@ -320,7 +321,7 @@ def load(path: str | Path) -> "Design | Identification | Plant":
     raise UsageError(f"{path} must be a controller.yaml, identified.yaml or plant.yaml, found {found}.")
 
 
-def from_control(system: Any, *, delay: float | tuple[float, float] | Uncertain = 0.0) -> Robot:
+def from_control(system: Any, *, delay: Quantity | None = None) -> Robot:
     """Return the robot whose r(s) a python-control system holds.
 
     Parameters
@@ -329,7 +330,7 @@ def from_control(system: Any, *, delay: float | tuple[float, float] | Uncertain 
         A continuous TransferFunction or StateSpace from commanded to measured position, one input and one output,
         stable, strictly proper, with r(0) = 1 [s in rad/s].
     delay
-        Dead time [s], which such a system cannot hold.
+        Dead time [s], which such a system cannot hold; taken as 0, with a note, unless it is given.
 
     Returns
     -------

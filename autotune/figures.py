@@ -16,12 +16,14 @@ if TYPE_CHECKING:
 
 
 _POINTS = 700
+# A law by Tustin's rule has a zero at the Nyquist frequency itself, whose dB would set the scale.
+_NYQUIST_SHARE = 0.9
 
 
 def bode_chart(design: "AxisDesign") -> Chart:
     """Draw gain and phase of the open loop, cut at the force, for the ends of the domain and its worst plant.
 
-    L is that of the exact sampled loop (docs/method.md, "The loop"), to half the sampling rate.
+    L is that of the exact sampled loop (docs/method.md, "The loop"), to 0.9 of the Nyquist frequency.
     """
     worst = design.worst_plant() or design.corners()[-1]
     cases: list[tuple[str, Role, Any]] = [
@@ -32,6 +34,7 @@ def bode_chart(design: "AxisDesign") -> Chart:
     for name, role, plant in [*cases, ("worst plant", "after", worst)]:
         sampled = build_sampled_plant(plant, design.sample_time_s)
         frequency = frequency_grid(sampled, _POINTS)
+        frequency = frequency[frequency <= _NYQUIST_SHARE * np.pi / design.sample_time_s]
         loop = loop_response(sampled, design.law, frequency).at_force
         hertz = frequency / (2.0 * np.pi)
         gains.append(Line(x=hertz, y=20.0 * np.log10(np.abs(loop)), label=name, role=role))

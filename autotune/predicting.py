@@ -2,18 +2,20 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from autotune.design import Design
 from autotune.errors import UsageError
 from autotune.formats.identified import IdentifiedFile
-from autotune.formats.plant import Plant
+from autotune.formats.plant import NO_DELAY_GIVEN, Plant
 from autotune.formats.quantity import Uncertain
+from autotune.formats.stiffness_units import check_surface_unit, doubtful_surface
 from autotune.formats.units import ROTATIONAL_AXES
 from autotune.prediction.against_touches import Running, TouchComparison, compare_touches
-from autotune.prediction.contact import Law, check_approach
+from autotune.prediction.certified import outside_domain
+from autotune.prediction.contact import check_approach
 from autotune.prediction.law import law_of, law_of_gains
 from autotune.prediction.plants import Surface, build_plants, find_axis
 from autotune.prediction.result import PredictedContact, predict_contact
@@ -33,7 +35,10 @@ _MOST = {"payload_mass": 1e3, "sample_time": 0.1}
 
 @dataclass(frozen=True, kw_only=True)
 class ContactRequest:
-    """What contact is asked for, None where the plant or the gains say it; units as of `autotune.predict`."""
+    """What contact is asked for, None where the plant or the gains say it; units as of `autotune.predict`.
+
+    With `has_unit` the unit of the stiffness was typed, so that it is meant, however soft.
+    """
 
     surface: str = ""
     stiffness: float | Uncertain | None = None
@@ -42,6 +47,7 @@ class ContactRequest:
     force: float | None = None
     axis: str | None = None
     sample_time: float | None = None
+    has_unit: bool = False
 
     def __post_init__(self) -> None:
         for name, most in _MOST.items():
@@ -87,7 +93,8 @@ def _is_number(value: object) -> bool:
 
 def predict_any(source: object, gains: Gains, asked: ContactRequest) -> PredictedContact:
     """Predict one contact of a design, a plant or what was identified; see `autotune.predict`."""
-    if isinstance(source, Design) and gains is None:
+    if isinstance(source, Design):
+        _check_of_design(gains, asked)
         return source.predict(
             environment_stiffness=asked.touched().stiffness,
             payload_mass=asked.payload_mass,
@@ -101,8 +108,43 @@ def predict_any(source: object, gains: Gains, asked: ContactRequest) -> Predicte
         raise UsageError("Say how the contact begins: approach_force or approach_speed.")
     surface = asked.touched()
     axis = find_axis(file.result, asked.axis, surface)
+    notes = []
+    if surface.stiffness is not None and axis not in ROTATIONAL_AXES:
+        around = surface.stiffness, surface.stiffness
+        if not asked.has_unit:
+            check_surface_unit(around, surface.stiffness)
+            notes += list(doubtful_surface(around))
+    notes += [each.message for each in file.result.findings if each.message == NO_DELAY_GIVEN]
     plants = build_plants(file, surface, axis=axis, payload_mass=asked.payload_mass, sample_time_s=asked.sample_time)
-    return predict_contact(plants, law_on(gains, axis), approach)
+    controller = _controller(gains)
+    law = law_of(controller, axis) if controller is not None else law_of_gains(_mapping(gains))
+    found = predict_contact(plants, law, approach)
+    outside = () if controller is None else outside_domain(controller.certificate.domain[axis], found)
+    return replace(found, outside=outside, neglected=(*notes, *found.neglected))
+
+
+def _check_of_design(gains: Gains, asked: ContactRequest) -> None:
+    """Refuse what a design brings itself."""
+    given = {"gains": gains, "surface": asked.surface or None, "sample_time": asked.sample_time}
+    for name, value in given.items():
+        if value is not None:
+            raise UsageError(
+                f"{name}= does not go with a Design, which brings its own gains, period and certified plants: leave it "
+                "out, or predict on a Plant, an Identification or the path of one."
+            )
+    if isinstance(asked.stiffness, Uncertain):
+        raise UsageError("environment_stiffness of a Design must be one number [N/m, N·m/rad], without a deviation.")
+
+
+def _controller(gains: Gains) -> "Controller | None":
+    """Return the controller that the gains are of, None for gains in numbers."""
+    if isinstance(gains, Design):
+        return gains.controller
+    if isinstance(gains, str | Path):
+        from autotune.formats.controller import read_controller  # noqa: PLC0415 - a file only
+
+        return read_controller(gains).controller
+    return None
 
 
 def plant_file(source: object) -> IdentifiedFile:
@@ -116,19 +158,12 @@ def plant_file(source: object) -> IdentifiedFile:
     )
 
 
-def law_on(gains: Gains, axis: str) -> Law:
-    """Return the law of an axis; raises UsageError where the gains say none."""
-    if isinstance(gains, Design):
-        return law_of(gains.controller, axis)
-    if isinstance(gains, str | Path):
-        from autotune.formats.controller import read_controller  # noqa: PLC0415 - a file only
-
-        return law_of(read_controller(gains).controller, axis)
-    if not isinstance(gains, Mapping):
-        raise UsageError(
-            "A contact of a plant needs gains: a mapping with mass and damping, a design, or the path of a controller."
-        )
-    return law_of_gains(gains)
+def _mapping(gains: Gains) -> Mapping[str, float | str]:
+    if isinstance(gains, Mapping):
+        return gains
+    raise UsageError(
+        "A contact of a plant needs gains: a mapping with mass and damping, a design, or the path of a controller."
+    )
 
 
 def parse_gains(text: str, axis: str | None) -> dict[str, float | str]:

@@ -1,6 +1,7 @@
-"""A dictionary that cannot be changed, for the fields of frozen records: it compares, copies and pickles as one."""
+"""Frozen records: a dictionary that cannot be changed for their fields, and a short text of what was said."""
 
 from collections.abc import Iterable, Mapping
+from dataclasses import MISSING, fields
 from typing import Any, NoReturn, TypeVar
 
 _Key = TypeVar("_Key")
@@ -34,3 +35,14 @@ def freeze(record: object, *names: str) -> None:
     for name in names:
         content: Mapping[Any, Any] | Iterable[tuple[Any, Any]] = getattr(record, name)
         object.__setattr__(record, name, FrozenDict(content))
+
+
+def short_repr(record: Any, name: str) -> str:
+    """Return the `repr` of a dataclass under a name, with the fields that are not at their defaults alone."""
+    said = []
+    for each in fields(record):
+        default = each.default if each.default_factory is MISSING else each.default_factory()
+        value = getattr(record, each.name)
+        if each.repr and value != default:
+            said.append(f"{each.name}={value!r}")
+    return f"{name}({', '.join(said)})"

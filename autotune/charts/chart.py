@@ -136,7 +136,7 @@ class Heat:
     `x` and `y` are the middles of the cells, evenly spaced on the panel's scales. With `limits` the colours span them,
     symmetric limits get a scale with a neutral middle. `names` (x, y) replaces the ticks of a table of names.
     `spacing` is that of the colours, turned round where values are `descending`; with `smooth` they run on between the
-    cells, and lines of equal value are drawn.
+    cells, and lines of equal value are drawn. `hole` says what it means where there is no number.
     """
 
     x: RealArray
@@ -149,6 +149,7 @@ class Heat:
     spacing: Spacing = "linear"
     smooth: bool = False
     descending: bool = False
+    hole: str = ""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "x", _column(self.x))

@@ -325,8 +325,9 @@ def _(heat: Heat, axes: Axes) -> None:
     # A map is a picture within the picture: as vectors its cells alone would outweigh the page.
     many = heat.values.size > _MOST_VECTOR_CELLS
     hole: dict[str, Any] = {"transform": axes.transAxes, "color": FURNITURE["hole"], "linewidth": 0.0, "zorder": 0.0}
-    axes.add_patch(Rectangle((0.0, 0.0), 1.0, 1.0, **hole))
     values: Any = np.asarray(heat.values)
+    label = heat.hole if heat.hole and np.any(np.isnan(values)) else None
+    axes.add_patch(Rectangle((0.0, 0.0), 1.0, 1.0, label=label, **hole))
     axes.pcolormesh(heat.x, heat.y, values, vmin=low, vmax=high, cmap=colours, shading="nearest", rasterized=many)
     if heat.names is not None:
         axes.set_xticks(heat.x, heat.names[0], rotation=60.0, ha="right", rotation_mode="anchor")

@@ -100,8 +100,9 @@ def command(
 ) -> None:
     """Draw stability, a margin or the peak force over two parameters of the loop, and save the numbers.
 
-    SOURCE is identified.yaml (give the gains with --set or --controller) or controller.yaml (its plant is that of the
-    certificate). Without --x and --y the axes are damping and lead gain, around the design, which is marked.
+    SOURCE is identified.yaml or plant.yaml (give the gains with --set or --controller) or controller.yaml (its plant is
+    that of the certificate). Without --x and --y the axes are damping and lead gain, around the design, which is
+    marked.
 
     stable-damping draws the smallest stable damping over the environment stiffness for each part of the controller,
     stable-lead all stable lead gains over the payload frequency; --y then names the parameter of which a few values

@@ -184,6 +184,8 @@ def _request(options: dict[str, Any], result: Any) -> Any:
         axis=axis,
         payload_mass=_number(options["payload_mass"], "mass", "--payload-mass"),
         sample_time=_number(options["sample_time"], "time", "--sample-time"),
+        # Every unit of a stiffness is a quotient.
+        has_unit="/" in (options["surface"] or ""),
         **approach,
     )
 

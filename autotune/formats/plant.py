@@ -24,7 +24,7 @@ from identification.result import (
     WrenchFilterEstimate,
 )
 from problems.errors import ParameterError
-from problems.frozen import FrozenDict
+from problems.frozen import FrozenDict, short_repr
 from problems.model.robot import bandwidth_hz
 
 from .atomic import check_target, write_atomic
@@ -32,11 +32,13 @@ from .identified import IN_MEMORY, IdentifiedFile
 from .quantity import Interval, Quantity, Uncertain, as_interval, as_number, as_numbers, as_quantity, nominal_value
 from .robot import LONGEST_DELAY_S, Robot
 from .schema import VERSION
+from .stiffness_units import DOUBTFUL_N_PER_M, check_surface_unit, doubtful_surface, interval_text
 from .yaml12 import dump_yaml
 
 FORMAT = "autotune/plant"
 TAKEN_AS_EXACT = "taken-as-exact"
 """Code of the finding that says what was given as a plain number."""
+NO_DELAY_GIVEN = "The robot's delay was not given: 0 s was taken."
 Vector = tuple[float, float, float]
 _UNKNOWN = "not known: the plant was written by hand"
 # Of each component, as a controller file holds them.
@@ -52,11 +54,8 @@ _MOST: Mapping[str, float] = FrozenDict(
         "drag": 1e6,
     }
 )
-# A stiffness in N/mm or kN/m that is written as N/m is a thousandth of what it should be. Then the payload hangs far
-# down from its coupling, and a usual press goes deep into the surface.
-_GRAVITY, _USUAL_PRESS_N = 9.81, 30.0
-_IMPOSSIBLE_SAG_M, _DOUBTFUL_SAG_M = 0.1, 0.02
-_IMPOSSIBLE_DEPTH_M, _DOUBTFUL_N_PER_M = 1.0, 2e3
+# From a stiffness in N/mm or kN/m that is written as N/m the payload hangs far down.
+_GRAVITY, _IMPOSSIBLE_SAG_M, _DOUBTFUL_SAG_M = 9.81, 0.1, 0.02
 _DOMAIN_NAMES: Mapping[str, str] = FrozenDict(
     {
         "mass": "payload_mass_kg",
@@ -91,7 +90,7 @@ _UNITS: Mapping[str, str] = FrozenDict(
 )
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Plant(Shown):
     """One straight axis of a cell as a person knows it, in SI.
 
@@ -202,14 +201,12 @@ class Plant(Shown):
 
     def _check_units(self) -> None:
         """Refuse a stiffness that can only be meant in N/mm or kN/m."""
-        surface, coupling = self._intervals()["environment_stiffness"], self._intervals()["coupling_stiffness"]
+        coupling = self._intervals()["coupling_stiffness"]
         if self._sag_m() > _IMPOSSIBLE_SAG_M:
-            must = f"in N/m: from this one the payload hangs {self._sag_m():.2g} m down{_meant(coupling)}"
-            raise ParameterError("coupling_stiffness", self.coupling_stiffness, must)
-        if surface[0] < _USUAL_PRESS_N / _IMPOSSIBLE_DEPTH_M:
-            depth = _USUAL_PRESS_N / surface[0]
-            must = f"in N/m: into this one {_USUAL_PRESS_N:g} N press {depth:.2g} m deep{_meant(surface)}"
-            raise ParameterError("environment_stiffness", self.environment_stiffness, must)
+            must = f"in N/m: from this one the payload hangs {self._sag_m():.2g} m down"
+            meant = f"{must} (did you mean {interval_text(coupling, 1e3)}?)"
+            raise ParameterError("coupling_stiffness", self.coupling_stiffness, meant)
+        check_surface_unit(self._intervals()["environment_stiffness"], self.environment_stiffness)
 
     def _sag_m(self) -> float:
         """Return how far the payload hangs down from its coupling at least, M_p g/K_s."""
@@ -218,19 +215,13 @@ class Plant(Shown):
 
     def doubtful_units(self) -> Iterator[str]:
         """Yield a sentence for each stiffness that is possible in N/m, and usual in N/mm or kN/m."""
-        surface, coupling = self._intervals()["environment_stiffness"], self._intervals()["coupling_stiffness"]
-        if surface[1] < _DOUBTFUL_N_PER_M:
-            least, most = (1e3 * _USUAL_PRESS_N / each for each in reversed(surface))
-            depth = f"{least:.3g}" if least == most else f"{least:.3g} to {most:.3g}"
+        coupling = self._intervals()["coupling_stiffness"]
+        yield from doubtful_surface(self._intervals()["environment_stiffness"])
+        if self._sag_m() > _DOUBTFUL_SAG_M or coupling[1] < DOUBTFUL_N_PER_M:
             yield (
-                f"An environment_stiffness of {_text(surface)} N/m is very soft: {_USUAL_PRESS_N:g} N press {depth} mm "
-                f"into it. If it was meant in N/mm or kN/m, write {_text(surface, 1e3)}."
-            )
-        if self._sag_m() > _DOUBTFUL_SAG_M or coupling[1] < _DOUBTFUL_N_PER_M:
-            yield (
-                f"A coupling_stiffness of {_text(coupling)} N/m is very soft: the payload hangs "
+                f"A coupling_stiffness of {interval_text(coupling)} N/m is very soft: the payload hangs "
                 f"{1e3 * self._sag_m():.3g} mm down from it. If it was meant in N/mm or kN/m, write "
-                f"{_text(coupling, 1e3)}."
+                f"{interval_text(coupling, 1e3)}."
             )
 
     def _intervals(self) -> dict[str, Interval]:
@@ -261,6 +252,9 @@ class Plant(Shown):
 
     def _headline(self) -> str:
         return f"Plant of axis {self.axis}"
+
+    def __repr__(self) -> str:
+        return short_repr(self, "Plant")
 
     def _tables(self) -> Iterator[ResultTable]:
         written = {**_tree(self), **{f"robot.{name}": each for name, each in _tree(self.robot).items()}}
@@ -310,15 +304,6 @@ def exact_message(names: Sequence[str]) -> str:
     """Return what it means that these are exact; empty where there is nothing to say."""
     holds = "Taken as exact, so what is certified holds for these numbers only:"
     return f"{holds} {', '.join(names)}." if names else ""
-
-
-def _text(interval: Interval, factor: float = 1.0) -> str:
-    low, high = (f"{factor * each:g}" for each in interval)
-    return low if low == high else f"{low} to {high}"
-
-
-def _meant(interval: Interval) -> str:
-    return f" (did you mean {_text(interval, 1e3)}?)"
 
 
 def _tree(record: Plant | Robot) -> dict[str, Any]:
@@ -419,6 +404,9 @@ def _wrench_filter(plant: Plant) -> WrenchFilterEstimate | None:
 def _findings(plant: Plant) -> list[Finding]:
     """Say what the certificate of such a plant cannot hold for."""
     found = [Finding.warning("unit-suspected", sentence, "") for sentence in plant.doubtful_units()]
+    if plant.robot.delay is None:
+        advice = "Give the robot's delay, a range of it where it is not known: a later robot leaves less margin."
+        found.append(Finding.warning("delay-not-given", NO_DELAY_GIVEN, advice))
     exact = plant.exact()
     if exact:
         found.append(

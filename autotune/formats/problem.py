@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from autotune.errors import UsageError
 from autotune.plugins import build_requirements, find_requirement, load_objective, load_requirement, objective_names
@@ -12,14 +12,16 @@ from problems.contact.transient import Approach
 from problems.design.evaluation import CustomRequirement
 from problems.design.objectives import BUILT_IN as BUILT_IN_OBJECTIVES
 from problems.design.objectives import CONTACT_FORCE, Objective
+from problems.design.problem import FURTHER_VARIABLES, VARIABLES
 from problems.design.requirements import BUILT_IN, FIELDS, Requirement, Requirements
 from problems.design.uncertainty import FURTHER_UNCERTAIN, UNCERTAIN
 from problems.errors import ParameterError
-from problems.frozen import freeze
+from problems.frozen import freeze, short_repr
 from problems.model.controller import check_feedback_damping
 
 from .canonical import Place, spell
 from .limits import LimitsSpec
+from .quantity import as_interval, as_numbers
 from .records import ROTATIONAL_KEYS, rename_axis_keys
 from .schema import check_document, load_schema
 from .units import AXES
@@ -69,7 +71,7 @@ class RotationalSpec:
         freeze(self, "bounds", "uncertain", "requirements", "soft_n")
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class ProblemSpec:
     """What is asked of a controller, by `problem.yaml`, options or arguments; None or empty where the default holds.
 
@@ -100,8 +102,44 @@ class ProblemSpec:
     with_unit: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
+        self._check_types()
+        for name in ("environment_stiffness_n_per_m", "payload_mass_kg", "collision_threshold_n"):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, _range(name, getattr(self, name)))
+        known = {"bounds": (*VARIABLES, *FURTHER_VARIABLES), "free": FURTHER_VARIABLES, "uncertain": FURTHER_UNCERTAIN}
+        for field_name, names in known.items():
+            for name, given in getattr(self, field_name).items():
+                if name not in names:
+                    raise ParameterError(field_name, name, f"given for {', '.join(names)} only")
+                if field_name != "uncertain" or not (isinstance(given, str) and given in get_args(Origin)):
+                    _range(f"{field_name}[{name!r}]", given)
         freeze(self, "bounds", "uncertain", "free", "options")
         object.__setattr__(self, "objective", _objective(self.objective))
+
+    def __repr__(self) -> str:
+        return short_repr(self, "Problem")
+
+    def _check_types(self) -> None:
+        """Raise ParameterError for an argument that is no value of its type."""
+        said: Any = self.axes
+        axes = (said,) if isinstance(said, str) else said
+        if axes is not None and not (isinstance(axes, tuple | list) and axes and all(each in AXES for each in axes)):
+            raise ParameterError("axes", self.axes, f"names among {', '.join(AXES)}, or left out for all")
+        object.__setattr__(self, "axes", None if axes is None else tuple(axes))
+        kinds: dict[str, tuple[type, str]] = {
+            "bounds": (Mapping, "{name: (low, high)}"),
+            "free": (Mapping, "{name: (low, high)}"),
+            "uncertain": (Mapping, "{name: (low, high)}"),
+            "approach": (Approach, "at.Approach(force_n=…) or at.Approach(speed_m_s=…)"),
+            "requirements": (Requirements, "at.Requirements(modulus_margin=…, …)"),
+            "rotational": (RotationalSpec, "a RotationalSpec"),
+            "limits": (LimitsSpec, "a LimitsSpec"),
+            "compliance": (ComplianceSpec, "a ComplianceSpec"),
+        }
+        for name, (kind, must) in kinds.items():
+            given = getattr(self, name)
+            if not isinstance(given, kind) and not (given is None and name in ("approach", "compliance")):
+                raise ParameterError(name, given, must)
 
     def with_options(
         self,
@@ -142,6 +180,15 @@ def read_problem(path: Path) -> ProblemSpec:
         )
     except ParameterError as error:
         raise UsageError(f"{path}: {error}") from error
+
+
+def _range(name: str, given: object) -> Interval:
+    """Return (low, high) as floats; raises ParameterError for anything else."""
+    try:
+        low, high = as_numbers(name, given, 2)
+    except ParameterError:
+        raise ParameterError(name, given, "a range (low, high)") from None
+    return as_interval(name, (low, high), may_vanish=name not in {_STIFFNESS, "payload_mass_kg"})
 
 
 def _objective(given: object) -> Objective:

@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 
 from problems.errors import ParameterError
+from problems.frozen import short_repr
 from problems.model.robot import RobotModel, bandwidth_hz, bandwidth_share
 
 from .quantity import Interval, Quantity, as_interval, as_numbers, as_quantity, nominal_value
@@ -12,7 +13,7 @@ LONGEST_DELAY_S = 0.1
 SLOWEST_HZ, FASTEST_HZ = 0.01, 1000.0
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Robot:
     """A position-controlled robot: how its flange follows a commanded position, r(s) exp(-s delay) with r(0) = 1.
 
@@ -22,7 +23,8 @@ class Robot:
         Frequency at which the gain falls to 1/sqrt(2), 0.01 to 1000 [Hz]: a robot of one pole, or with
         `damping_ratio` of two.
     delay
-        Dead time from command to motion, without the hold of one period, below 0.1 [s].
+        Dead time from command to motion, without the hold of one period, below 0.1 [s]; taken as 0, with a note, unless
+        it is given.
     damping_ratio
         Of a robot with two poles [1].
     numerator, denominator
@@ -37,7 +39,7 @@ class Robot:
     """
 
     bandwidth: Quantity | None = None
-    delay: Quantity = 0.0
+    delay: Quantity | None = None
     damping_ratio: Quantity | None = None
     numerator: tuple[float, ...] | None = None
     denominator: tuple[float, ...] | None = None
@@ -58,7 +60,7 @@ class Robot:
             if getattr(self, name) is not None:
                 checked = as_quantity(name, getattr(self, name), may_vanish=name == "delay")
                 object.__setattr__(self, name, checked)
-        if self.ranges()["delay"][1] >= LONGEST_DELAY_S:
+        if self.delay is not None and self.ranges()["delay"][1] >= LONGEST_DELAY_S:
             must = f"below {LONGEST_DELAY_S:g} s: no contact is controlled through a robot that is later"
             raise ParameterError("delay", self.delay, must)
         model, given = self.model(), self.ranges().get("bandwidth")
@@ -68,9 +70,13 @@ class Robot:
             must = f"{'' if given else 'of a bandwidth '}from {SLOWEST_HZ:g} to {FASTEST_HZ:g} Hz; mind its unit"
             raise ParameterError(name, found, must)
 
+    def __repr__(self) -> str:
+        return short_repr(self, "Robot")
+
     def ranges(self) -> dict[str, Interval]:
-        """Return the lowest and highest value of bandwidth [Hz], damping ratio and delay [s], as far as given."""
-        given = {"bandwidth": self.bandwidth, "damping_ratio": self.damping_ratio, "delay": self.delay}
+        """Return lowest and highest value of bandwidth [Hz] and damping ratio, as far as given, and of delay [s]."""
+        delay = 0.0 if self.delay is None else self.delay
+        given = {"bandwidth": self.bandwidth, "damping_ratio": self.damping_ratio, "delay": delay}
         return {
             name: as_interval(name, each, may_vanish=name == "delay")
             for name, each in given.items()

@@ -151,6 +151,13 @@ def explain(problem: Breach) -> Violation:
         unknown = next(key for key in found if key not in known)
         must = f"one of {', '.join(known)}"
         return Violation(place=(*place, unknown), must=must, found=f"the key {unknown}", rule=rule)
+    if rule == "anyOf" and isinstance(found, Mapping):
+        # Only one of the kinds is a mapping: what is wrong is within it.
+        within = [
+            each for each in getattr(problem, "context", None) or () if each.validator != "type" or len(each.path)
+        ]
+        if len({each.schema_path[0] for each in within}) == 1:
+            return explain(within[0])
     return Violation(place=place, must=_must(rule, limit, problem), found=describe(found), rule=rule)
 
 

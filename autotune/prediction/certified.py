@@ -5,9 +5,14 @@ from dataclasses import replace
 
 from autotune.formats.certificate_record import AxisDomain
 from autotune.formats.controller_record import Controller, admittance_controller
+from autotune.formats.plant import NO_DELAY_GIVEN
+from autotune.formats.stiffness_units import check_surface_unit, doubtful_surface, interval_text
+from autotune.formats.units import ROTATIONAL_AXES, axis_units
 from problems.contact.transient import Approach
-from problems.design.uncertainty import MASS, STIFFNESS
+from problems.design.uncertainty import MASS, STIFFNESS, SYMBOLS
 from problems.errors import ParameterError
+from problems.model.plant_parameters import PARAMETERS
+from problems.model.robot import has_damping_ratio
 
 from .contact import Law, check_approach
 from .plants import PlantEnsemble, Surface, range_plants
@@ -61,10 +66,11 @@ def predict_certified(
     """Predict a contact of a controller file on its own nominal plant; the interval is that over its certified plants.
 
     Without a payload's mass it is that with the largest peak of both ends of the domain, and the interval is
-    over the whole range of payloads. Raises ParameterError for numbers out of range, UnstableLoopError where the loop
-    is unstable.
+    over the whole range of payloads. Raises ParameterError for numbers out of range and a stiffness that must be of
+    another unit, UnstableLoopError where the loop is unstable.
     """
     domain, predicted = controller.certificate.domain[axis], controller.predicted[axis]
+    notes = [NO_DELAY_GIVEN] if any(NO_DELAY_GIVEN in each for each in controller.provenance.get("notes", ())) else []
     is_said = approach_speed is not None or approach_force is not None
     approach = Approach(force_n=approach_force, speed_m_s=approach_speed) if is_said else domain.approach
     check_approach(approach)
@@ -72,6 +78,9 @@ def predict_certified(
         raise ParameterError("payload_mass", payload_mass, "greater than 0 and at most 1000")
     if not (0.0 < stiffness < math.inf):
         raise ParameterError("environment_stiffness", stiffness, "a number greater than 0")
+    if axis not in ROTATIONAL_AXES:
+        check_surface_unit((stiffness, stiffness), stiffness)
+        notes += doubtful_surface((stiffness, stiffness))
     law = Law(controller=admittance_controller(controller, axis))
     masses = set(domain.payload_mass_kg) if payload_mass is None else {payload_mass}
     found = max(
@@ -92,14 +101,24 @@ def predict_certified(
         ),
         key=lambda each: each.contact.peak_contact_force_n,
     )
-    (soft, stiff), (light, heavy) = domain.environment_stiffness_n_per_m, domain.payload_mass_kg
-    is_within = (
-        soft <= stiffness <= stiff
-        and found.plant is not None
-        and light <= found.plant.payload.mass_kg <= heavy
-        and approach == domain.approach
-    )
-    if not is_within:
+    found = replace(found, outside=outside_domain(domain, found), neglected=(*notes, *found.neglected))
+    if found.outside or approach != domain.approach:
         return found
     worst = max(each.peak_contact_force_n for each in predicted.scenarios)
     return replace(found, certified=found.peak_force <= worst * (1.0 + _ROUNDING), certified_peak=worst)
+
+
+def outside_domain(domain: AxisDomain, found: PredictedContact) -> tuple[str, ...]:
+    """Return what of the plant of a prediction lies outside of the ranges of a certificate; without payload nothing."""
+    if found.plant is None or not found.has_payload:
+        return ()
+    units, outside = axis_units(found.axis), []
+    shown = {STIFFNESS: f" {units.stiffness}", MASS: f" {units.mass}"}
+    for name, (low, high) in domain.plants.ranges.items():
+        if name == "robot_damping_ratio" and not has_damping_ratio(found.plant.robot):
+            continue
+        value = PARAMETERS[name].value(found.plant)
+        if not low * (1.0 - _ROUNDING) <= value <= high * (1.0 + _ROUNDING):
+            unit = shown.get(name, "")
+            outside.append(f"{SYMBOLS[name]} {interval_text((low, high))}{unit}, here {value:.4g}{unit}")
+    return tuple(outside)

@@ -54,6 +54,8 @@ class PredictedContact(Shown):
     certified_peak
         The largest peak that the file predicts over its domain, computed on a grid and no proved bound [N, N·m]; None
         outside of the domain, or without such a file.
+    outside
+        What of the plant lies outside of the ranges for which the certificate of the controller holds, one text each.
 
     """
 
@@ -70,6 +72,7 @@ class PredictedContact(Shown):
     blow: float = 0.0
     certified: bool = False
     certified_peak: float | None = None
+    outside: tuple[str, ...] = ()
 
     @property
     def first_blow(self) -> float:
@@ -87,9 +90,16 @@ class PredictedContact(Shown):
         return max(self.contact.peak_sensor_force_n, self.first_blow)
 
     @property
-    def time_of_peak(self) -> float:
-        """When the force at the surface is largest [s after touching]."""
-        return 0.0 if self.first_blow > self.contact.peak_contact_force_n else self.contact.time_of_peak_s
+    def time_of_peak(self) -> float | None:
+        """When the force at the surface is largest [s after touching]; None where it rises until the run ends."""
+        if self.first_blow > self.contact.peak_contact_force_n:
+            return 0.0
+        return None if self._still_rises(self.contact.time_of_peak_s) else self.contact.time_of_peak_s
+
+    def _still_rises(self, time_of_peak_s: float) -> bool:
+        """Whether a force that is largest at this time still rises where the run was ended by its longest time."""
+        time = self.contact.time_s
+        return not self.contact.is_settled and len(time) > 1 and time_of_peak_s >= float(time[-2])
 
     def _headline(self) -> str:
         units = axis_units(self.axis)
@@ -100,10 +110,15 @@ class PredictedContact(Shown):
             )
         stiffness = self.plant.environment.stiffness_n_per_m * (1.0 if self.has_payload else 0.5)
         mass = f"a payload of {self.plant.payload.mass_kg:.4g} {units.mass}" if self.has_payload else "no payload"
+        when = self.time_of_peak
+        if when is None:
+            end = f"{self.contact.contact_force_n[-1]:.3g} {units.force} {self.contact.time_s[-1]:.3g} s"
+            peak = f"still rises to {self.peak_force:.4g} {units.force} at the surface when the run ends, {end}"
+        else:
+            peak = f"peak {self.peak_force:.4g} {units.force} at the surface, {1e3 * when:.3g} ms"
         return (
-            f"Predicted contact on axis {self.axis}: peak {self.peak_force:.4g} {units.force} at the surface, "
-            f"{1e3 * self.time_of_peak:.3g} ms after touching {stiffness:.4g} "
-            f"{units.stiffness} at {self.contact.contact_speed_m_s:.3g} {units.speed} with {mass}"
+            f"Predicted contact on axis {self.axis}: {peak} after touching {stiffness:.4g} {units.stiffness} at "
+            f"{self.contact.contact_speed_m_s:.3g} {units.speed} with {mass}"
         )
 
     def _tables(self) -> Iterator[ResultTable]:
@@ -121,16 +136,23 @@ class PredictedContact(Shown):
                     name,
                     f"{peak:.1f}",
                     interval_text(span),
-                    "0 (first blow)" if peak == self.first_blow else f"{1e3 * time:.1f}",
+                    self._when(peak, time),
                 )
                 for name, peak, span, time in rows
             ),
         )
 
+    def _when(self, peak: float, time_s: float) -> str:
+        if peak == self.first_blow:
+            return "0 (first blow)"
+        return "still rises" if self._still_rises(time_s) else f"{1e3 * time_s:.1f}"
+
     def _notes(self) -> Sequence[str]:
         return (*self._certificate_notes(), *self.neglected, *interval_notes(self.interval, self.model_error))
 
     def _certificate_notes(self) -> Iterator[str]:
+        if self.outside:
+            yield f"outside of what the certificate holds: {'; '.join(self.outside)}"
         if self.certified_peak is not None:
             yield (
                 f"largest peak that the controller file predicts over its domain: {self.certified_peak:.4g} "
@@ -146,6 +168,7 @@ class PredictedContact(Shown):
             "surface": self.surface,
             "certified": self.certified,
             "certified_peak": self.certified_peak,
+            "outside": list(self.outside),
             "law": plain_tree(self.law),
             "plant": None if self.plant is None else {**_plant_tree(self.plant), "has_payload": self.has_payload},
             "contact": plain_tree(self.contact),
@@ -256,7 +279,10 @@ def contact_chart(contact: ContactTransient, units: AxisKind, title: str, band: 
     """
     time = 1e3 * contact.time_s
     ground = Band(x=1e3 * band.time_s, low=band.low, high=band.high, label="interval at the sensor")
+    # What a force only rises to until the run ends is no point of its curve.
+    is_seen = contact.is_settled or contact.time_of_peak_s < float(contact.time_s[-1])
     peak = np.array([1e3 * contact.time_of_peak_s]), np.array([contact.peak_contact_force_n])
+    marks = (Points(x=peak[0], y=peak[1], role="after", marker="diamond", label="peak", names=("peak",)),)
     return Chart(
         key="contact",
         title=title,
@@ -269,7 +295,7 @@ def contact_chart(contact: ContactTransient, units: AxisKind, title: str, band: 
                     ground,
                     Line(x=time, y=contact.contact_force_n, label="at the surface", role="after"),
                     Line(x=time, y=contact.sensor_force_n, label="at the sensor", role="after", dashed=True),
-                    Points(x=peak[0], y=peak[1], role="after", marker="diamond", label="peak", names=("peak",)),
+                    *(marks if is_seen else ()),
                 ),
             ),
         ),

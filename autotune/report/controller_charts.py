@@ -392,7 +392,8 @@ def _map_panel(
     colours: tuple[float, float],
     point: tuple[float, float],
 ) -> Panel:
-    heat = Heat(x=x.values(), y=y.values(), values=margin, label="smallest modulus margin", limits=colours)
+    of: dict[str, Any] = {"label": "smallest modulus margin", "limits": colours, "hole": "unstable"}
+    heat = Heat(x=x.values(), y=y.values(), values=margin, **of)
     elements: list[Element] = [heat]
     if design.modulus_asked is not None:
         edge = level_lines(heat, design.modulus_asked)

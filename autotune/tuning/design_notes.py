@@ -3,14 +3,14 @@
 from collections.abc import Iterator, Mapping
 
 from autotune.formats.controller_record import Controller
-from autotune.formats.identified import IdentifiedFile
+from autotune.formats.identified import IN_MEMORY, IdentifiedFile
 from autotune.formats.plant import TAKEN_AS_EXACT, exact_message, exact_within
 from autotune.formats.problem import ProblemSpec
 from autotune.formats.units import ROTATIONAL_AXES, axis_units
 from problems.design.problem import DesignProblem
 
 from .plausible import doubtful_ranges, left_out_contacts
-from .problems import is_identified_mass
+from .problems import is_identified_mass, payload_word
 
 
 def exact_names(plant: IdentifiedFile, problems: Mapping[str, DesignProblem]) -> tuple[str, ...]:
@@ -30,15 +30,15 @@ def design_notes(
     has_compliance: bool,
 ) -> Iterator[str]:
     """Yield what the user should know beside a controller; `has_compliance`: the surface is still to be built."""
-    exact = exact_names(plant, problems)
+    exact, source = exact_names(plant, problems), "" if plant.path == IN_MEMORY else f"{plant.path}: "
     for finding in plant.result.findings:
         message = exact_message(exact) if finding.code == TAKEN_AS_EXACT else finding.message
         if finding.severity != "info" and message:
-            yield f"{plant.path}: {finding.severity}: {message}"
+            yield f"{source}{finding.severity}: {message}" if source else message
     if not is_identified_mass(plant.result, controller.payload.mass_kg):
         yield (
-            f"The runtime will compensate {controller.payload.mass_kg:g} kg with the centre of mass of the identified "
-            "payload; identify the new payload before it is led by hand."
+            f"The runtime will compensate {controller.payload.mass_kg:g} kg with the centre of mass of the "
+            f"{payload_word(plant.result)} payload; identify the new payload before it is led by hand."
         )
     if any(problem.plants.nominal.wrench_filter.delay_s > 0.0 for problem in problems.values()):
         yield (

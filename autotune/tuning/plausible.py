@@ -63,7 +63,7 @@ def _check(asked: Interval | None, known: Sequence[float], option: str, kind: st
         f" If it is meant, say its unit: {option} {_range_text(asked, kind)}{unit}." if option.startswith("--") else ""
     )
     wanted = f"{option} asks for {_range_text(asked, kind)} {unit}"
-    raise UsageError(f"{wanted}, and identified {_identified(known, kind, unit)}{meant}{said}")
+    raise UsageError(f"{wanted}, and the plant has {_identified(known, kind, unit)}{meant}{said}")
 
 
 def _distance(asked: Interval, known: Sequence[float]) -> float:

@@ -68,11 +68,11 @@ def build_problems(identified: Identified, spec: ProblemSpec) -> dict[str, Desig
             "environment_stiffness_n_per_m in problem.yaml."
         )
     if not identified.axes:
-        raise EstimateError("The identified file holds no axis, so there is nothing to tune.")
+        raise EstimateError("The plant holds no axis, so there is nothing to tune.")
     names = list(identified.axes) if spec.axes is None else list(spec.axes)
     unknown = [name for name in names if name not in identified.axes]
     if unknown:
-        raise UsageError(f"Axis {unknown[0]} is not in the identified file; it holds {', '.join(identified.axes)}.")
+        raise UsageError(f"Axis {unknown[0]} is not in the plant; it holds {', '.join(identified.axes)}.")
     _check_use(names, spec)
     _check_free(names, spec)
     approach = spec.approach or Approach(force_n=_DEFAULT_APPROACH_N)
@@ -145,7 +145,7 @@ def _check_same_payload(identified: Identified, name: str, asked: Interval | Non
     if not low <= asked[0] <= asked[1] <= high:
         payload = f"{asked[0]:g} kg" if asked[0] == asked[1] else f"{asked[0]:g} to {asked[1]:g} kg"
         raise UsageError(
-            f"A payload of {payload} is not the identified one ({low:g} to {high:g} kg), and its "
+            f"A payload of {payload} is not that of the plant ({low:g} to {high:g} kg), and its "
             f"moment of inertia about {name} does not follow from its mass. Say rotational.payload_inertia_kg_m2 in "
             "problem.yaml, or name the translational axes there with axis."
         )
@@ -169,9 +169,14 @@ def runtime_mass_kg(identified: Identified, certified: Interval | None) -> float
     if low == high or is_identified_mass(identified, nearest) or is_mass_range(identified):
         return nearest
     raise UsageError(
-        f"The payload range {low:g} to {high:g} kg leaves out the identified payload of {mass:.4g} kg, so the weight "
-        "to compensate is not known; widen the range, or name the one mass that the cell will carry."
+        f"The payload range {low:g} to {high:g} kg leaves out the {payload_word(identified)} payload of {mass:.4g} kg, "
+        "so the weight to compensate is not known; widen the range, or name the one mass that the cell will carry."
     )
+
+
+def payload_word(identified: Identified) -> str:
+    """Return whether the payload was given by a person or identified, for a sentence."""
+    return "given" if identified.payload.mass_kg.status is Status.GIVEN else "identified"
 
 
 def is_mass_range(identified: Identified) -> bool:

@@ -28,9 +28,7 @@ def check_domain(controller: Controller, identified: Identified) -> tuple[Check,
     checks = []
     for name, domain in controller.certificate.domain.items():
         axis = identified.axes.get(name)
-        problems = (
-            ["the identified file does not hold this axis"] if axis is None else list(_outside(name, domain, axis))
-        )
+        problems = ["the plant does not hold this axis"] if axis is None else list(_outside(name, domain, axis))
         problems += _wrench(domain, identified.sensor.wrench_filter)
         if name not in ROTATIONAL_AXES:
             problems += _carried_mass(identified.payload.mass_kg, domain.payload_mass_kg)

@@ -44,6 +44,7 @@ class AdmittanceRequirement(Requirement[AdmittanceTarget]):
     """min |G| over the band, of the robot alone: the payload does not enter G."""
 
     name, title = "free_space_admittance", "free-space admittance"
+    asked_as = AdmittanceTarget
     depends_on: ClassVar[Literal["loop", "robot", "contact"]] = "robot"
     unit, turning_unit = "m/s/N", "rad/s/(N·m)"
     lever_power = -2

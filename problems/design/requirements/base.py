@@ -26,7 +26,8 @@ class Requirement(ABC, Generic[Value]):
     `name` is the key in `problem.yaml` and `controller.yaml`; `unit` that of the threshold, `turning_unit` on rx, ry,
     rz where it is another one, and a threshold there is the straight one times the lever to the power `lever_power`.
     `depends_on` says what is evaluated for it: every plant's loop, the robot alone, or the simulated contacts. One
-    with `is_upper_limit` is met from below; `must_be_below` is what no threshold reaches, and why.
+    with `is_upper_limit` is met from below; `must_be_below` is what no threshold reaches, and why; `asked_as` is the
+    type of what is asked where that is no number.
 
     A number that is achieved is computed for each of `count` rows (plants, robots, scenarios); each row is smooth in
     the controller, the worst of them is not.
@@ -41,9 +42,12 @@ class Requirement(ABC, Generic[Value]):
     lever_power: ClassVar[int] = 0
     is_upper_limit: ClassVar[bool] = False
     must_be_below: ClassVar[tuple[float, str] | None] = None
+    asked_as: ClassVar[type | None] = None
 
     def checked(self, asked: Value) -> Value:
         """Return what is asked, checked; raises ParameterError for a threshold that cannot be one."""
+        if self.asked_as is not None and not isinstance(asked, self.asked_as):
+            raise ParameterError(self.name, asked, f"of the type {self.asked_as.__name__}")
         value = positive(self.name, self.threshold(asked))
         if self.must_be_below is not None and value >= self.must_be_below[0]:
             limit, reason = self.must_be_below

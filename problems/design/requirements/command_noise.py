@@ -35,6 +35,7 @@ class NoiseRequirement(LoopRequirement[NoiseLimit]):
     """RMS of (x^d_k − x^d_{k−1})/h in every loop; smooth, so that central differences give all digits that matter."""
 
     name, title = "command_noise", "command noise"
+    asked_as = NoiseLimit
     unit, turning_unit = "m/s", "rad/s"
     lever_power = -1
     is_upper_limit = True

@@ -30,6 +30,7 @@ class PassivityRequirement(Requirement[PassivityTarget]):
     """The frequency [Hz] at which Re G turns negative, of every different robot."""
 
     name, title = "passivity", "passivity"
+    asked_as = PassivityTarget
     depends_on: ClassVar[Literal["loop", "robot", "contact"]] = "robot"
     unit = "Hz"
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from ..._checks import positive
 from ...errors import ParameterError
-from ...frozen import FrozenDict, freeze
+from ...frozen import FrozenDict, freeze, short_repr
 from .admittance import AdmittanceTarget
 from .base import Requirement
 from .command_noise import NoiseLimit
@@ -22,7 +22,7 @@ RequirementValue = float | AdmittanceTarget | NoiseLimit | PassivityTarget
 """The threshold of a requirement, with what belongs to it."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Requirements:
     """What every scenario must meet; None asks for nothing. Stability is always asked.
 
@@ -45,6 +45,21 @@ class Requirements:
     further: Mapping[str, float] = field(default_factory=dict)
     plugins: tuple[Requirement[Any], ...] = ()
     soft_n: Mapping[str, float] = field(default_factory=dict)
+
+    def __new__(cls, **asked: Any) -> "Requirements":
+        """Refuse an argument that is no field with a sentence that names those that are."""
+        known = tuple(each.name for each in fields(cls))
+        for name, value in asked.items():
+            if name in BUILT_IN and name not in known:
+                raise ParameterError(name, value, f'given as further={{"{name}": …}}')
+            if name not in known:
+                further = ", ".join(each for each in BUILT_IN if each not in known)
+                must = f"left out, or be one of {', '.join(known)}; by further={{name: value}} go {further}"
+                raise ParameterError(name, value, must)
+        return super().__new__(cls)
+
+    def __repr__(self) -> str:
+        return short_repr(self, "Requirements")
 
     def __post_init__(self) -> None:
         for name in FIELDS:

@@ -240,7 +240,7 @@ def test_an_axis_that_was_not_identified_is_exit_2(run_cli: RunCli, tmp_path: Pa
     prepare(tmp_path, "axis: y\n")
     done = run_cli("optimize", "identified.yaml", "--problem", "problem.yaml")
     assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr == "autotune: Axis y is not in the identified file; it holds x.\n"
+    assert done.stderr == "autotune: Axis y is not in the plant; it holds x.\n"
 
 
 def test_a_limit_of_the_peak_that_the_residual_weight_breaks_is_said() -> None:

@@ -151,7 +151,9 @@ def test_map_and_explore_take_the_file(tmp_path: Path) -> None:
         ("mass: 16", "mass: -1", 3, "mass must be a number"),
         ("drag: 630", "drag: '630'", 5, "drag must be a number"),
         ("drag: 630", "drag: 630\ndrga: 1", 6, "drga must be one of"),
-        ("std: 0.0001", "std: 0", 8, "robot.delay must be"),
+        ("std: 0.0001", "std: 0", 8, "robot.delay.std must be greater than 0"),
+        ("std: 0.0001", "", 8, "robot.delay.std must be present"),
+        ("sample_time: 0.0008", "sample_time: 1", 10, "sample_time must be at most 0.1"),
         ("bandwidth: 3.2", "bandwidth: [3.4, 3.0]", 7, "range from low to high"),
         ("bandwidth: 3.2", "damping_ratio: 0.7", 6, "bandwidth must be given"),
         ("sample_time: 0.0008", "", 1, "sample_time must be present"),
@@ -243,6 +245,16 @@ def test_numbers_of_numpy_are_numbers() -> None:
     assert hash(made) == hash(plant(mass=(10.0, 20.0), force_bias=(0.0, 0.0, 0.0)))
 
 
+def test_a_delay_that_was_left_out_is_noted_and_stays_left_out(tmp_path: Path) -> None:
+    silent, said = plant(robot=Robot(bandwidth=6)), plant(robot=Robot(bandwidth=6, delay=0.0))
+    assert silent.file().domain == said.file().domain
+    assert silent.robot.model().delay_s == 0.0
+    silent.save(tmp_path / "plant.yaml")
+    assert read_plant(tmp_path / "plant.yaml").result == silent.file().result
+    assert "delay was not given: 0 s was taken" in str(silent)
+    assert "was not given" not in str(said)
+
+
 def test_a_soft_surface_is_allowed_and_its_unit_asked() -> None:
     """250 to 500 N/m is foam, or a wall in kN/m: 30 N press 60 to 120 mm into the former."""
     (finding,) = (
@@ -258,6 +270,7 @@ def test_it_shows_itself_as_a_table() -> None:
     assert "10 to 22" in text
     assert "0.0024 ± 0.0001" in text
     assert "taken as" in plant()._repr_html_()
+    assert "force_bias" not in repr(plant())
     assert eval(repr(plant()), {"Plant": Plant, "Robot": Robot, "Uncertain": Uncertain}) == plant()
 
 

@@ -71,6 +71,35 @@ def test_the_schema_is_one() -> None:
     assert set(load_schema("problem")["$defs"]["bounds"]["properties"]) == set(VARIABLES)
 
 
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"requirements": {"modulus_margin": 0.6}}, "requirements must be at.Requirements"),
+        ({"approach": 30}, "approach must be at.Approach"),
+        ({"environment_stiffness_n_per_m": 3}, "environment_stiffness_n_per_m must be a range"),
+        ({"payload_mass_kg": (0.0, 5.0)}, "payload_mass_kg must be greater than 0"),
+        ({"bounds": {"mass": "5"}}, r"bounds\['mass'\] must be a range"),
+        ({"bounds": {"mas": (1.0, 2.0)}}, "bounds must be given for mass, damping, .* found 'mas'"),
+        ({"uncertain": {"delay_s": "identfied"}}, r"uncertain\['delay_s'\] must be a range"),
+        ({"axes": "q"}, "axes must be names among x, y"),
+    ],
+)
+def test_what_is_no_value_of_a_problem_is_refused_where_it_is_made(wrong: dict[str, Any], said: str) -> None:
+    with pytest.raises(ParameterError, match=said):
+        ProblemSpec(**wrong)
+
+
+def test_requirements_refuse_other_types_and_name_where_registered_ones_go() -> None:
+    for name in ("free_space_admittance", "command_noise", "passivity"):
+        with pytest.raises(ParameterError, match=f"{name} must be of the type"):
+            Requirements(**{name: 3})  # type: ignore[arg-type]
+    with pytest.raises(ParameterError, match="min_damping_ratio must be given as further="):
+        Requirements(min_damping_ratio=0.2)  # type: ignore[call-arg]
+    asked = Requirements(modulus_margin=0.6, further={"min_damping_ratio": 0.2})
+    assert eval(repr(asked), {"Requirements": Requirements}) == asked
+    assert repr(ProblemSpec(bounds={"mass": (5, 20)})) == "Problem(bounds={'mass': (5, 20)})"
+
+
 def test_everything_can_be_said(path: Path) -> None:
     spec = read(path, WHOLE)
     assert spec == ProblemSpec(

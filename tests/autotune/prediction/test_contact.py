@@ -173,6 +173,41 @@ def test_the_interval_of_a_design_is_over_all_its_payloads_unless_one_is_said() 
     assert said == pytest.approx((peaks[0], peaks[0]))
 
 
+def test_what_lies_outside_of_the_certificate_is_said_of_a_design_and_of_its_gains_on_another_plant() -> None:
+    controller = make_controller(("x",))
+    design, domain = at.Design(controller=controller), controller.certificate.domain["x"]
+    stiff, heavy = domain.environment_stiffness_n_per_m[1], domain.payload_mass_kg[1]
+    assert at.predict(design, environment_stiffness=stiff, payload_mass=heavy).outside == ()
+    found = at.predict(design, environment_stiffness=1.5 * stiff, payload_mass=1.1 * heavy)
+    assert [each.partition(" ")[0] for each in found.outside] == ["K_e", "M_p"]
+    assert f"note: outside of what the certificate holds: {found.outside[0]}" in str(found)
+    assert not found.certified
+    robot = at.Robot(bandwidth=3.2, delay=2.4e-3)
+    plant = plant_of(Cell(wall=1.5 * stiff), mass=heavy, robot=robot, sample_time=controller.sample_time_s)
+    assert at.predict(plant, gains=design, approach_force=30.0).outside[0] == found.outside[0]
+    assert at.predict(plant, gains=GAINS, approach_force=30.0).outside == ()
+
+
+def test_a_surface_in_a_mistaken_unit_and_what_a_design_brings_are_refused() -> None:
+    design, plant = at.Design(controller=make_controller(("x",))), plant_of(Cell())
+    for source, gains in ((design, None), (plant, GAINS)):
+        with pytest.raises(at.ParameterError, match=r"did you mean 20000\?"):
+            at.predict(source, gains=gains, environment_stiffness=20, approach_force=30.0)
+    for wrong in ({"gains": GAINS}, {"surface": "x1"}, {"sample_time": 1e-3}):
+        with pytest.raises(at.UsageError, match=f"{next(iter(wrong))}= does not go with a Design"):
+            at.predict(design, **wrong)  # type: ignore[arg-type]
+
+
+def test_a_force_that_rises_until_the_run_ends_has_no_time_of_its_peak() -> None:
+    found = at.predict(plant_of(Cell(wall=50.0)), gains=GAINS, approach_force=30.0)
+    assert not found.contact.is_settled
+    assert found.time_of_peak is None
+    assert found.peak_force == pytest.approx(30.0)
+    assert "still rises to 30 N at the surface when the run ends" in str(found)
+    assert "ms after touching" not in str(found)
+    assert all(row[-1] == "still rises" for table in found.parts()[1] for row in table.rows)
+
+
 def test_loops_that_are_unstable_inside_the_uncertainty_leave_no_upper_end() -> None:
     robot = at.Robot(bandwidth=3.2, delay=2.4e-3)
     plant = plant_of(Cell(coupling_damping=0.0), robot=robot, sample_time=8e-4)

@@ -170,7 +170,7 @@ def test_a_value_that_is_called_unidentifiable_is_not_used() -> None:
 
 
 def test_an_axis_that_is_not_there_is_a_wrong_request() -> None:
-    with pytest.raises(UsageError, match="Axis y is not in the identified file; it holds x"):
+    with pytest.raises(UsageError, match="Axis y is not in the plant; it holds x"):
         build_problems(identified_plant(), ProblemSpec(axes=("y",)))
     with pytest.raises(EstimateError, match="no axis"):
         build_problems(replace(identified_plant(), axes={}), DEFAULT)

@@ -53,7 +53,7 @@ def test_another_payload_and_another_axis_are_told() -> None:
     plant = identified_plant()
     heavy = replace(plant, payload=replace(plant.payload, mass_kg=known(20.0, 0.1)))
     assert messages(heavy) == ["payload mass [kg] is 20, certified for [16, 16]"]
-    assert messages(replace(plant, axes={"y": identified_axis()})) == ["the identified file does not hold this axis"]
+    assert messages(replace(plant, axes={"y": identified_axis()})) == ["the plant does not hold this axis"]
 
 
 def test_another_robot_and_another_coupling_are_told() -> None:
