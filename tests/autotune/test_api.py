@@ -135,6 +135,10 @@ def test_the_summary_says_what_is_not_proved(design: at.Design) -> None:
         assert all(each.claim in text.partition("sampled, not proved")[2] for each in certificate.sampled)
 
 
+def test_a_problem_shows_what_was_said_by_its_public_name() -> None:
+    assert repr(at.Problem(bounds={"mass": (5, 20)})) == "Problem(bounds={'mass': (5, 20)})"
+
+
 def test_html_of_a_result_escapes_what_it_shows() -> None:
     check = at.Check(axis="x", name="<script>", passed=False, message="a & b")
     html = at.Validation(checks=(check,))._repr_html_()

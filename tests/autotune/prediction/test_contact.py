@@ -195,7 +195,7 @@ def test_a_surface_in_a_mistaken_unit_and_what_a_design_brings_are_refused() -> 
             at.predict(source, gains=gains, environment_stiffness=20, approach_force=30.0)
     for wrong in ({"gains": GAINS}, {"surface": "x1"}, {"sample_time": 1e-3}):
         with pytest.raises(at.UsageError, match=f"{next(iter(wrong))}= does not go with a Design"):
-            at.predict(design, **wrong)  # type: ignore[arg-type]
+            at.predict(design, **wrong)
 
 
 def test_a_force_that_rises_until_the_run_ends_has_no_time_of_its_peak() -> None:

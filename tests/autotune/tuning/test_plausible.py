@@ -45,7 +45,7 @@ def test_a_payload_that_no_file_holds_is_refused_before_a_search_whatever_its_un
 
 
 def test_a_problem_file_is_held_against_it_too() -> None:
-    with pytest.raises(UsageError, match="identified"):
+    with pytest.raises(UsageError, match="and the plant has 110 N/mm"):
         build_problems(IDENTIFIED, ProblemSpec(environment_stiffness_n_per_m=(20.0, 500.0)))
 
 

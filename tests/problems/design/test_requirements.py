@@ -121,3 +121,13 @@ def test_a_threshold_can_be_taken_out_and_put_back(name: str, factor: float) -> 
     assert requirement.with_threshold(changed, requirement.threshold(asked)) == asked
     # What is achieved at the threshold meets it exactly.
     assert requirement.ratio(asked, requirement.threshold(asked)) == 1.0
+
+
+def test_requirements_refuse_other_types_and_name_where_registered_ones_go() -> None:
+    for name in ("free_space_admittance", "command_noise", "passivity"):
+        with pytest.raises(ParameterError, match=f"{name} must be of the type"):
+            Requirements(**{name: 3})  # type: ignore[arg-type]
+    with pytest.raises(ParameterError, match="min_damping_ratio must be given as further="):
+        Requirements(min_damping_ratio=0.2)  # type: ignore[call-arg]
+    asked = Requirements(modulus_margin=0.6, further={"min_damping_ratio": 0.2})
+    assert eval(repr(asked), {"Requirements": Requirements}) == asked
