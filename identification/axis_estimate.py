@@ -20,7 +20,7 @@ from .joint_fit.data import JointData, build_joint_data, usual_coupling
 from .joint_fit.estimates import COARSE_COMMAND, NO_COMMAND, JointEstimates
 from .joint_fit.fit import identify_joint
 from .joint_fit.model import COUPLING_NAMES
-from .joint_fit.result import JointFit, with_gain_error
+from .joint_fit.result import JointFit, with_gain_error, with_robot_shift
 from .joint_fit.segments import find_holds
 from .payload.gravity import GravityFit
 from .result import AxisEstimate, CouplingEstimate, Finding, HeldOutPeak, RobotEstimate, Status
@@ -160,8 +160,12 @@ def fit_axis(
         data, found = _joint_fit(cell, axis, holds, coupling, robot_fit, replace(start, mass_kg=mass_kg), part)
         if cell.gravity is None:
             _check_lag(found, cell.recording.wrench_lag_s)
-        fit = start.in_units(found)
-        with_priors = start.in_units(identify_joint(replace(data, priors=start.priors))) if start.priors else None
+        shift = np.zeros(0) if robot_fit is None else robot_fit.friction_shift
+        fit = with_robot_shift(start.in_units(found), shift)
+        with_priors = None
+        if start.priors:
+            prior_fit = identify_joint(replace(data, priors=start.priors))
+            with_priors = with_robot_shift(start.in_units(prior_fit), shift)
     except EstimateError as error:
         findings.append(missing("coupling", f"Axis {axis.name}: {error}"))
         estimate, contradictions = settle_axis(axis.name, without_coupling(robot, str(error)), None, cell.given)

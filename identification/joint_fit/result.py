@@ -315,3 +315,16 @@ def with_gain_error(fit: JointFit, share: float) -> JointFit:
         for surface in fit.surfaces
     )
     return replace(fit, covariance=fit.covariance + np.outer(common, common), surfaces=surfaces)
+
+
+def with_robot_shift(fit: JointFit, shift: FloatArray) -> JointFit:
+    """Return the fit with what may be wrong of ω, (ζ,) T_d, by `shift` (p,) in SI, in their deviations.
+
+    Nothing is added where the robot that was fitted has another number of poles.
+    """
+    if fit.robot is None or fit.robot.order + 1 != len(shift):
+        return fit
+    moved = np.zeros(len(fit.values))
+    last = fit.names.index("delay_s")
+    moved[last + 1 - len(shift) : last + 1] = shift
+    return replace(fit, covariance=fit.covariance + np.outer(moved, moved))

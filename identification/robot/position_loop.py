@@ -35,7 +35,8 @@ _SLIDING_M_PER_S = 1e-4
 class RobotFit:
     """r(s) and T_d with their standard deviations; `fit_error` is residual RMS over motion RMS.
 
-    `effective_samples` is how many independent ones the residual's colour leaves of the samples.
+    `effective_samples` is how many independent ones the residual's colour leaves of the samples, `friction_shift` by
+    how much ω, (ζ,) T_d (p,) in SI move where dry friction is estimated beside them; the deviations hold it.
     """
 
     model: RobotModel
@@ -46,6 +47,7 @@ class RobotFit:
     bandwidth_std_hz: float
     fit_error: float
     effective_samples: float
+    friction_shift: FloatArray
 
 
 def identify_robot(command_m: FloatArray, position_m: FloatArray, period_s: float, *, is_held: bool = True) -> RobotFit:
@@ -102,6 +104,7 @@ class _Fit:
     covariance: FloatArray
     residual_rms: float
     effective_samples: float
+    moved: FloatArray
 
     @property
     def delay_s(self) -> float:
@@ -229,6 +232,7 @@ def _fit(
         covariance=variance * np.linalg.inv(found.jac.T @ found.jac) + np.outer(moved, moved),
         residual_rms=float(np.sqrt(2.0 * found.cost / n)),
         effective_samples=n / factor,
+        moved=moved,
     )
 
 
@@ -294,6 +298,7 @@ def _described(fit: _Fit, error: float, effective_samples: float) -> RobotFit:
         bandwidth_std_hz=float(np.sqrt(bandwidth_jacobian @ fit.covariance @ bandwidth_jacobian)),
         fit_error=error,
         effective_samples=effective_samples,
+        friction_shift=fit.moved * np.array([np.exp(fit.parameters[0]), *[1.0] * (fit.order - 1), fit.period_s]),
     )
 
 

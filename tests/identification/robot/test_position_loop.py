@@ -83,6 +83,10 @@ def test_dry_friction_is_held_by_the_stated_deviations(friction_share: float) ->
     fit = identify_robot(command, noisy(position), H_S)
     expected = identify_robot(command, followed(TWO_POLES, 0, command), H_S).bandwidth_hz
     assert abs(fit.bandwidth_hz - expected) < 1.96 * fit.bandwidth_std_hz
+    # In SI, so that a fit of everything can hold it as well: ω in rad/s, ζ, T_d in s.
+    omega, zeta, _ = fit.friction_shift
+    assert -0.2 * expected * 2.0 * np.pi < omega < 0.2 * expected * 2.0 * np.pi
+    assert zeta < 0.0  # what friction adds to the damping is not the servo's
     # Without it the deviations are the noise's: far from what friction does.
     assert abs(fit.bandwidth_hz / expected - 1.0) > 0.002
 
