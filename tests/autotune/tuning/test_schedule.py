@@ -180,7 +180,7 @@ def test_a_hull_that_no_controller_serves_is_told_and_is_no_error(tmp_path: Path
     classes = build_classes([(16.5, 16.5), (16.6, 16.6)], [])
     schedule = tune_schedule(PLANT, BARE_SPEC.with_options(environment_stiffness_n_per_m=(1e5, 1.1e5)), classes, seed=1)
     assert schedule.common is None
-    assert "leaves out the given payload of 16 kg" in schedule.common_refusal
+    assert "leaves out the identified payload of 16 kg" in schedule.common_refusal
     assert [each.controller.payload.mass_kg for each in schedule.tuned] == [16.5, 16.6]
     assert [each.cost_n("x") for each in schedule.tuned] == [None, None]
     tree = write_schedule(tmp_path / "s", schedule)
