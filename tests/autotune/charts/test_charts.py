@@ -228,3 +228,11 @@ def test_a_chart_is_drawn_on_given_axes_or_as_a_figure_of_its_own() -> None:
 def test_axes_and_panels_must_be_as_many() -> None:
     with pytest.raises(ValueError, match="has 2 panels and needs as many axes, found 1"):
         draw(everything(), Figure().add_subplot())
+
+
+@pytest.mark.parametrize(("last", "expected"), [(np.nan, ["unstable"]), (3.0, [])])
+def test_a_hole_of_a_map_is_in_its_legend(last: float, expected: list[str]) -> None:
+    heat = Heat(x=np.arange(2.0), y=np.arange(1.0), values=np.array([[1.0, last]]), label="margin", hole="unstable")
+    panel = Panel(x=Scale(label="x"), y=Scale(label="y"), elements=(heat,))
+    figure = draw(Chart(key="map", title="Map", alternative="", panels=(panel,)))
+    assert [each.get_text() for legend in figure.legends for each in legend.get_texts()] == expected
