@@ -165,7 +165,7 @@ def touch_rows(timeline: Timeline) -> list[tuple[str, ...]]:
         rows.append(
             (
                 f"{'+' if touch.sign > 0 else '-'}{touch.axis}",
-                f"{touch.cause.value}{', led' if touch.is_led else ''}",
+                f"{touch.cause.value}{', led' if touch.is_led else ''}{', withdrawn' if touch.is_withdrawn else ''}",
                 f"{start:.2f}",
                 "-" if touch.approach_speed is None else f"{1e3 * touch.approach_speed:.1f}",
                 f"{touch.peak_force:.1f}",

@@ -11,6 +11,7 @@ from .experiment_design.values import values_of
 from .joint_fit.estimates import COARSE_COMMAND
 from .payload.gravity_verdicts import WITHOUT_TORQUE
 from .result import AxisEstimate, EnvironmentEstimate, Estimate, Finding, Identified, Status, VectorEstimate
+from .robot.logged_command import UNKNOWN_PERIOD
 
 _POSES = (
     "Record 6 to 12 rests of 1 s, the tool tilted by 30 degrees or more in different directions, with nothing touching "
@@ -33,6 +34,10 @@ _OTHER_ROBOT = (
     "The sweep is there, but the robot does not follow as one or two poles and a delay do. Log the command where the "
     "position loop receives it, behind every interpolator, filter and limit. If it is logged there, the loop has a "
     "zero (feed-forward, say): measure its delay elsewhere, `--given {name}.delay_s=SECONDS`, and use it with care."
+)
+_PERIOD = (
+    "Give the control period: half of it is in the delay that this log shows. The log suggests `--given "
+    "sample_time_s={period:g}`, its own period; take it where the controller runs at that rate."
 )
 _CONTACTS = "Record 3 or more contacts on the same spot: 1 to 3 cm/s, 20 to 50 N, hold for 1 s, back off."
 _IMPACTS = "Record 3 or more contacts at 3 to 5 cm/s, as far as the predicted peak force allows."
@@ -82,7 +87,9 @@ def advise(result: Identified) -> tuple[Finding, ...]:
     ]
     findings = list(_findings("", lacks, first))
     for name, axis in result.axes.items():
-        findings += _findings(f"Axis {name}: ", list(_axis_lacks(name, axis, _sweep(result, name))), first)
+        findings += _findings(
+            f"Axis {name}: ", list(_axis_lacks(name, axis, _sweep(result, name), result.sample_time_s.value)), first
+        )
     explained = any(f.severity == "error" for f in result.findings)
     return tuple(f for f in findings if not (explained and f.severity == "error"))
 
@@ -113,7 +120,7 @@ def _text(lack: _Lack) -> str:
     return f"{lack.name} ({why})"
 
 
-def _axis_lacks(name: str, axis: AxisEstimate, sweep: str) -> Iterator[_Lack]:
+def _axis_lacks(name: str, axis: AxisEstimate, sweep: str, period_s: float | None) -> Iterator[_Lack]:
     coupling, robot = axis.coupling, axis.robot
     by_sweep = _about_coupling(axis, sweep)
     yield _Lack(name="K_s", estimate=coupling.stiffness_n_per_m, advice=by_sweep, needed=True)
@@ -122,8 +129,9 @@ def _axis_lacks(name: str, axis: AxisEstimate, sweep: str) -> Iterator[_Lack]:
     if axis.mass_kg is not None:
         yield _Lack(name="mass from motion", estimate=axis.mass_kg, advice=by_sweep, needed=False)
     by_command = _about_robot(name, axis, by_sweep)
+    by_period = _about_delay(axis, period_s) or by_command
     yield _Lack(name="r(s)", estimate=robot.denominator, advice=by_command, needed=True)
-    yield _Lack(name="T_d", estimate=robot.delay_s, advice=by_command, needed=True)
+    yield _Lack(name="T_d", estimate=robot.delay_s, advice=by_period, needed=True)
     hidden = by_sweep != sweep
     for surface in axis.environments:
         contacts = by_sweep if hidden or _through_coupling(axis, surface) else _CONTACTS
@@ -152,6 +160,12 @@ def _about_robot(name: str, axis: AxisEstimate, sweep: str) -> str:
     is_stated = axis.coupling.stiffness_n_per_m.status is not Status.UNIDENTIFIABLE
     misses = axis.robot.delay_s.status is Status.UNIDENTIFIABLE and _misfit_ratio(axis) > _MISFIT_RATIO
     return _OTHER_ROBOT.format(name=name) if is_stated and misses else sweep
+
+
+def _about_delay(axis: AxisEstimate, period_s: float | None) -> str:
+    """Return what helps where half a control period that is not known is part of the delay, else nothing."""
+    is_open = axis.robot.delay_s.value is not None and UNKNOWN_PERIOD in axis.robot.delay_s.note
+    return _PERIOD.format(period=float(f"{period_s:.6g}")) if is_open and period_s is not None else ""
 
 
 def _misfit_ratio(axis: AxisEstimate) -> float:

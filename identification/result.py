@@ -77,9 +77,9 @@ class Touch:
     without its noise and between the samples (without an upper end where it is too narrow for them), and
     `rise_samples` how many of them the force took from a tenth of the peak to the peak. `approach_speed` is that of the
     flange right before the onset, towards what is touched, `impulse` ∫F dt of the first blow, `held_force` that of the
-    hold. `is_led` says that a hand led the payload into it. `mass`, `damping`, `lead_s` and `desired_force` are M_a,
-    B_a, K_l and F^d at the onset. `surface` is the name of what was
-    touched, None until it is known.
+    hold. `is_led` says that a hand led the payload into it, `is_withdrawn` that F^d
+    turned away before the peak, which is then that of no whole blow. `mass`, `damping`, `lead_s` and `desired_force`
+    are M_a, B_a, K_l and F^d at the onset. `surface` is the name of what was touched, None until it is known.
     """
 
     axis: str
@@ -98,6 +98,7 @@ class Touch:
     held_force: float | None = None
     surface: str | None = None
     is_led: bool | None = None
+    is_withdrawn: bool = False
     mass: float | None = None
     damping: float | None = None
     lead_s: float | None = None

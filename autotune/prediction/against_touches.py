@@ -264,6 +264,8 @@ def compare_touches(
         try:
             if touch.cause is TouchCause.HAND:
                 raise UsageError("it was a hand.")
+            if touch.is_withdrawn:
+                raise UsageError("F^d turned away before its peak, so it shows no whole blow.")
             said = running(touch.axis)
             predicted = predict_contact(plants(touch), said.law_at(touch), said.approach_at(touch))
             found.append(ComparedTouch(touch=touch, log=log, predicted=predicted))

@@ -44,7 +44,7 @@ def with_left_out_logs(
 
 def _predicted(source: IdentifiedFile, touch: Touch, log: str) -> tuple[HeldOutPeak, ...]:
     """Return the touch beside its prediction, nothing where the others or the log do not show what it takes."""
-    if touch.cause is not TouchCause.WALL or touch.mass is None or touch.damping is None:
+    if touch.cause is not TouchCause.WALL or touch.is_withdrawn or touch.mass is None or touch.damping is None:
         return ()
     law = AdmittanceController(mass_kg=touch.mass, damping_n_s_per_m=touch.damping)
     try:

@@ -39,7 +39,8 @@ def compare_touches_of_log(
     compared = []
     for touch in touches:
         # A force without an approach is also what the payload's mass shows where a motion begins.
-        compared += list(_compared(controller, touch)) if touch.cause is TouchCause.WALL else []
+        is_whole = touch.cause is TouchCause.WALL and not touch.is_withdrawn
+        compared += list(_compared(controller, touch)) if is_whole else []
         if progress is not None:
             progress(1.0 / len(touches))
     if not compared:

@@ -17,6 +17,9 @@ _SLOWEST_CONTROLLER_S = 4e-3
 # The spline through the samples of a smooth command: measured on simulated robots, this is what it costs.
 _SPLINE_SHARE, _SPLINE_DELAY_SHARE = 0.01, 0.01
 
+# In the note of a delay with half a control period in it that nobody gave.
+UNKNOWN_PERIOD = "give `sample_time_s`"
+
 
 @dataclass(frozen=True, kw_only=True)
 class LoggedRobot:
@@ -86,7 +89,7 @@ def _without_hold(fit: RobotFit, period_s: float, longest_s: float, control_peri
         hold_std = hold / float(np.sqrt(3.0))
         note = (
             f"the log shows {1e3 * delay:.3g} ms with half a control period in it, which is not known and shorter than "
-            f"{1e3 * longest_s:.3g} ms; give `sample_time_s`"
+            f"{1e3 * longest_s:.3g} ms; {UNKNOWN_PERIOD}"
         )
     turned = 2.0 * np.pi * fit.bandwidth_hz * period_s
     share = _SPLINE_SHARE * turned**2

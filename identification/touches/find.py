@@ -14,6 +14,7 @@ from ..signals.contact_rule import CONTACT
 from ..signals.segments import without_pauses, without_short
 from .peak import bound_peak
 from .signals import AxisSignals
+from .withdrawn import is_withdrawn
 
 _APPROACH_S, _SHORTEST_APPROACH_S = 0.1, 0.02
 _SMALLEST_SPEED_M_S = 2e-3
@@ -333,6 +334,7 @@ def describe_touch(
         impulse=_impulse(axis, pressing, span),
         held_force=held,
         is_led=is_led,
+        is_withdrawn=hold is None and not is_led and is_withdrawn(axis, sign, span.start, peak, span.stop),
         mass=at(axis.mass_kg),
         damping=at(axis.damping_n_s_per_m),
         lead_s=axis.lead_s,

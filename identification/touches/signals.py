@@ -26,7 +26,8 @@ class AxisSignals:
 
     `time_s` (n,) counts from the first sample that wrench and pose share, `period_s` is the usual step. A force is one
     above `level_n`; `noise_n` is the deviation of one sample. `mass_kg`, `damping_n_s_per_m` and `desired_n` (n,) are
-    M_a, B_a and F^d, NaN where they are not known, and `lead_s` is K_l, None where it is not.
+    M_a, B_a and F^d, NaN where they are not known; `lead_s` is K_l and `commanded_m` (n,) the command's travel,
+    None where they are not.
     """
 
     axis: str
@@ -40,6 +41,7 @@ class AxisSignals:
     damping_n_s_per_m: FloatArray
     desired_n: FloatArray
     lead_s: float | None = None
+    commanded_m: FloatArray | None = None
 
     def speed_m_s(self) -> FloatArray:
         """Return how fast the flange is along the axis, over about 0.1 s (n,)."""
@@ -67,6 +69,8 @@ def axis_signals(recording: Recording) -> tuple[AxisSignals, ...]:
     if len(stamps) < _FEWEST or len(pose.stamp_ns) < _FEWEST:
         return ()
     time, travel = np.asarray((stamps - stamps[0]) * 1e-9), _travel(pose, stamps)
+    command = recording.command
+    commanded = None if command is None or len(command.stamp_ns) < _FEWEST else _travel(command, stamps)
     found = []
     for i, axis in enumerate(AXES[:3]):
         if axis not in wrench.measured_axes or not np.all(np.isfinite(wrench.force_n[inside, i])):
@@ -89,6 +93,7 @@ def axis_signals(recording: Recording) -> tuple[AxisSignals, ...]:
                 damping_n_s_per_m=damping,
                 desired_n=desired_force_of(recording.desired_force, stamps, i),
                 lead_s=lead_of(recording.gains, i),
+                commanded_m=None if commanded is None else commanded[:, i],
             )
         )
     return tuple(found)

@@ -79,7 +79,7 @@ def identify_touches(recording: Recording) -> Touched:
     names: dict[tuple[str, float], str] = {}
     findings: list[Finding] = [*about_payload]
     for axis in found:
-        walls = [each for each in axis.touches if each.touch.cause is TouchCause.WALL]
+        walls = [each for each in axis.touches if each.touch.cause is TouchCause.WALL and not each.touch.is_withdrawn]
         contacts = [_contact(axis.signals, each, is_trace=recording.pose.is_displacement) for each in walls]
         estimates = []
         for i, group in enumerate(_grouped(contacts)):
@@ -98,7 +98,7 @@ def identify_touches(recording: Recording) -> Touched:
         ),
         key=lambda touch: (touch.peak_s if touch.onset_s is None else touch.onset_s, touch.axis),
     )
-    findings += _undetermined(touches)
+    findings += [*_undetermined(touches), *_withdrawn(touches)]
     phases: tuple[LogPhase, ...] = build_phases(found, touches)
     return Touched(
         timeline=Timeline(phases=phases, touches=tuple(touches)), surfaces=surfaces, findings=tuple(findings)
@@ -306,6 +306,23 @@ def _undetermined(touches: Sequence[Touch]) -> list[Finding]:
             f"What was touched at {shown}{more} cannot be distinguished from a hand: a hand led the payload or the"
             " force came without motion.",
             "Approach under a desired force or a command, hands off.",
+        )
+    ]
+
+
+def _withdrawn(touches: Sequence[Touch]) -> list[Finding]:
+    """Return the finding on touches that were withdrawn before their peak."""
+    left = [touch for touch in touches if touch.is_withdrawn]
+    if not left:
+        return []
+    shown = ", ".join(f"{touch.peak_s:.2f} s ({touch.axis}, {touch.peak_force:.1f} N)" for touch in left[:_MOST_LISTED])
+    more = f" and {len(left) - _MOST_LISTED} more" if len(left) > _MOST_LISTED else ""
+    return [
+        Finding.warning(
+            "touch-withdrawn",
+            f"F^d turned away before the peak of the touch at {shown}{more}: no whole blow, so no surface is "
+            "identified from it.",
+            "Keep pressing for a second after the touch.",
         )
     ]
 

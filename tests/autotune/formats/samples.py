@@ -397,6 +397,7 @@ def timelines() -> st.SearchStrategy[Timeline]:
         approach_speed=maybe,
         surface=st.none() | TEXTS,
         is_led=st.none() | st.booleans(),
+        is_withdrawn=st.booleans(),
         damping=st.none() | st.floats(0.0, 1e6),
         lead_s=st.none() | st.floats(0.0, 1.0),
     )

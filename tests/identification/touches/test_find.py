@@ -29,10 +29,11 @@ class Program:
     rate_hz: float = 1000.0
     length_s: float = 6.0
     start_s: float = 0.5
+    turned_s: float = np.inf
 
 
 def recorded(program: Program, offset_n: float = 0.0) -> Recording:
-    """Integrate M_a dv/dt + B_a v = F + F^d, with F^d from `start_s` on, and log it along z."""
+    """Integrate M_a dv/dt + B_a v = F + F^d, with F^d from `start_s` to `turned_s` and −F^d then, logged along z."""
     count = int(program.length_s / STEP_S)
     travel, force = np.zeros(count), np.zeros(count)
     place = speed = 0.0
@@ -41,6 +42,7 @@ def recorded(program: Program, offset_n: float = 0.0) -> Recording:
         force[k] = program.force_n(time, place, speed)
         travel[k] = place
         driven = program.desired_n if time > program.start_s else 0.0
+        driven *= -1.0 if time > program.turned_s else 1.0
         speed += STEP_S * (force[k] + driven - DAMPING_N_S_PER_M * speed) / MASS_KG
         place += STEP_S * speed
     every = round(1.0 / program.rate_hz / STEP_S)
@@ -85,6 +87,10 @@ def wall(stiffness: float, at_m: float, damping: float = 100.0) -> Callable[[flo
     return lambda _, x, v: -max(stiffness * (x - at_m) + damping * v, 0.0) if x > at_m else 0.0
 
 
+def with_command(recording: Recording) -> Recording:
+    return replace(recording, command=replace(recording.pose, topic="c"), gains=None, desired_force=None)
+
+
 def flipped(recording: Recording) -> Recording:
     return replace(recording, wrench=replace(recording.wrench, force_n=-recording.wrench.force_n))
 
@@ -105,6 +111,38 @@ def test_a_hand_that_rests_on_the_tool_after_leading_it_is_not_taken_for_a_wrong
     time = np.arange(0.0, 5.0, 1e-3)
     found = identify_touches(logged(0.02 * np.minimum(time, 2.0), np.where(time > 1.0, 6.0, 0.0), 1e-3, 0.0))
     assert all(touch.cause is not TouchCause.WALL for touch in found.timeline.touches)
+
+
+@pytest.mark.parametrize(("share", "every"), [(0.1, 1), (0.7, 8), (1.5, 8)])
+def test_a_touch_is_withdrawn_where_the_desired_force_turns_before_its_peak(share: float, every: int) -> None:
+    """What is touched for as long as the loading takes is a whole blow, and a second log says how long that is."""
+    meets = Program(force_n=wall(1.5e4, 0.02), length_s=2.0, rate_hz=1000.0 / every)
+    (whole,) = identify_touches(with_command(recorded(meets))).timeline.touches
+    assert whole.onset_s is not None
+    assert not whole.is_withdrawn
+    turned = whole.onset_s + share * (whole.peak_s - whole.onset_s)
+    found = identify_touches(with_command(recorded(replace(meets, turned_s=turned))))
+    (touch,) = found.timeline.touches
+    assert touch.is_withdrawn is (share < 1.0)
+    assert any(each.code == "touch-withdrawn" for each in found.findings) is (share < 1.0)
+    assert ("z" in found.surfaces) is (share > 1.0)
+
+
+def test_a_logged_desired_force_that_turns_before_the_peak_shows_a_withdrawn_touch() -> None:
+    log = recorded(Program(force_n=wall(1e4, 0.02), length_s=2.0, turned_s=1.25))
+    (unseen,) = identify_touches(log).timeline.touches
+    desired = log.desired_force
+    assert desired is not None
+    assert not unseen.is_withdrawn
+    turned = replace(
+        desired,
+        stamp_ns=np.array([0, round(1.25e9)]),
+        force_n=np.outer([DESIRED_N, -DESIRED_N], [0.0, 0.0, 1.0]),
+        torque_n_m=np.zeros((2, 3)),
+    )
+    found = identify_touches(replace(log, desired_force=turned))
+    assert found.timeline.touches[0].is_withdrawn
+    assert found.surfaces == {}
 
 
 @given(stiffness=st.floats(3e3, 3e4), at_m=st.floats(0.02, 0.05), offset=st.sampled_from((0.0, 30.0)))
