@@ -123,15 +123,17 @@ def _text(lack: _Lack) -> str:
 def _axis_lacks(name: str, axis: AxisEstimate, sweep: str, period_s: float | None) -> Iterator[_Lack]:
     coupling, robot = axis.coupling, axis.robot
     by_sweep = _about_coupling(axis, sweep)
+    by_command, by_period = _about_robot(name, axis, by_sweep), _about_delay(axis, period_s)
+    delay = _Lack(name="T_d", estimate=robot.delay_s, advice=by_period or by_command, needed=True)
+    # A number that the user has comes before another recording.
+    yield from [delay] if by_period else []
     yield _Lack(name="K_s", estimate=coupling.stiffness_n_per_m, advice=by_sweep, needed=True)
     yield _Lack(name="B_s", estimate=coupling.damping_n_s_per_m, advice=by_sweep, needed=True)
     yield _Lack(name="B_p", estimate=axis.drag_n_s_per_m, advice=by_sweep, needed=True)
     if axis.mass_kg is not None:
         yield _Lack(name="mass from motion", estimate=axis.mass_kg, advice=by_sweep, needed=False)
-    by_command = _about_robot(name, axis, by_sweep)
-    by_period = _about_delay(axis, period_s) or by_command
     yield _Lack(name="r(s)", estimate=robot.denominator, advice=by_command, needed=True)
-    yield _Lack(name="T_d", estimate=robot.delay_s, advice=by_period, needed=True)
+    yield from [] if by_period else [delay]
     hidden = by_sweep != sweep
     for surface in axis.environments:
         contacts = by_sweep if hidden or _through_coupling(axis, surface) else _CONTACTS

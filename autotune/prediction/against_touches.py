@@ -57,7 +57,8 @@ class TouchComparison(Shown):
         inside = sum(each.is_inside for each in self.contacts)
         errors = [each.error_share for each in self.contacts]
         rms = 100.0 * float(np.sqrt(np.mean(np.square(errors))))
-        return f"{len(errors)} contacts: RMS error {rms:.1f} % of the peak, {inside} inside their interval"
+        times = "1 contact" if len(errors) == 1 else f"{len(errors)} contacts"
+        return f"{times}: RMS error {rms:.1f} % of the peak, {inside} inside their interval"
 
     def _tables(self) -> Iterator[ResultTable]:
         for unit in ("N", "N·m"):

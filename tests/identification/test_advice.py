@@ -12,6 +12,7 @@ from identification.experiment_design.sweep import SweepLimits, fastest_sweep
 from identification.experiment_design.values import values_of
 from identification.joint_fit.estimates import COARSE_COMMAND
 from identification.result import Estimate, Finding, FitQuality, Identified, Status
+from identification.robot.logged_command import UNKNOWN_PERIOD
 from tests.identification.merging.test_combine import UNDECIDED, known, surface, told
 
 
@@ -45,6 +46,25 @@ def test_a_missing_stiffness_is_an_error_and_a_weak_one_a_warning() -> None:
     (uncertain,) = needed(advise(with_stiffness(told(), weak(3.0e5, 3.0e4))))
     assert (uncertain.code, uncertain.severity) == ("weak", "warning")
     assert "K_s (± 10 %)" in uncertain.message
+
+
+def test_a_delay_with_half_an_unknown_control_period_asks_for_that_before_another_sweep() -> None:
+    """The log's own period is what it suggests; damping that is weak as well still asks for a sweep, behind it."""
+    result = told()
+    axis = result.axes["x"]
+    delay = dataclasses.replace(weak(4.5e-3, 3e-4), note=f"the log shows 5 ms; {UNKNOWN_PERIOD}")
+    changed = dataclasses.replace(
+        axis,
+        robot=dataclasses.replace(axis.robot, delay_s=delay),
+        coupling=dataclasses.replace(axis.coupling, damping_n_s_per_m=weak(260.0, 40.0)),
+    )
+    period = dataclasses.replace(result.sample_time_s, value=2.0000000000000005e-3)
+    first, second = needed(advise(dataclasses.replace(result, axes={"x": changed}, sample_time_s=period)))
+    assert "T_d (± 7 %)" in first.message
+    assert "`--given sample_time_s=0.002`" in first.advice
+    assert "sweep" not in first.advice
+    assert "B_s" in second.message
+    assert "sweep" in second.advice
 
 
 def test_an_interval_is_a_warning() -> None:
