@@ -318,7 +318,7 @@ def _draw_heavy(axes: Axes, found: Found) -> None:
     coupling = DRAWN_COUPLING / 1e5
     resonance = np.sqrt(DRAWN_COUPLING / HEAVY_KG) / (2.0 * np.pi)
     axes.plot(coupling, found.heavy_modes_hz, color="#0072B2", label="mode of the closed loop")
-    axes.plot(coupling, resonance, color="#0072B2", linestyle="--", label="payload on a flange that stands still")
+    axes.plot(coupling, resonance, color="#0072B2", linestyle="--", label="payload on a fixed flange")
     axes.axhline(HEAVY_HZ, color="#CC79A7", linewidth=1.0)
     axes.annotate("observed", (0.62, HEAVY_HZ + 0.1), color="#A0477B", fontsize=8)
     axes.axvline(HEAVY_N_PER_M / 1e5, color="0.5", linewidth=0.8, linestyle=":")

@@ -138,7 +138,7 @@ class Fit:
 class Found:
     """Fits by the name of the variant; rows with the printed robot; the peak of row 3 [N] over B_fb by main fit.
 
-    `payload_n_per_m` is the K_s that puts 16 kg on a standing flange at the frequency printed in row 7.
+    `payload_n_per_m` is the K_s that puts 16 kg on a fixed flange at the frequency printed in row 7.
     """
 
     fits: dict[str, Fit]
@@ -310,7 +310,7 @@ def tables(found: Found) -> tuple[Table, ...]:
             header=("peak of row 3 [N]", *(f"B_fb = {1e3 * value:g} ms" for value in FEEDBACK_SCAN_S)),
             rows=tuple((name, *(number(value, 1) for value in found.feedback[name])) for name in MAIN),
         ),
-        Table(name="table-one-payload", header=("16 kg on a flange that stands still", "value"), rows=(payload,)),
+        Table(name="table-one-payload", header=("16 kg on a fixed flange", "value"), rows=(payload,)),
     )
 
 
