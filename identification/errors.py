@@ -15,6 +15,10 @@ class OutsideSpanError(LogError):
     """The log has nothing in the part that is to be read."""
 
 
+class UntimedError(LogError):
+    """A part is asked of a table whose time is not declared."""
+
+
 class EstimateError(AutotuneError):
     """The log is sound but does not show what was asked of it."""
 

@@ -58,7 +58,7 @@ def command(
     channel.
     """
     from autotune.formats.cell import check_new, read_cell, write_cell_start
-    from identification.errors import LogError
+    from identification.errors import LogError, UntimedError
     from identification.logs.guess import guess_cell
     from identification.logs.inspect import inspect_log
     from identification.logs.roles.cell import Cell
@@ -71,7 +71,13 @@ def command(
         check_new(start_path, force=force)
     cell = (Cell() if cell_path is None else read_cell(cell_path).cell).with_urdf(urdf, tip)
     with output.progress(f"reading {', '.join(log.name for log in logs)}", None):
-        summary = inspect_log(logs, cell, salvage=salvage, span=span)
+        try:
+            summary = inspect_log(logs, cell, salvage=salvage, span=span)
+        except UntimedError:
+            # What --write-cell recognises as the time is in the cell.yaml that it begins; the part is read with that.
+            if start_path is None:
+                raise
+            summary = inspect_log(logs, cell, salvage=salvage)
         guess = None if start_path is None else guess_cell(logs, salvage=salvage)
     if start_path is not None:
         write_cell_start(start_path, summary, guess, force=force)

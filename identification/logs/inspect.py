@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import EstimateError, LogError
+from ..errors import EstimateError, LogError, UntimedError
 from ..result import Finding
 from ..signals.recording import WEIGHT_NEEDS_ORIENTATION
 from .checks.clocks import ChannelClock, clock_findings, compare_clocks, measure_clock
@@ -21,6 +21,7 @@ from .roles.choose import Choice, candidates_of, choose, open_questions, source_
 from .roles.registry import ROLES, TRANSFORMS, Role, is_undeclared, layout_of, missing_sentence, roles_of
 from .span import WHOLE, LogSpan, cut_series
 from .summary import Candidate, ChannelSummary, LogSummary, RoleSummary
+from .tables.read import TIME_UNDECLARED
 
 _TOLD_ELSEWHERE = frozenset({"channel-chosen", "role-open"})
 
@@ -51,11 +52,13 @@ def inspect_log(
     Raises
     ------
     LogError
-        A log is damaged or of no known format.
+        A log is damaged or of no known format, or a part is asked of a table whose time is not declared.
     """
     files = (paths,) if isinstance(paths, Path) else tuple(paths)
     declared = cell or Cell()
     with open_logs(files, declared, salvage=salvage) as logs:
+        if not span.is_whole:
+            _check_timed(logs)
         infos = logs.infos
         declared = spelled_as_in(declared, infos)
         roles, choices, missing = _roles(logs, declared)
@@ -198,6 +201,15 @@ def _read_all(logs: OpenedLogs, findings: list[Finding]) -> dict[Channel, Series
             advice = "Record this topic again with its true type."
             findings.append(Finding.error("undecodable", str(error), advice))
     return series
+
+
+def _check_timed(logs: OpenedLogs) -> None:
+    """Raise LogError for a table without times, of which no part can be read."""
+    for finding in logs.findings():
+        if finding.code == TIME_UNDECLARED:
+            raise UntimedError(
+                f"To read a part (--from, --to) the times must be known: {finding.message} {finding.advice}"
+            )
 
 
 def _cut(

@@ -19,6 +19,7 @@ from ..messages.decode import Series, Wanted
 from .layout import NO_ROW, TableLayout
 from .text import Text, look_at
 
+TIME_UNDECLARED = "time-undeclared"
 _PARQUET_MAGIC = b"PAR1"
 
 _FEWEST_ROUNDED = 20
@@ -267,7 +268,7 @@ class TableLog:
             return ()
         return (
             Finding.error(
-                "time-undeclared",
+                TIME_UNDECLARED,
                 f"{self.path.name} is a table, whose time is not declared; its columns are: {listed(self.columns)}.",
                 "In cell.yaml name its time column (`table: {time: …}`), give its `sample_rate_hz`, or say "
                 "`rows: poses` where each row is the mean of a rest.",

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from autotune.pipeline import IdentifyOptions
-from identification.errors import LogError
+from identification.errors import LogError, UntimedError
 from identification.logs.inspect import inspect_log
 from identification.logs.read import read_recording
 from identification.logs.roles.cell import Cell, PoseFields, PoseSource, WrenchFields, WrenchSource
@@ -131,3 +131,10 @@ def test_the_provenance_holds_the_part_and_only_where_there_is_one() -> None:
     options = IdentifyOptions(start="12.5", stop="@1700000020")
     assert IdentifyOptions.from_tree(options.tree(), None) == options
     assert not {"start", "stop"} & set(IdentifyOptions().tree())
+
+
+def test_of_a_table_without_times_no_part_is_read(tmp_path: Path) -> None:
+    """Rows are no seconds."""
+    (tmp_path / "run.csv").write_text("a,b\n1,2\n3,4\n", encoding="utf-8")
+    with pytest.raises(UntimedError, match=r"the times must be known: run\.csv .*columns are: a, b"):
+        inspect_log(tmp_path / "run.csv", span=LogSpan(start=0.0, stop=1.0))
