@@ -13,7 +13,7 @@ from autotune.formats.plant import NO_DELAY_GIVEN, Plant
 from autotune.formats.quantity import Uncertain
 from autotune.formats.stiffness_units import check_surface_unit, doubtful_surface
 from autotune.formats.units import ROTATIONAL_AXES
-from autotune.prediction.against_touches import Running, TouchComparison, compare_touches
+from autotune.prediction.against_touches import Running, TouchComparison, compare_touches, other_surface
 from autotune.prediction.certified import outside_domain
 from autotune.prediction.contact import check_approach
 from autotune.prediction.law import law_of, law_of_gains
@@ -260,7 +260,7 @@ def compare_with_touches(
         return Running(law=law, desired_force=asked.force, **said)
 
     surface = asked.touched()
-    return compare_touches(
+    found = compare_touches(
         file,
         touches,
         running,
@@ -268,3 +268,14 @@ def compare_with_touches(
         sample_time_s=asked.sample_time,
         progress=progress,
     )
+    shown = {
+        (each.log, axis, of.name): of.secant_stiffness_n_per_m
+        for each in found.contacts
+        for name, result in logs
+        if each.log in ("", name)
+        for axis, estimates in result.axes.items()
+        for of in estimates.environments
+    }
+    places = ((each, (each.log, each.touch.axis, each.touch.surface or "")) for each in found.contacts)
+    said = (other_surface(each, shown.get(place)) for each, place in places)
+    return replace(found, other_surfaces=tuple(dict.fromkeys(text for text in said if text)))

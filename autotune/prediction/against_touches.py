@@ -12,7 +12,7 @@ from autotune.formats.identified import IdentifiedFile
 from autotune.formats.units import axis_units
 from autotune.shown import ResultTable, Shown, data_frame, plain_tree
 from identification.errors import EstimateError
-from identification.result import Touch, TouchCause
+from identification.result import Estimate, Touch, TouchCause
 from problems.contact.transient import Approach
 from problems.errors import AutotuneError
 
@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from autotune.charts.show import AxesLike
+
+# Beyond both of these the stiffness that a log shows is not the one predicted with.
+_STDS_APART, _SHARE_APART = 3.0, 0.3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,12 +49,33 @@ class ComparedTouch:
         return low <= self.touch.peak_force and (high is None or self.touch.peak_force <= high)
 
 
+def other_surface(contact: ComparedTouch, shown: Estimate | None) -> str:
+    """Return a sentence where a log shows another stiffness over robot travel than that predicted with, else ""."""
+    plant = contact.predicted.plant
+    if plant is None or shown is None or shown.value is None or shown.std is None:
+        return ""
+    coupling, ground = plant.coupling.stiffness_n_per_m, plant.environment.stiffness_n_per_m
+    used = coupling * ground / (coupling + ground)
+    if abs(shown.value - used) <= max(_STDS_APART * shown.std, _SHARE_APART * used):
+        return ""
+    factor, unit = axis_units(contact.touch.axis).shown_stiffness
+    return (
+        f"{contact.log or 'the log'} itself shows {factor * shown.value:.3g} {unit} over robot travel on axis "
+        f"{contact.touch.axis}, predicted is with {factor * used:.3g} {unit}: if it is another surface, name it or its "
+        "stiffness with the surface (--surface)"
+    )
+
+
 @dataclass(frozen=True, kw_only=True, repr=False)
 class TouchComparison(Shown):
-    """All touches of logs beside their prediction; `passed_over` says of the others why, a sentence each."""
+    """All touches of logs beside their prediction; `passed_over` says of the others why, a sentence each.
+
+    `other_surfaces` says in sentences which touches of a log were of another stiffness than that predicted with.
+    """
 
     contacts: tuple[ComparedTouch, ...]
     passed_over: tuple[str, ...] = ()
+    other_surfaces: tuple[str, ...] = ()
 
     def _headline(self) -> str:
         inside = sum(each.is_inside for each in self.contacts)
@@ -76,7 +100,7 @@ class TouchComparison(Shown):
         for each in self.contacts:
             said = each.predicted
             notes += [*said.neglected, *interval_notes(said.interval, said.model_error)]
-        return (*dict.fromkeys(notes), *self.passed_over)
+        return (*self.other_surfaces, *dict.fromkeys(notes), *self.passed_over)
 
     def chart(self) -> Chart:
         """Return the picture: measured and predicted peaks with their intervals, contact by contact."""

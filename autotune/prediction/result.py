@@ -275,10 +275,10 @@ def predict_contact(plants: PlantEnsemble, law: Law, approach: Approach) -> Pred
 def contact_chart(contact: ContactTransient, units: AxisKind, title: str, band: ContactBand) -> Chart:
     """Draw one predicted contact: the force at the surface and at the sensor over the time after touching.
 
-    `band` is where the force at the sensor lies.
+    `band` is where the force at the sensor lies at each time; peaks come at different times, so theirs reach further.
     """
     time = 1e3 * contact.time_s
-    ground = Band(x=1e3 * band.time_s, low=band.low, high=band.high, label="interval at the sensor")
+    ground = Band(x=1e3 * band.time_s, low=band.low, high=band.high, label="interval at each time, at the sensor")
     # What a force only rises to until the run ends is no point of its curve.
     is_seen = contact.is_settled or contact.time_of_peak_s < float(contact.time_s[-1])
     peak = np.array([1e3 * contact.time_of_peak_s]), np.array([contact.peak_contact_force_n])

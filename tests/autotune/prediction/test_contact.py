@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 import autotune as at
+from autotune.prediction.against_touches import ComparedTouch, other_surface
 from autotune.prediction.certified import predict_certified
 from autotune.prediction.contact import Law, nominal_contact, peak_interval, simulate_on, simulate_others
 from autotune.prediction.plants import Surface, build_plants, series_plant
 from autotune.prediction.result import predict_contact
-from identification.result import Status
+from identification.result import Estimate, Status, Touch, TouchCause
 from problems.contact.nonlinearities import Deadband
 from problems.contact.transient import Approach, build_sampled_contact
 from problems.model.controller import AdmittanceController
@@ -52,6 +53,23 @@ def test_a_speed_with_another_force_after_the_touch() -> None:
     found = at.predict(plant_of(cell), gains=GAINS, approach_speed=0.04, approach_force=10.0)
     expected = contact_peak(cell, mass=13.0, damping=1000.0, lead=0.02, force=0.04 * 1630.0, speed=0.04, after=10.0)
     assert found.peak_sensor_force == pytest.approx(expected, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("shown", "std", "is_other"), [(3.25e3, 700.0, True), (1.2e4, 500.0, False), (7e3, 6e3, False), (None, None, False)]
+)
+def test_a_log_with_another_surface_is_named(shown: float | None, std: float | None, is_other: bool) -> None:
+    """K_s and K_e in series are 13.6 N/mm: a third off and three deviations off, both, is another surface."""
+    wall, coupling = 1.5e4, 1.5e5
+    predicted = at.predict(plant_of(Cell(wall=wall, coupling=coupling)), gains=GAINS, approach_force=30.0)
+    touch = Touch(axis="z", sign=1, cause=TouchCause.WALL, peak_s=2.0, peak_force=30.0)
+    status = Status.UNIDENTIFIABLE if shown is None else Status.WEAK
+    found = other_surface(
+        ComparedTouch(touch=touch, log="a.bag", predicted=predicted), Estimate(value=shown, std=std, status=status)
+    )
+    assert bool(found) is is_other
+    if is_other:
+        assert found.startswith("a.bag itself shows 3.25 N/mm over robot travel on axis z, predicted is with 13.6 N/mm")
 
 
 @pytest.mark.parametrize(("stiffness", "period_s"), [(2.6e3, 1e-3), (1.75e4, 1e-3), (1.75e4, 1e-2)])
