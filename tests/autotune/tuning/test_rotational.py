@@ -120,7 +120,7 @@ def test_missing_parameters_are_named_as_the_file_names_them() -> None:
 
 def test_another_payload_is_refused_unless_its_inertia_is_said() -> None:
     heavy = DEFAULT.with_options(payload_mass_kg=(16.0, 22.0))
-    with pytest.raises(UsageError, match=r"16 to 22 kg is not the identified one .* rotational\.payload_inertia_kg_m2"):
+    with pytest.raises(UsageError, match=r"16 to 22 kg is not that of the plant .* rotational\.payload_inertia_kg_m2"):
         build_problems(two_axes(), heavy)
     said = replace(heavy, rotational=RotationalSpec(payload_mass_kg=(0.6, 0.9)))
     problems = build_problems(two_axes(), said)
