@@ -201,9 +201,9 @@ def _inside(done: Sequence[_Run | OutsideSpanError]) -> list[_Run]:
     outside = [each for each in done if isinstance(each, OutsideSpanError)]
     if not found:
         raise outside[0]
-    told = tuple(Finding.info("recording-outside", f"Not used: {error}", "") for error in outside)
+    skipped = tuple(Finding.info("recording-outside", f"Not used: {error}", "") for error in outside)
     named = found[0].named
-    result = replace(named.result, findings=(*named.result.findings, *told))
+    result = replace(named.result, findings=(*named.result.findings, *skipped))
     return [replace(found[0], named=replace(named, result=result)), *found[1:]]
 
 
