@@ -25,6 +25,10 @@ _UNITS: Mapping[str, Mapping[str, float]] = {
     "rotational damping": {"Nms/rad": 1.0},
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6},
 }
+_EMPTY_GRIPPER = (
+    " Even empty, the sensor carries the gripper: its mass, as identified from a log without a part, is the least; "
+    "for empty and loaded give it first, for example 2,22 with a gripper of 2 kg."
+)
 _SHOWN = {"rotational stiffness": "N·m/rad", "inertia": "kg·m²", "damping": "N·s/m"}
 _NUMBER = re.compile(
     r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[+-]?(?:inf|nan))\s*([A-Za-zµμ].*?)?\s*", re.IGNORECASE
@@ -52,6 +56,22 @@ def parse_quantities(parts: list[str], kind: str) -> list[Quantity]:
     """Return several numbers; a unit behind the last one is that of all that have none, as in 20:500N/mm."""
     last = _parted(parts[-1])[1]
     return [parse_quantity(part if _parted(part)[1] or last is None else f"{part}{last}", kind) for part in parts]
+
+
+def parse_range(parts: list[str], kind: str) -> tuple[Quantity, Quantity]:
+    """Return the ends of a range of one or two numbers, as `parse_quantities`.
+
+    Raises ValueError, with a sentence, unless they are finite, above 0 and in order.
+    """
+    found = parse_quantities(parts, kind)
+    low, high = found[0], found[-1]
+    if not 0.0 < low.value <= high.value < math.inf:
+        hint = _EMPTY_GRIPPER if kind == "mass" and low.value == 0.0 else ""
+        raise ValueError(
+            f"a {'payload mass' if kind == 'mass' else kind} must be finite and above 0, the lower one first; "
+            f"found {low.value:g} and {high.value:g}.{hint}"
+        )
+    return low, high
 
 
 def _parted(text: str) -> tuple[float, str | None]:

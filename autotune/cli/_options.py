@@ -14,6 +14,7 @@ LOGS = (".mcap", ".bag", ".db3", ".csv", ".parquet")
 KEYS = (".pem", ".pub", ".key")
 _WIDEST = 100
 _COMMON = ("--json", "--quiet", "--debug", "--help")
+_WITH_UNIT = "autotune.with_unit"
 _LAST = "Messages and output"
 
 
@@ -71,6 +72,24 @@ class QuantityRange(click.FloatRange):
             except ValueError as error:
                 self.fail(str(error), param, ctx)
         return super().convert(value, param, ctx)
+
+
+def typed_range(parts: list[str], kind: str, field: str) -> tuple[float, float]:
+    """Return the range that numbers say, in SI; that the unit of `field` was typed is kept for `fields_with_unit`."""
+    from autotune.quantities import parse_range
+
+    try:
+        low, high = parse_range(parts, kind)
+    except ValueError as error:
+        raise click.BadParameter(str(error)) from None
+    if low.has_unit and high.has_unit:
+        click.get_current_context().meta.setdefault(_WITH_UNIT, set()).add(field)
+    return low.value, high.value
+
+
+def fields_with_unit() -> frozenset[str]:
+    """Return the fields whose units were typed."""
+    return frozenset(click.get_current_context().meta.get(_WITH_UNIT, ()))
 
 
 class GroupedCommand(click.Command):

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ._common import Output
+from ._options import fields_with_unit, typed_range
 from ._terminal import echo, painted, print_message, print_table, printable
 
 if TYPE_CHECKING:
@@ -18,7 +19,6 @@ Interval = tuple[float, float]
 
 _KINDS = {"payload": "payload_mass_kg", "stiffness": "environment_stiffness_n_per_m"}
 _OPTION_OF = {"payload": "payload_mass", "stiffness": "environment_stiffness"}
-_WITH_UNIT = "autotune.with_unit"
 _SHORT = {"payload_mass_kg": ("payload", "kg"), "environment_stiffness_n_per_m": ("K_e", "N/m")}
 
 
@@ -41,41 +41,7 @@ def _interval(text: str, kind: str) -> Interval:
     parts = text.split(":")
     if len(parts) not in (1, 2):
         raise click.BadParameter(f"{text!r} is no {kind}; give a number, or a range as LOW:HIGH.")
-    low, high = said_range(parts, "mass" if kind == "payload" else kind, _KINDS[kind])
-    return check_range(low, high, f"a {kind}", is_mass=kind == "payload")
-
-
-def said_range(parts: list[str], kind: str, field: str) -> Interval:
-    """Return the first and the last of numbers with or without units; where a unit is said, that is kept."""
-    from autotune.quantities import parse_quantities
-
-    try:
-        found = parse_quantities(parts, kind)
-    except ValueError as error:
-        raise click.BadParameter(str(error)) from None
-    if all(each.has_unit for each in found):
-        click.get_current_context().meta.setdefault(_WITH_UNIT, set()).add(field)
-    return found[0].value, found[-1].value
-
-
-def fields_with_unit() -> frozenset[str]:
-    """Return the fields whose units were typed."""
-    return frozenset(click.get_current_context().meta.get(_WITH_UNIT, ()))
-
-
-def check_range(low: float, high: float, what: str, *, is_mass: bool) -> Interval:
-    """Return a range of the command line; raises BadParameter unless it is finite, above 0 and in order."""
-    if 0.0 < low <= high < float("inf"):
-        return low, high
-    hint = ""
-    if is_mass and low == 0.0:
-        hint = (
-            " Even empty, the sensor carries the gripper: its mass, as identified from a log without a part, is the "
-            "least; for empty and loaded give it first, for example 2,22 with a gripper of 2 kg."
-        )
-    raise click.BadParameter(
-        f"{what} must be finite and above 0, the lower one first; found {low:g} and {high:g}.{hint}"
-    )
+    return typed_range(parts, "mass" if kind == "payload" else kind, _KINDS[kind])
 
 
 def schedule_options(function: Callable[..., Any]) -> Callable[..., Any]:

@@ -19,10 +19,10 @@ from ._optimized import (
     print_compliance,
     response_lines,
 )
-from ._options import SETTINGS, FilePath, GroupedCommand
+from ._options import SETTINGS, FilePath, GroupedCommand, fields_with_unit, typed_range
 from ._pareto import FrontWriter, pareto_options, proof_options
 from ._report import check_report, print_report_path, report_option, report_refusal, write_report
-from ._schedule import check_range, fields_with_unit, said_range, schedule_options
+from ._schedule import schedule_options
 from ._terminal import detect_terminal, echo, print_message, print_table
 
 if TYPE_CHECKING:
@@ -57,8 +57,7 @@ def _masses(_context: click.Context, _option: click.Parameter, text: str | None)
     parts = text.split(",")
     if len(parts) > 2:
         raise click.BadParameter("give one mass, or two as LOW,HIGH in kg.")
-    low, high = said_range(parts, "mass", "payload_mass_kg")
-    return check_range(low, high, "a payload mass", is_mass=True)
+    return typed_range(parts, "mass", "payload_mass_kg")
 
 
 def _stiffness(_context: click.Context, _option: click.Parameter, text: str | None) -> tuple[float, float] | None:
@@ -67,8 +66,7 @@ def _stiffness(_context: click.Context, _option: click.Parameter, text: str | No
     parts = text.split(":")
     if len(parts) != 2:
         raise click.BadParameter("give a range as LOW:HIGH in N/m, for example 2e4:5e5, or with its unit, 20:500N/mm.")
-    low, high = said_range(parts, "stiffness", "environment_stiffness_n_per_m")
-    return check_range(low, high, "a stiffness", is_mass=False)
+    return typed_range(parts, "stiffness", "environment_stiffness_n_per_m")
 
 
 @click.command("optimize", cls=GroupedCommand, groups=_GROUPS, epilog=_EPILOG)

@@ -80,9 +80,9 @@ def prove_search(
     Raises RefutedError with the plant where a proof fails, and with the impact where a contact bounces for ever.
     """
     problem, law = search.problem, search.problem.controller(search.design)
-    domain, swept = build_domain(problem), min(each.margins.modulus for each in search.margins)
-    proved = prove_axis(domain, law, problem.sample_time_s, name, swept, asked, report)
-    bouncing = search_bouncing(name, domain, law, problem.sample_time_s)
+    swept = min(each.margins.modulus for each in search.margins)
+    proved = prove_axis(problem.plants, law, problem.sample_time_s, name, swept, asked, report)
+    bouncing = search_bouncing(name, build_domain(problem), law, problem.sample_time_s)
     if bouncing.found is not None:
         raise RefutedError(
             f"Axis {name}: {bouncing.message()}. Stability in contact and in free space does not exclude that, so the "

@@ -1,4 +1,4 @@
-"""Prove stability and modulus margin of one axis over its domain: for the certificate, and again from it."""
+"""Prove stability and modulus margin of one axis over its plants: for the certificate, and again from it."""
 
 import math
 from collections.abc import Callable, Iterable
@@ -9,9 +9,9 @@ from autotune.certificate.certify import ProofOutcome
 from autotune.certificate.claim import METHOD, WORK_PER_SECOND, Claim, CombinedCertificate, prove
 from autotune.certificate.family import PROVABLE
 from autotune.errors import CertificateError
-from autotune.formats.certificate_record import AxisDomain, Proof, ProvenRegion
+from autotune.formats.certificate_record import Proof, ProvenRegion
 from autotune.formats.units import axis_units
-from problems.design.uncertainty import ALWAYS_UNCERTAIN
+from problems.design.uncertainty import ALWAYS_UNCERTAIN, PlantSet
 from problems.errors import ParameterError
 from problems.model.axis_kind import AxisKind
 from problems.model.sampled import Controller
@@ -84,7 +84,7 @@ class AxisProof:
 
 
 def prove_axis(
-    domain: AxisDomain,
+    plants: PlantSet,
     law: Controller,
     sample_time_s: float,
     name: str,
@@ -96,8 +96,8 @@ def prove_axis(
 
     Parameters
     ----------
-    domain
-        Nominal plant and ranges.
+    plants
+        All plants of the axis that must be safe.
     law
         The law of the axis.
     sample_time_s
@@ -126,17 +126,17 @@ def prove_axis(
     options = options or ProofOptions()
     modulus = min((1.0 - options.slack) * swept_modulus, _MOST_MODULUS)
     asked: list[tuple[tuple[str, ...], float]] = [(ALWAYS_UNCERTAIN, options.budget_s)]
-    further = tuple(key for key in domain.uncertain or {} if key in PROVABLE)
+    further = tuple(key for key in plants.further if key in PROVABLE)
     if further and options.further_s > 0.0:
         asked.append(((*ALWAYS_UNCERTAIN, *further), options.further_s))
     prover, regions = Prover(), []
     for over, budget_s in asked:
         share = None if progress is None else partial(_passed_on, progress, 1.0 / len(asked))
-        found = prover.prove(modulus_claim(domain, law, sample_time_s, over, modulus, budget_s), share)
-        false = refuted_inside(domain, found)
+        found = prover.prove(modulus_claim(plants, law, sample_time_s, over, modulus, budget_s), share)
+        false = refuted_inside(plants, found)
         if false is not None:
-            raise _refuted(name, domain, false, describe_false(false, axis_units(name)))
-        low, high = domain.environment_stiffness_n_per_m
+            raise _refuted(name, plants, false, describe_false(false, axis_units(name)))
+        low, high = plants.environment_stiffness_n_per_m
         regions.append(
             ProvenRegion(
                 over=over,
@@ -151,11 +151,11 @@ def prove_axis(
                 run_time_s=found.run_time_s,
             )
         )
-    claim = stability_claim(domain, law, sample_time_s, regions)
+    claim = stability_claim(plants, law, sample_time_s, regions)
     stable = prover.prove(claim)
     if stable.failed is not None:
-        raise _refuted(name, domain, stable.failed, describe_unstable(stable, axis_units(name)))
-    proofs = stability_statements(domain, claim, stable, name)
+        raise _refuted(name, plants, stable.failed, describe_unstable(stable, axis_units(name)))
+    proofs = stability_statements(plants, claim, stable, name)
     return AxisProof(proofs=proofs, regions=tuple(regions), answers=prover.answers)
 
 
@@ -163,29 +163,29 @@ def _passed_on(progress: Callable[[float], None], share: float, done: float) -> 
     progress(share * done)
 
 
-def _refuted(name: str, domain: AxisDomain, failed: ProofOutcome, message: str) -> CertificateError:
+def _refuted(name: str, plants: PlantSet, failed: ProofOutcome, message: str) -> CertificateError:
     """Return the error of a claim that fails at a plant; free space is reported as the softest surface."""
     plant = failed.plant
     if plant is None:
         return CertificateError(f"Axis {name}: {message}")
-    stiffness = plant.environment_stiffness_n_per_m or domain.environment_stiffness_n_per_m[0]
+    stiffness = plant.environment_stiffness_n_per_m or plants.environment_stiffness_n_per_m[0]
     scenario = replace(plant, environment_stiffness_n_per_m=stiffness)
     return RefutedError(f"Axis {name}: {message}", axis=name, scenario=scenario)
 
 
 def modulus_claim(
-    domain: AxisDomain, law: Controller, sample_time_s: float, over: tuple[str, ...], modulus: float, budget_s: float
+    plants: PlantSet, law: Controller, sample_time_s: float, over: tuple[str, ...], modulus: float, budget_s: float
 ) -> Claim:
     """Return the claim of a modulus over the named parameters, the others nominal, with a budget for all its parts.
 
-    Raises ParameterError for a parameter that the domain has no range of.
+    Raises ParameterError for a parameter that the set has no range of.
     """
     for key in over:
-        if key not in domain.plants.ranges:
-            known = ", ".join(domain.plants.ranges)
-            raise ParameterError("over", key, f"one of {known}, which the domain gives ranges of")
+        if key not in plants.ranges:
+            known = ", ".join(plants.ranges)
+            raise ParameterError("over", key, f"one of {known}, of which ranges are given")
     return Claim(
-        plants=domain.plants.only(over),
+        plants=plants.only(over),
         law=law,
         sample_time_s=sample_time_s,
         modulus=modulus,
@@ -194,7 +194,7 @@ def modulus_claim(
 
 
 def stability_claim(
-    domain: AxisDomain, law: Controller, sample_time_s: float, regions: Iterable[ProvenRegion] = ()
+    plants: PlantSet, law: Controller, sample_time_s: float, regions: Iterable[ProvenRegion] = ()
 ) -> Claim:
     """Return the claim by which stability over K_e and M_p is proved.
 
@@ -202,20 +202,20 @@ def stability_claim(
     """
     for each in regions:
         if each.over == ALWAYS_UNCERTAIN and each.share == 1.0:
-            return modulus_claim(domain, law, sample_time_s, each.over, each.modulus, each.budget_s)
-    alone = modulus_claim(domain, law, sample_time_s, ALWAYS_UNCERTAIN, _MOST_MODULUS, 1.0)
+            return modulus_claim(plants, law, sample_time_s, each.over, each.modulus, each.budget_s)
+    alone = modulus_claim(plants, law, sample_time_s, ALWAYS_UNCERTAIN, _MOST_MODULUS, 1.0)
     return replace(alone, modulus=None, work=STABILITY_WORK)
 
 
-def stability_statements(domain: AxisDomain, claim: Claim, found: CombinedCertificate, name: str) -> tuple[Proof, ...]:
+def stability_statements(plants: PlantSet, claim: Claim, found: CombinedCertificate, name: str) -> tuple[Proof, ...]:
     """Return what a proof of stability says of one axis, in free space and in contact.
 
     It says nothing of a contact that is left and made again, which `bouncing_claim` is about.
     """
-    low, high = domain.environment_stiffness_n_per_m
-    light, heavy = domain.payload_mass_kg
+    low, high = plants.environment_stiffness_n_per_m
+    light, heavy = plants.payload_mass_kg
     units = axis_units(name)
-    others = "" if domain.uncertain is None else ", everything else at its nominal value"
+    others = "" if not plants.further else ", everything else at its nominal value"
     with_modulus = {} if claim.modulus is None else {"modulus": claim.modulus}
     return tuple(
         Proof(
@@ -235,15 +235,15 @@ def stability_statements(domain: AxisDomain, claim: Claim, found: CombinedCertif
     )
 
 
-def refuted_inside(domain: AxisDomain, found: CombinedCertificate) -> ProofOutcome | None:
-    """Return what is false at a plant of the domain: the box around a confidence set holds others too."""
+def refuted_inside(plants: PlantSet, found: CombinedCertificate) -> ProofOutcome | None:
+    """Return what is false at a plant of the set: the box around a confidence set holds others too."""
     false = found.false
     if false is None or false.plant is None:
         return None
     plant = false.plant
     if plant.environment_stiffness_n_per_m == 0.0:
-        plant = replace(plant, environment_stiffness_n_per_m=domain.environment_stiffness_n_per_m[0])
-    return false if domain.confidence is None or domain.plants.contains(plant) else None
+        plant = replace(plant, environment_stiffness_n_per_m=plants.environment_stiffness_n_per_m[0])
+    return false if plants.ellipsoid is None or plants.contains(plant) else None
 
 
 def describe_false(false: ProofOutcome, units: AxisKind) -> str:

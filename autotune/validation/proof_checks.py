@@ -45,10 +45,10 @@ def check_stability(
     """
     certificate, units = controller.certificate, axis_units(name)
     domain, regions = certificate.domain[name], (certificate.continuous or {}).get(name, ())
-    claim = stability_claim(domain, law, controller.sample_time_s, () if is_short else regions)
+    claim = stability_claim(domain.plants, law, controller.sample_time_s, () if is_short else regions)
     origin, found = prover.origin(claim), prover.prove(claim)
     if not found.holds and claim.modulus is not None:
-        claim = stability_claim(domain, law, controller.sample_time_s)
+        claim = stability_claim(domain.plants, law, controller.sample_time_s)
         origin, found = prover.origin(claim), prover.prove(claim)
     (low, high), (light, heavy) = domain.environment_stiffness_n_per_m, domain.payload_mass_kg
     rest = "" if domain.uncertain is None else ", the rest of the plant nominal"
@@ -64,7 +64,7 @@ def check_stability(
         checks.append(Check(axis=name, name=f"stability in {where}", passed=passed, message=message))
         if not passed:
             break
-    statements = stability_statements(domain, claim, found, name)
+    statements = stability_statements(domain.plants, claim, found, name)
     return tuple(checks), tuple(replace(each, numbers=None) for each in statements) if is_short else statements
 
 
@@ -150,11 +150,11 @@ def _continuous(
     over = ", ".join(SYMBOLS.get(each, each) for each in region.over)
     bound = f"|1 + L| > {region.modulus:.4g} and stable at every frequency, over {over}"
     try:
-        claim = modulus_claim(domain, law, sample_time_s, region.over, region.modulus, region.budget_s)
+        claim = modulus_claim(domain.plants, law, sample_time_s, region.over, region.modulus, region.budget_s)
         origin, found = prover.origin(claim), prover.prove(claim)
     except ParameterError as error:
         return Check(axis=name, name="continuous proof", passed=False, message=str(error))
-    false = refuted_inside(domain, found)
+    false = refuted_inside(domain.plants, found)
     wide = domain.environment_stiffness_n_per_m
     proved = wide if found.holds else (wide[0], found.up_to(wide[0]))
     share = 0.0 if found.false else found.share

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from autotune.errors import UsageError
-from autotune.quantities import parse_given, parse_quantities, parse_quantity
+from autotune.quantities import parse_given, parse_quantities, parse_quantity, parse_range
 from identification.given import Given
 
 
@@ -101,3 +101,13 @@ def test_what_no_payload_has_is_refused(text: str) -> None:
 
 def test_a_damping_or_delay_may_be_none() -> None:
     assert parse_given(["x.drag_n_s_per_m=0±10", "x.delay_s=0"])["x.delay_s"].value == 0.0
+
+
+def test_a_range_has_its_ends_in_order_above_0() -> None:
+    low, high = parse_range(["20", "500N/mm"], "stiffness")
+    assert (low.value, high.value) == (2e4, 5e5)
+    (same, again) = parse_range(["16.2"], "mass")
+    assert same == again
+    for parts, found in ((["3", "2"], "found 3 and 2"), (["1", "inf"], "found 1 and inf"), (["0", "2"], "the gripper")):
+        with pytest.raises(ValueError, match=rf"a payload mass must be finite and above 0.*{found}"):
+            parse_range(parts, "mass")

@@ -4,7 +4,7 @@ from functools import cache
 
 from autotune.formats.controller_record import Controller, RuntimePayload
 from autotune.tuning.compare import judge_design
-from autotune.tuning.record import build_controller, build_domain
+from autotune.tuning.record import build_controller
 from autotune.validation.axis_proof import prove_axis
 from problems.contact.transient import Approach
 from problems.design.problem import DesignProblem, Requirements
@@ -48,11 +48,11 @@ def written(law: AdmittanceController, axis: str = "x") -> Controller:
     problem = bouncing_problem(lead_s=(law.lead_s, law.lead_s))
     design = [problem.bounds[name][0] for name in problem.variables]
     search = judge_design(problem, design)  # type: ignore[arg-type]
-    domain, modulus = build_domain(problem), min(each.margins.modulus for each in search.margins)
+    modulus = min(each.margins.modulus for each in search.margins)
     payload = RuntimePayload(
         mass_kg=M_P, com_m=(0.0, 0.0, 0.1), force_bias_n=(0.0, 0.0, 0.0), torque_bias_n_m=(0.0, 0.0, 0.0)
     )
-    proof = prove_axis(domain, law, PERIOD_S, axis, modulus)
+    proof = prove_axis(problem.plants, law, PERIOD_S, axis, modulus)
     return build_controller({axis: search}, payload, {axis: proof.proofs}, {axis: proof.regions}, {"tool": "test"})
 
 

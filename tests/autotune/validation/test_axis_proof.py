@@ -8,6 +8,7 @@ from autotune.certificate.claim import METHOD, prove
 from autotune.errors import CertificateError
 from autotune.formats.certificate_record import AxisDomain, ConfidenceSet
 from autotune.formats.controller_record import admittance_controller
+from autotune.tuning.record import build_domain
 from autotune.validation.axis_proof import (
     ProofOptions,
     Prover,
@@ -42,19 +43,19 @@ def test_a_swept_modulus_that_is_none_is_refused_with_its_point() -> None:
     with pytest.raises(
         CertificateError, match=r"Axis x: stability with a modulus of .* is refuted at M_p = 16 kg.* Hz"
     ):
-        prove_axis(domain, law, 8e-4, "x", 1.1 * swept)
+        prove_axis(domain.plants, law, 8e-4, "x", 1.1 * swept)
 
 
 def test_all_that_is_uncertain_is_proved_as_far_as_the_budget_goes() -> None:
     domain, law, swept = case()
     wide = replace(domain, uncertain=FURTHER)
-    (alone,) = prove_axis(wide, law, 8e-4, "x", 0.9 * swept, ProofOptions(further_s=0.0)).regions
+    (alone,) = prove_axis(wide.plants, law, 8e-4, "x", 0.9 * swept, ProofOptions(further_s=0.0)).regions
     assert alone.over == BOTH
-    first, second = prove_axis(wide, law, 8e-4, "x", 0.9 * swept, ProofOptions(further_s=2.0)).regions
+    first, second = prove_axis(wide.plants, law, 8e-4, "x", 0.9 * swept, ProofOptions(further_s=2.0)).regions
     assert first == alone
     assert second.over == (*BOTH, *FURTHER)
     assert second.share == 1.0
-    _, cut = prove_axis(wide, law, 8e-4, "x", 0.9 * swept, ProofOptions(further_s=0.02)).regions
+    _, cut = prove_axis(wide.plants, law, 8e-4, "x", 0.9 * swept, ProofOptions(further_s=0.02)).regions
     assert cut.share < 1.0
     assert cut.environment_stiffness_n_per_m[1] < domain.environment_stiffness_n_per_m[1]
 
@@ -69,14 +70,14 @@ def test_what_is_false_beside_a_confidence_set_is_not_held_against_it() -> None:
     over = (*BOTH, "drag_n_s_per_m")
     for confidence, is_false in ((None, True), (spread, False)):
         of = replace(domain, uncertain=ranges, confidence=confidence)
-        found = prove(modulus_claim(of, law, 8e-4, over, 0.95 * swept, 200_000))
+        found = prove(modulus_claim(of.plants, law, 8e-4, over, 0.95 * swept, 200_000))
         assert found.false is not None
-        assert (refuted_inside(of, found) is not None) == is_false
+        assert (refuted_inside(of.plants, found) is not None) == is_false
 
 
 def test_what_the_modulus_proves_is_not_proved_again_for_stability() -> None:
     domain, law, swept = case()
-    found = prove_axis(domain, law, 8e-4, "x", swept)
+    found = prove_axis(domain.plants, law, 8e-4, "x", swept)
     ((claim, answer),) = found.answers
     assert claim.modulus == pytest.approx(0.95 * swept)
     for stated, parts in zip(found.proofs, (answer.free_space, answer.contact), strict=True):
@@ -86,18 +87,18 @@ def test_what_the_modulus_proves_is_not_proved_again_for_stability() -> None:
 
 def test_where_the_budget_ends_stability_is_proved_alone() -> None:
     domain, law, swept = case()
-    found = prove_axis(domain, law, 8e-4, "x", swept, ProofOptions(budget_s=1e-4))
+    found = prove_axis(domain.plants, law, 8e-4, "x", swept, ProofOptions(budget_s=1e-4))
     assert [claim.modulus is None for claim, _ in found.answers] == [False, True]
     (reach,) = found.regions
     assert reach.share < 1.0
-    assert found.answers[1][0] == stability_claim(domain, law, 8e-4, found.regions)
+    assert found.answers[1][0] == stability_claim(domain.plants, law, 8e-4, found.regions)
     assert found.answers[1][1].holds
     assert all("modulus" not in (stated.numbers or {}) for stated in found.proofs)
 
 
 def test_a_claim_is_proved_once_and_where_its_answer_is_from_is_said() -> None:
     domain, law, swept = case()
-    claim = modulus_claim(domain, law, 8e-4, BOTH, 0.9 * swept, 60.0)
+    claim = modulus_claim(domain.plants, law, 8e-4, BOTH, 0.9 * swept, 60.0)
     first = Prover()
     assert first.origin(claim) == ""
     found = first.prove(claim)
@@ -106,10 +107,16 @@ def test_a_claim_is_proved_once_and_where_its_answer_is_from_is_said() -> None:
     later = Prover(first.answers)
     assert later.origin(claim) == ", proved when this certificate was made"
     assert later.prove(claim) is found
-    assert later.origin(stability_claim(domain, law, 8e-4)) == ""
+    assert later.origin(stability_claim(domain.plants, law, 8e-4)) == ""
 
 
 @pytest.mark.parametrize("change", [{"slack": 0.0}, {"slack": 1.0}, {"budget_s": 0.0}, {"further_s": float("inf")}])
 def test_wishes_that_cannot_be_are_refused(change: dict[str, float]) -> None:
     with pytest.raises(ValueError, match="must be"):
         ProofOptions(**change)
+
+
+def test_the_domain_of_a_file_is_the_set_that_was_proved() -> None:
+    """Else a claim of the file would not be one that was answered when it was made, and would be proved twice."""
+    problem = fast_optimized().searches["x"].problem
+    assert build_domain(problem).plants == problem.plants

@@ -255,7 +255,9 @@ def test_what_is_passed_without_being_shown_is_told_so() -> None:
     """A budget for nothing proves nothing, and a deadband of nearly F^d hides the contact: neither is wrong."""
     whole = small_controller()
     swept, options = whole.certificate.margins["x"].modulus, ProofOptions(budget_s=1e-4)
-    found = prove_axis(whole.certificate.domain["x"], admittance_controller(whole, "x"), 8e-4, "x", swept, options)
+    found = prove_axis(
+        whole.certificate.domain["x"].plants, admittance_controller(whole, "x"), 8e-4, "x", swept, options
+    )
     given_up = _certified(whole, proved=found.proofs, continuous={"x": found.regions})
     driving = small_controller().certificate.domain["x"].approach_force_n or 0.0
     report = validate_controller(gains(deadband=0.97 * driving)(given_up))
