@@ -133,7 +133,7 @@ def _check_of_design(gains: Gains, asked: ContactRequest) -> None:
                 "out, or predict on a Plant, an Identification or the path of one."
             )
     if isinstance(asked.stiffness, Uncertain):
-        raise UsageError("environment_stiffness of a Design must be one number [N/m, N·m/rad], without a deviation.")
+        raise UsageError("The stiffness of a surface must be one number for a design, without a deviation.")
 
 
 def _controller(gains: Gains) -> "Controller | None":
@@ -191,9 +191,13 @@ def parse_approach(text: str, axis: str | None) -> dict[str, float]:
     }
 
 
-def parse_surface(text: str, result: Identified) -> tuple[str, float | Uncertain | None]:
-    """Return the name of a surface of a plant, or a stiffness such as 20N/mm or 20±2N/mm; raises UsageError."""
-    names = [each.name for axis in result.axes.values() for each in axis.environments]
+def parse_surface(text: str, result: Identified | None) -> tuple[str, float | Uncertain | None]:
+    """Return the name of a surface of a plant, or a stiffness such as 20N/mm or 20±2N/mm; raises UsageError.
+
+    Without a plant there are no names.
+    """
+    axes = {} if result is None else result.axes
+    names = [each.name for axis in axes.values() for each in axis.environments]
     if text in names:
         return text, None
     value, sign, std = text.replace("+-", "±").partition("±")

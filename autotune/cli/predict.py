@@ -23,6 +23,7 @@ Examples:
   autotune predict identified.yaml --gains mass=13,damping=1000,lead=0.02 --surface x1 --approach force=30
   autotune predict plant.yaml --gains mass=13,damping=1000 --surface 20N/mm --approach speed=28mm/s --plot contact.svg
   autotune predict identified.yaml --controller controller.yaml --surface 20±2N/mm --approach force=30
+  autotune predict controller.yaml --surface 20N/mm
   autotune predict identified.yaml --controller controller.yaml --log contacts.bag --report contacts.html
 """
 _GROUPS = {
@@ -61,7 +62,9 @@ _SOURCE = FilePath(*SETTINGS)
 def command(output: Output, /, identified: Path, **options: Any) -> None:
     """Predict the peak force of a contact with an interval, from the plant in IDENTIFIED.
 
-    IDENTIFIED is what identify wrote, or a plant.yaml. The interval holds the joint deviations of the parameters, the
+    IDENTIFIED is what identify wrote, a plant.yaml, or a controller.yaml, which brings its own gains and certified
+    plants: the interval is then over all of these, and a contact begins as certified unless --approach says otherwise.
+    Else the interval holds the joint deviations of the parameters, the
     spread between contacts and the error of the model on contacts that took no part. With --log every contact of the
     log is predicted, beside what was measured; gains and desired force are those in the log unless they are said. Exit
     code 3: a log cannot be used. 4: the plant lacks what the prediction needs. 5: the loop is unstable, and its
@@ -79,7 +82,7 @@ def command(output: Output, /, identified: Path, **options: Any) -> None:
     check_report(report, [*sources, *([] if plot is None else [plot])])
     seen = _Seen()
     with report_refusal(output, report, sources, seen.refused_page):
-        seen.found = _compared(output, identified, options) if logs else _predicted(identified, options)
+        seen.found = _found(output, identified, options)
     tree = seen.found.to_dict()
     if plot is not None:
         _write_plot(output, plot, seen.found)
@@ -131,11 +134,43 @@ def _printed(found: "Shown") -> Iterator[str | list[tuple[str, ...]]]:
         yield f"note: {note}"
 
 
-def _predicted(identified: Path, options: dict[str, Any]) -> "PredictedContact":
+def _found(output: Output, identified: Path, options: dict[str, Any]) -> "PredictedContact | TouchComparison":
+    """Predict one contact, or those of logs, as the file and the options say."""
     from autotune.errors import InfeasibleError
+    from autotune.formats.yaml12 import kind_of_file
+    from problems.stability.margins import UnstableLoopError
+
+    if options["logs"]:
+        return _compared(output, identified, options)
+    of_file = _certified if kind_of_file(identified) == "controller" else _predicted
+    try:
+        return of_file(identified, options)
+    except UnstableLoopError as error:
+        raise InfeasibleError(f"On the plant of {identified}: {error}") from error
+
+
+def _certified(path: Path, options: dict[str, Any]) -> "PredictedContact":
+    from autotune.design import Design
+    from autotune.formats.controller import read_controller
+    from autotune.predicting import predict_any
+
+    for name in ("gains", "controller", "sample_time"):
+        if options[name] is not None:
+            raise click.UsageError(
+                f"--{name.replace('_', '-')} does not go with a controller file, which brings gains, period and "
+                "certified plants: leave it out, or predict on an identified.yaml or plant.yaml."
+            )
+    if options["surface"] is None:
+        raise click.UsageError("Say what is touched: --surface 20N/mm.")
+    read, axis = read_controller(path), options["axis"]
+    if axis not in read.controller.axes and (axis is not None or len(read.controller.axes) > 1):
+        raise click.UsageError(f"{path} holds the axes {', '.join(read.controller.axes)}; say one of them with --axis.")
+    return predict_any(Design(controller=read.controller, file=read), None, _request(options, None))
+
+
+def _predicted(identified: Path, options: dict[str, Any]) -> "PredictedContact":
     from autotune.formats.plant_file import read_plant
     from autotune.predicting import parse_gains, predict_any
-    from problems.stability.margins import UnstableLoopError
 
     file, axis = read_plant(identified), options["axis"]
     asked = _request(options, file.result)
@@ -144,10 +179,7 @@ def _predicted(identified: Path, options: dict[str, Any]) -> "PredictedContact":
         raise click.UsageError("Give the gains with --gains, or with --controller.")
     if asked.approach() is None:
         raise click.UsageError("Say how the contact begins: --approach force=30 or speed=0.02.")
-    try:
-        return predict_any(file, controller if gains is None else parse_gains(gains, axis), asked)
-    except UnstableLoopError as error:
-        raise InfeasibleError(f"On the plant of {identified}: {error}") from error
+    return predict_any(file, controller if gains is None else parse_gains(gains, axis), asked)
 
 
 def _compared(output: Output, identified: Path, options: dict[str, Any]) -> "TouchComparison":

@@ -1,4 +1,4 @@
-"""The table of export targets; a new target is a module with a `ExportTarget`, and a line here."""
+"""The table of export targets; a new target is a module with a `ExportTarget`, and its import and entry here."""
 
 from collections.abc import Mapping
 

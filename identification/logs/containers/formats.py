@@ -81,7 +81,7 @@ FORMATS = [
     LogFormat(name="one of these packed with zstd", magic=ZSTD_MAGIC, open=_open_zstd),
     LogFormat(name="a folder of rosbag2", is_folder=Path.is_dir, open=_open_folder),
 ]
-"""All formats; to add one, write a file with its `Container` and a line here."""
+"""All formats; to add one, write a file with its `Container` and its import and entry here."""
 
 
 def open_container(path: Path, *, salvage: bool = False) -> Container:

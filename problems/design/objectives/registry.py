@@ -1,4 +1,4 @@
-"""The registry of objectives; a new one is a file beside this one and a line in `BUILT_IN`."""
+"""The registry of objectives; a new one is a file beside this one, its import, and an entry in `BUILT_IN`."""
 
 from collections.abc import Mapping
 

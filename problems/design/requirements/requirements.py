@@ -17,6 +17,8 @@ from .registry import BUILT_IN
 # What is missed more than a thousandfold costs no more, and no price is above this: costs stay comparable numbers.
 LARGEST_SHARE = 1e3
 LARGEST_PRICE_N = 1e6
+_DEFAULT_ADMITTANCE = AdmittanceTarget(is_default=True)
+_NOTHING: Mapping[str, float] = FrozenDict()
 
 RequirementValue = float | AdmittanceTarget | NoiseLimit | PassivityTarget
 """The threshold of a requirement, with what belongs to it."""
@@ -26,8 +28,9 @@ RequirementValue = float | AdmittanceTarget | NoiseLimit | PassivityTarget
 class Requirements:
     """What every scenario must meet; None asks for nothing. Stability is always asked.
 
-    The fields are the requirements of the paper and their companions, `further` holds thresholds of any other of the
-    registry by name, or of `plugins`: requirements of other packages, which the registry does not know.
+    The fields are the requirements of the paper and their companions. Any other of the registry is an argument by its
+    name, too, as `min_damping_ratio=0.2`, and so are those of `plugins`: requirements of other packages, which the
+    registry does not know. `further` holds what is asked of these.
     `max_peak_force_n` limits the force on the environment, whatever the objective is. `soft_n` maps the name of a
     requirement to a price: it need not be met, and missing it by a share s (required/achieved − 1 in the worst
     scenario) counts as s times that many newtons more peak force.
@@ -39,36 +42,51 @@ class Requirements:
     delay_margin_s: float | None = 1e-3
     decay_rate_per_s: float | None = None
     max_peak_force_n: float | None = None
-    free_space_admittance: AdmittanceTarget | None = field(default_factory=lambda: AdmittanceTarget(is_default=True))
+    free_space_admittance: AdmittanceTarget | None = _DEFAULT_ADMITTANCE
     command_noise: NoiseLimit | None = None
     passivity: PassivityTarget | None = None
     further: Mapping[str, float] = field(default_factory=dict)
     plugins: tuple[Requirement[Any], ...] = ()
     soft_n: Mapping[str, float] = field(default_factory=dict)
 
-    def __new__(cls, **asked: Any) -> "Requirements":
-        """Refuse an argument that is no field with a sentence that names those that are."""
-        known = tuple(each.name for each in fields(cls))
-        for name, value in asked.items():
-            if name in BUILT_IN and name not in known:
-                raise ParameterError(name, value, f'given as further={{"{name}": …}}')
-            if name not in known:
-                further = ", ".join(each for each in BUILT_IN if each not in known)
-                must = f"left out, or be one of {', '.join(known)}; by further={{name: value}} go {further}"
-                raise ParameterError(name, value, must)
-        return super().__new__(cls)
+    def __init__(
+        self,
+        *,
+        modulus_margin: float | None = modulus_margin,
+        gain_margin_db: float | None = gain_margin_db,
+        phase_margin_deg: float | None = phase_margin_deg,
+        delay_margin_s: float | None = delay_margin_s,
+        decay_rate_per_s: float | None = None,
+        max_peak_force_n: float | None = None,
+        free_space_admittance: AdmittanceTarget | None = _DEFAULT_ADMITTANCE,
+        command_noise: NoiseLimit | None = None,
+        passivity: PassivityTarget | None = None,
+        further: Mapping[str, float] = _NOTHING,
+        plugins: tuple[Requirement[Any], ...] = (),
+        soft_n: Mapping[str, float] = _NOTHING,
+        **registered: float | None,
+    ) -> None:
+        """Ask for the fields, and of `registered` for any other requirement by its name."""
+        said = dict(locals())
+        asked = {name: value for name, value in {**further, **registered}.items() if value is not None}
+        for each in fields(self):
+            object.__setattr__(self, each.name, asked if each.name == "further" else said[each.name])
+        self._check()
 
     def __repr__(self) -> str:
         return short_repr(self, "Requirements")
 
-    def __post_init__(self) -> None:
+    def _check(self) -> None:
+        """Raise ParameterError for a name that is none and a value out of range; keep values in their own types."""
         for name in FIELDS:
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, BUILT_IN[name].checked(getattr(self, name)))
         known = {name: each for name, each in self.kinds().items() if name not in FIELDS}
         for name in self.further:
             if name not in known:
-                raise ParameterError("requirements", name, f"one of {', '.join((*FIELDS, *known))}")
+                own = [each.name for each in fields(self) if each.name not in FIELDS]
+                must = f"left out, or be one of {', '.join((*FIELDS, *known, *own))}"
+                raise ParameterError(name, self.further[name], must)
         further = {name: known[name].checked(self.further[name]) for name in known if name in self.further}
         object.__setattr__(self, "further", FrozenDict(further))
         for name, price in self.soft_n.items():

@@ -7,9 +7,11 @@ import pytest
 
 from autotune.cli.main import main
 from autotune.errors import UsageError
+from autotune.formats.controller import write_controller
 from autotune.formats.quantity import Uncertain
 from autotune.predicting import parse_approach, parse_gains, parse_surface
 from tests.autotune.formats.samples import make_identified
+from tests.autotune.tuning.cases import fast_optimized
 
 PLANT = """format: autotune/plant
 version: 1
@@ -115,3 +117,27 @@ def test_gains_surface_and_approach_are_read_with_units() -> None:
             parse_gains(text, None)
     with pytest.raises(UsageError, match="holds"):
         parse_surface("x99", result)
+
+
+def test_a_controller_file_is_predicted_with_its_own_gains_and_plants(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, found = tmp_path / "controller.yaml", fast_optimized().controller
+    write_controller(path, found)
+    peak = found.predicted["x"].scenarios[0]
+    surface = ("--surface", f"{peak.environment_stiffness_n_per_m:.17g}")
+    assert main(["predict", str(path), *surface, "--json"]) == 0
+    tree = json.loads(capsys.readouterr().out)
+    assert tree["peak_force"] == pytest.approx(peak.peak_contact_force_n, rel=1e-6)
+    assert tree["axis"] == "x"
+    for arguments, said in (
+        ((), "--surface 20N/mm"),
+        ((*surface, *GAINS), "--gains does not go with a controller file"),
+        ((*surface, "--controller", str(path)), "--controller does not go with"),
+        ((*surface, "--sample-time", "1ms"), "--sample-time does not go with"),
+        ((*surface, "--axis", "y"), "holds the axes x; say one of them with --axis"),
+        (("--surface", "20±2N/mm"), "one number for a design"),
+        (("--surface", "wood"), "stiffness such as 20N/mm"),
+    ):
+        assert main(["predict", str(path), *arguments]) == 2
+        assert said in " ".join(capsys.readouterr().err.split())

@@ -1,6 +1,9 @@
 """Requirements as values: what is soft, what it costs, what was achieved, and asking for less."""
 
+import copy
 import math
+import pickle
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -123,11 +126,17 @@ def test_a_threshold_can_be_taken_out_and_put_back(name: str, factor: float) -> 
     assert requirement.ratio(asked, requirement.threshold(asked)) == 1.0
 
 
-def test_requirements_refuse_other_types_and_name_where_registered_ones_go() -> None:
+def test_every_registered_requirement_is_an_argument_by_its_name() -> None:
     for name in ("free_space_admittance", "command_noise", "passivity"):
         with pytest.raises(ParameterError, match=f"{name} must be of the type"):
             Requirements(**{name: 3})  # type: ignore[arg-type]
-    with pytest.raises(ParameterError, match="min_damping_ratio must be given as further="):
-        Requirements(min_damping_ratio=0.2)  # type: ignore[call-arg]
-    asked = Requirements(modulus_margin=0.6, further={"min_damping_ratio": 0.2})
+    asked = Requirements(modulus_margin=0.6, min_damping_ratio=0.2)
+    assert asked == Requirements(modulus_margin=0.6, further={"min_damping_ratio": 0.2})
+    assert asked.asked()["min_damping_ratio"] == 0.2
     assert eval(repr(asked), {"Requirements": Requirements}) == asked
+    assert pickle.loads(pickle.dumps(asked)) == copy.deepcopy(asked) == asked
+    assert replace(asked, min_damping_ratio=0.3).further == {"min_damping_ratio": 0.3}  # type: ignore[call-arg]
+    assert replace(asked, modulus_margin=0.7).further == asked.further
+    assert not Requirements(min_damping_ratio=None).further
+    with pytest.raises(ParameterError, match=r"min_dampin must be left out, or be one of modulus_margin, .*soft_n"):
+        Requirements(min_dampin=0.2)
