@@ -241,9 +241,20 @@ class Running:
         )
 
     def approach_at(self, touch: Touch) -> Approach:
-        """Return how a touch began: at its measured speed under F^d, or where one of both is not known by the other."""
-        force = touch.desired_force if self.desired_force is None else self.desired_force
-        force = None if force is None else abs(force)
+        """Return how a touch began: at its measured speed under F^d, or where one of both is not known by the other.
+
+        Raises UsageError where neither is known, and where F^d of the log points away from what is touched.
+        """
+        force = self.desired_force
+        if force is None and touch.desired_force is not None:
+            force = touch.sign * touch.desired_force
+            if force < 0.0:
+                units, way = axis_units(touch.axis), "+" if touch.sign > 0 else "-"
+                raise UsageError(
+                    f"F^d of the log, {touch.desired_force:.4g} {units.force}, points away from what is touched in "
+                    f"{way}{touch.axis}: correct its sign (`desired_force` in cell.yaml, then identify the log again), "
+                    "or say --approach force=F."
+                )
         speed = touch.approach_speed
         if speed is not None and speed > 0.0:
             return Approach(speed_m_s=speed, after_impact_n=force)

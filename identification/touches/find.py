@@ -7,7 +7,6 @@ import numpy as np
 
 from problems.arrays import BoolArray, FloatArray
 
-from ..errors import EstimateError
 from ..result import Touch, TouchCause
 from ..signals.aligned import Span, spans_of
 from ..signals.contact_rule import CONTACT
@@ -17,10 +16,10 @@ from .signals import AxisSignals
 from .withdrawn import is_withdrawn
 
 _APPROACH_S, _SHORTEST_APPROACH_S = 0.1, 0.02
-_SMALLEST_SPEED_M_S = 2e-3
+SMALLEST_SPEED_M_S = 2e-3
 _STILL_M_S = 1e-3
 _SHORTEST_STILL_S = 0.4
-_BEFORE_S, _SKIPPED_S = 0.3, 0.015
+BEFORE_S, _SKIPPED_S = 0.3, 0.015
 _QUIET_S, _RISING_SAMPLES = 1.0, 2
 _FEWEST_SECONDS, _QUIET_SHARE = 8, 0.2
 # What pushes the flange back this far, beside how far it went in, does work on it: no surface.
@@ -37,10 +36,9 @@ _ENTERED_SHARE = 0.1
 _FALLEN_SHARE = 0.5
 _ACROSS_SHARE = 0.5
 _AGAINST_SHARE = 0.25
-_LONGEST_SWING_S = 0.1
+LONGEST_SWING_S = 0.1
 _SMALLEST_PEAK_SHARE = 1.5
 _LEFT_SHARE, _HELD_SHARE = 0.1, 0.5
-_SMALLEST_HELD_N, _MOST_LISTED = 10.0, 8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,54 +68,8 @@ def find_touches(axes: tuple[AxisSignals, ...], *, is_contact: bool = False) -> 
     undetermined where a hand could, as is a force without motion. What moves the flange along with it is a hand that
     leads, and no touch.
     """
-    free = _without_force(axes)
+    free = without_force(axes)
     return _of_their_own([_on_axis(axis, free, is_contact=is_contact) for axis in axes])
-
-
-def check_force_sign(axes: tuple[AxisSignals, ...]) -> None:
-    """Refuse a wrench that points along the approach wherever the tool was stopped and held a force of 10 N or more.
-
-    What stops a tool pushes against its free approach; a hand leads it along the force, but under that force it does
-    not stand still. Hands hold against less, as within an admittance's deadband.
-
-    Parameters
-    ----------
-    axes
-        Force [N] and travel [m] of each axis, by the declared sign.
-
-    Raises
-    ------
-    EstimateError
-        Force and approach agree at every such hold.
-
-    """
-    free = _without_force(axes)
-    held = [hold for axis in axes for hold in _holds(axis, free)]
-    if not held or any(speed > 0.0 for _, speed, _ in held):
-        return
-    listed = ", ".join(f"{at:.2f} s ({force:.1f} N)" for at, _, force in held[:_MOST_LISTED])
-    raise EstimateError(
-        "What stops the tool must push against its approach, found a force that pushes where the tool goes and then "
-        f"stands still, at {listed}: try `exerted_by: sensor` of the wrench (`payload` where it is `sensor` now) in "
-        "cell.yaml. `payload` is the force of payload and surroundings on the sensor, `sensor` that of the robot on "
-        "them. If a hand held the tool there, leave that part out with --from and --to."
-    )
-
-
-def _holds(axis: AxisSignals, free: BoolArray) -> Iterator[tuple[float, float, float]]:
-    """Yield when the tool was held after a free approach [s], its speed against the force [m/s] and the force [N]."""
-    longest = round(CONTACT.longest_bounce_s / axis.period_s)
-    swing = max(1, round(_LONGEST_SWING_S / axis.period_s))
-    for sign in (-1, 1):
-        pressing = -sign * axis.force_n
-        for span in _presses(pressing, axis.level_n, longest, swing):
-            before = slice(int(np.searchsorted(axis.time_s, axis.time_s[span.start] - _BEFORE_S)), span.start)
-            hold, speed = _hold(axis, pressing, span), approach_speed(axis, span.start, sign)
-            if hold is None or speed is None or before.stop == before.start or not np.all(free[before]):
-                continue
-            force = float(np.median(pressing[hold.slice]))
-            if abs(speed) >= _SMALLEST_SPEED_M_S and force >= _SMALLEST_HELD_N:
-                yield float(axis.time_s[hold.start]), speed, force
 
 
 def _of_their_own(found: Sequence[AxisTouches]) -> tuple[AxisTouches, ...]:
@@ -130,7 +82,7 @@ def _of_their_own(found: Sequence[AxisTouches]) -> tuple[AxisTouches, ...]:
     for each in found:
         beside = [touch for other in found if other is not each for touch in other.touches]
         hands = [span for other in found for span in other.led]
-        swing = round(_LONGEST_SWING_S / each.signals.period_s)
+        swing = round(LONGEST_SWING_S / each.signals.period_s)
         touches = [
             one
             for one in each.touches
@@ -159,7 +111,7 @@ def _is_sudden(axis: AxisSignals, one: FoundTouch) -> bool:
     return step >= _SMALLEST_STEP_N and rate >= _STEERING_N_PER_S
 
 
-def _without_force(axes: tuple[AxisSignals, ...]) -> BoolArray:
+def without_force(axes: tuple[AxisSignals, ...]) -> BoolArray:
     """Return where no axis shows a force (n,)."""
     return np.asarray(np.all([np.abs(axis.force_n) <= axis.level_n for axis in axes], axis=0), dtype=np.bool_)
 
@@ -171,8 +123,8 @@ def _on_axis(axis: AxisSignals, free: BoolArray, *, is_contact: bool) -> AxisTou
     for sign in _deeper_side(axis) if is_contact else (-1, 1):
         pressing = -sign * axis.force_n
         longest = round(CONTACT.longest_bounce_s / axis.period_s)
-        swing = max(1, round(_LONGEST_SWING_S / axis.period_s))
-        for span in _presses(pressing, axis.level_n, longest, swing):
+        swing = max(1, round(LONGEST_SWING_S / axis.period_s))
+        for span in find_presses(pressing, axis.level_n, longest, swing):
             judged = _judge(axis, sign, span, free, is_contact=is_contact)
             if judged is not None:
                 touches.append(_described(axis, sign, span, *judged))
@@ -192,7 +144,7 @@ def _deeper_side(axis: AxisSignals) -> tuple[int, ...]:
     return (1,) if np.max(axis.travel_m) >= -np.min(axis.travel_m) else (-1,)
 
 
-def _presses(pressing: FloatArray, level: float, longest: int, swing: int) -> Iterator[Span]:
+def find_presses(pressing: FloatArray, level: float, longest: int, swing: int) -> Iterator[Span]:
     """Yield the presses; a force the other way in between parts them where it is no short swing after a blow."""
     touched = np.asarray(pressing > level)
     joined = without_pauses(touched, longest)
@@ -239,24 +191,21 @@ def _judge(
     if speed is None:
         return TouchCause.UNDETERMINED, None
     into = sign * (axis.travel_m[span.slice] - axis.travel_m[span.start])
-    if speed < _SMALLEST_SPEED_M_S:
+    if speed < SMALLEST_SPEED_M_S:
         return None if float(np.min(into)) < -_SMALLEST_TRAVEL_M else (TouchCause.UNDETERMINED, None)
-    window = slice(
-        int(np.searchsorted(axis.time_s, axis.time_s[span.start] - _BEFORE_S)),
-        max(1, int(np.searchsorted(axis.time_s, axis.time_s[span.start] - _SKIPPED_S))),
-    )
+    window = _just_before(axis, span.start)
     if window.stop > window.start and bool(np.all(free[window])):
-        return _met_free(axis, span.start, speed, into, float(np.median(axis.force_n[window]))), False
+        return _met_free(axis, span.start, sign, into), False
     cause = _met_led(axis, sign, span)
     return None if cause is None else (cause, True)
 
 
-def _met_free(axis: AxisSignals, onset: int, speed: float, into: FloatArray, drag_n: float) -> TouchCause:
-    """Return the cause of a press before which there is `drag_n` at most; `into` (n,) is how far the flange goes."""
+def _met_free(axis: AxisSignals, onset: int, sign: int, into: FloatArray) -> TouchCause:
+    """Return the cause of a press before which there is drag at most; `into` (n,) is how far the flange goes."""
     deepest = int(np.argmax(into))
     if float(into[deepest] - np.min(into[deepest:])) > _DRIVEN_M + float(into[deepest]):
         return TouchCause.HAND
-    return TouchCause.WALL if _is_driven_by_desired(axis, onset, speed, drag_n) else TouchCause.UNDETERMINED
+    return TouchCause.WALL if is_driven_by_desired(axis, onset, sign) else TouchCause.UNDETERMINED
 
 
 def _met_led(axis: AxisSignals, sign: int, span: Span) -> TouchCause | None:
@@ -270,13 +219,30 @@ def _met_led(axis: AxisSignals, sign: int, span: Span) -> TouchCause | None:
     return TouchCause.WALL if rate > _FASTEST_HAND_N_PER_S else TouchCause.UNDETERMINED
 
 
-def _is_driven_by_desired(axis: AxisSignals, onset: int, speed: float, drag_n: float) -> bool:
-    """Return whether the approach is as fast as (F^d + F)/B_a, true where one of them is not known or F^d is zero."""
+def desired_speed(axis: AxisSignals, onset: int) -> float | None:
+    """Return F^d/B_a [m/s], None where one of them is not known or F^d is zero."""
     damping, desired = float(axis.damping_n_s_per_m[onset]), float(axis.desired_n[onset])
-    if not (np.isfinite(damping) and np.isfinite(desired) and damping > 0.0) or desired == 0.0:
+    is_known = bool(np.isfinite(damping) and np.isfinite(desired) and damping > 0.0 and desired != 0.0)
+    return desired / damping if is_known else None
+
+
+def is_driven_by_desired(axis: AxisSignals, onset: int, sign: int, *, turned: float = 1.0) -> bool:
+    """Return whether the approach is as fast as (F^d + F)/B_a, true where one of them is not known or F^d is zero."""
+    asked, speed = desired_speed(axis, onset), approach_speed(axis, onset, sign)
+    if asked is None or speed is None:
         return True
-    asked = abs(desired + drag_n) / damping
-    return abs(speed - asked) <= _SPEED_SHARE * asked
+    before = axis.force_n[_just_before(axis, onset)]
+    drag = float(np.median(before)) if before.size else 0.0
+    driven = sign * (turned * asked + drag / float(axis.damping_n_s_per_m[onset]))
+    return abs(speed - driven) <= _SPEED_SHARE * abs(driven)
+
+
+def _just_before(axis: AxisSignals, onset: int) -> slice:
+    """Return the samples from 0.3 s to 15 ms before the onset."""
+    return slice(
+        int(np.searchsorted(axis.time_s, axis.time_s[onset] - BEFORE_S)),
+        max(1, int(np.searchsorted(axis.time_s, axis.time_s[onset] - _SKIPPED_S))),
+    )
 
 
 def _turned_round(axis: AxisSignals, sign: int, high: int) -> tuple[float, float]:
@@ -291,7 +257,7 @@ def _turned_round(axis: AxisSignals, sign: int, high: int) -> tuple[float, float
 
 
 def _described(axis: AxisSignals, sign: int, span: Span, cause: TouchCause, is_led: bool | None) -> FoundTouch:
-    hold = _hold(axis, -sign * axis.force_n, span)
+    hold = find_hold(axis, -sign * axis.force_n, span)
     return describe_touch(axis, sign, span, hold=hold, cause=cause, is_led=is_led)
 
 
@@ -360,7 +326,7 @@ def touch_peak(axis: AxisSignals, pressing: FloatArray, onset: int, peak: int) -
     return bound_peak(pressing, onset, peak, quiet=quiet, noise=axis.noise_n)
 
 
-def _hold(axis: AxisSignals, pressing: FloatArray, span: Span) -> Span | None:
+def find_hold(axis: AxisSignals, pressing: FloatArray, span: Span) -> Span | None:
     """Return the longest rest of 0.4 s or more under force."""
     still = np.asarray((np.abs(axis.speed_m_s()[span.slice]) < _STILL_M_S) & (pressing[span.slice] > axis.level_n))
     found = spans_of(without_short(still, max(1, round(_SHORTEST_STILL_S / axis.period_s))))

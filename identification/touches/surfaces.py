@@ -12,10 +12,11 @@ from ..errors import EstimateError
 from ..result import EnvironmentEstimate, Estimate, Finding, LogPhase, Timeline, Touch, TouchCause
 from ..signals.recording import Recording
 from ..verdicts import judged, missing, unidentifiable
-from .find import AxisTouches, FoundTouch, check_force_sign, find_touches, first_fall, touch_peak
+from .find import AxisTouches, FoundTouch, find_touches, first_fall, touch_peak
 from .inertia import without_inertia
 from .phases import build_phases
 from .signals import AxisSignals, axis_signals
+from .signs import check_desired_force, check_force_sign
 from .trace import TraceContact, identify_trace
 
 # One more contact with a surface differs from those before it by about this share, where they do not show it.
@@ -69,12 +70,13 @@ def identify_touches(recording: Recording) -> Touched:
 
     A displacement is a trace of one contact. A surface is what walls on one side of an axis are touched at one place,
     or with one stiffness; touches whose cause is not known are named in a finding. Raises EstimateError where each held
-    force points along the approach.
+    force points along the approach, and where F^d points away from what is met.
     """
     signals = axis_signals(recording)
     if not recording.pose.is_displacement:
         check_force_sign(signals)
     found, about_payload = without_inertia(find_touches(signals, is_contact=recording.pose.is_displacement))
+    check_desired_force(found)
     surfaces: dict[str, tuple[EnvironmentEstimate, ...]] = {}
     names: dict[tuple[str, float], str] = {}
     findings: list[Finding] = [*about_payload]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import autotune as at
-from autotune.prediction.against_touches import ComparedTouch, other_surface
+from autotune.prediction.against_touches import ComparedTouch, Running, other_surface
 from autotune.prediction.certified import predict_certified
 from autotune.prediction.contact import Law, nominal_contact, peak_interval, simulate_on, simulate_others
 from autotune.prediction.plants import Surface, build_plants, series_plant
@@ -70,6 +70,18 @@ def test_a_log_with_another_surface_is_named(shown: float | None, std: float | N
     assert bool(found) is is_other
     if is_other:
         assert found.startswith("a.bag itself shows 3.25 N/mm over robot travel on axis z, predicted is with 13.6 N/mm")
+
+
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_a_touch_from_which_the_desired_force_points_away_is_not_predicted(sign: int) -> None:
+    running = Running(law=Law(controller=PLAIN))
+    met = Touch(axis="z", sign=sign, cause=TouchCause.WALL, peak_s=2.0, peak_force=50.0, approach_speed=0.03)
+    assert running.approach_at(replace(met, desired_force=30.0 * sign)).after_impact_n == 30.0
+    with pytest.raises(at.UsageError, match="points away from what is touched in [+-]z: correct its sign"):
+        running.approach_at(replace(met, desired_force=-30.0 * sign))
+    # What a person says is along the approach.
+    said = replace(running, desired_force=20.0)
+    assert said.approach_at(replace(met, desired_force=-30.0 * sign)).after_impact_n == 20.0
 
 
 @pytest.mark.parametrize(("stiffness", "period_s"), [(2.6e3, 1e-3), (1.75e4, 1e-3), (1.75e4, 1e-2)])

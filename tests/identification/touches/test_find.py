@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 from identification.errors import EstimateError
 from identification.result import TouchCause
 from identification.signals.recording import GainsSignal, PoseSignal, Recording, WrenchSignal
-from identification.touches.find import check_force_sign, find_touches
+from identification.touches.find import find_touches
 from identification.touches.signals import axis_signals
+from identification.touches.signs import check_force_sign
 from identification.touches.surfaces import identify_touches, pooled
 from problems.arrays import FloatArray
 
@@ -104,6 +105,18 @@ def test_a_wrench_of_the_other_sign_is_refused_where_a_wall_held_the_tool(stiffn
     # One hold that is as a wall's shows the sign.
     right, wrong = axis_signals(log), axis_signals(flipped(log))
     check_force_sign((*right, *wrong))
+
+
+@pytest.mark.parametrize("stiffness", [5e3, 4e4])
+def test_a_desired_force_of_the_other_sign_is_refused_where_it_would_drive_as_fast(stiffness: float) -> None:
+    log = recorded(Program(force_n=wall(stiffness, 0.02)))
+    desired = log.desired_force
+    assert desired is not None
+    with pytest.raises(EstimateError, match=r"found -15 N along z .* in \+z at (29\.|30).* turn the sign of"):
+        identify_touches(replace(log, desired_force=replace(desired, force_n=-desired.force_n)))
+    # At another speed than F^d/B_a something else drives: no sign is shown, and no wall either.
+    other = replace(log, desired_force=replace(desired, force_n=-2.0 * desired.force_n))
+    assert [each.cause for each in identify_touches(other).timeline.touches] == [TouchCause.UNDETERMINED]
 
 
 def test_a_hand_that_rests_on_the_tool_after_leading_it_is_not_taken_for_a_wrong_sign() -> None:
