@@ -87,8 +87,8 @@ def check_desired_force(found: Sequence[AxisTouches]) -> None:
         raise EstimateError(
             f"F^d must drive the tool towards what it touches, found {touch.desired_force or 0.0:.4g} N along {name} "
             f"where the tool met something in {toward}{name} at {1e3 * speed:.3g} mm/s, as fast as F^d/B_a and the "
-            f"other way ({touch.peak_s:.2f} s): turn the sign of `desired_force` along {name} in cell.yaml (the number, "
-            "or `signs` of its topic)."
+            f"other way ({touch.peak_s:.2f} s): turn the sign of `desired_force` along {name} in cell.yaml (its "
+            "number, or `signs` of its topic)."
         )
 
 

@@ -77,7 +77,7 @@ def test_a_touch_from_which_the_desired_force_points_away_is_not_predicted(sign:
     running = Running(law=Law(controller=PLAIN))
     met = Touch(axis="z", sign=sign, cause=TouchCause.WALL, peak_s=2.0, peak_force=50.0, approach_speed=0.03)
     assert running.approach_at(replace(met, desired_force=30.0 * sign)).after_impact_n == 30.0
-    with pytest.raises(at.UsageError, match="points away from what is touched in [+-]z: correct its sign"):
+    with pytest.raises(at.UsageError, match=r"points away from what is touched in [+-]z: correct its sign"):
         running.approach_at(replace(met, desired_force=-30.0 * sign))
     # What a person says is along the approach.
     said = replace(running, desired_force=20.0)
