@@ -167,8 +167,8 @@ def optimize(
     spec = spec if names is None else replace(spec, axes=names)
     existing = compare.as_file() if isinstance(compare, Design) else compare
     spec = spec.with_options(
-        payload_mass_kg=interval("payload_mass", payload_mass),
-        environment_stiffness_n_per_m=interval("environment_stiffness", environment_stiffness),
+        payload_mass=interval("payload_mass", payload_mass),
+        environment_stiffness=interval("environment_stiffness", environment_stiffness),
     )
     with reporting(progress, "searching") as report:
         found = search(

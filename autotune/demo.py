@@ -78,7 +78,7 @@ CELLS: Mapping[str, tuple[Callable[[], SimulatedCell], ProblemSpec]] = FrozenDic
         "standard": (SimulatedCell, ProblemSpec()),
         "low-drag": (
             SimulatedCell.low_drag,
-            ProblemSpec(payload_mass_kg=(12.0, 20.0), environment_stiffness_n_per_m=(2e4, 5e5)),
+            ProblemSpec(payload_mass=(12.0, 20.0), environment_stiffness=(2e4, 5e5)),
         ),
     }
 )

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
 Interval = tuple[float, float]
 
-_KINDS = {"payload": "payload_mass_kg", "stiffness": "environment_stiffness_n_per_m"}
 _OPTION_OF = {"payload": "payload_mass", "stiffness": "environment_stiffness"}
 _SHORT = {"payload_mass_kg": ("payload", "kg"), "environment_stiffness_n_per_m": ("K_e", "N/m")}
 
@@ -29,7 +28,7 @@ def _tables(
     found: dict[str, tuple[Interval, ...]] = {}
     for text in texts:
         kind, equals, listed = text.partition("=")
-        if kind not in _KINDS or not equals:
+        if kind not in _OPTION_OF or not equals:
             raise click.BadParameter(
                 f"give payload=CLASSES in kg or stiffness=CLASSES in N/m, for example payload=8:12,22; found {text!r}."
             )
@@ -41,7 +40,7 @@ def _interval(text: str, kind: str) -> Interval:
     parts = text.split(":")
     if len(parts) not in (1, 2):
         raise click.BadParameter(f"{text!r} is no {kind}; give a number, or a range as LOW:HIGH.")
-    return typed_range(parts, "mass" if kind == "payload" else kind, _KINDS[kind])
+    return typed_range(parts, "mass" if kind == "payload" else kind, _OPTION_OF[kind])
 
 
 def schedule_options(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -91,8 +90,8 @@ def _tune(
         schedule = tune_schedule(
             plant,
             (ProblemSpec() if problem is None else read_problem(problem)).with_options(
-                payload_mass_kg=others["payload_mass"],
-                environment_stiffness_n_per_m=others["environment_stiffness"],
+                payload_mass=others["payload_mass"],
+                environment_stiffness=others["environment_stiffness"],
                 with_unit=fields_with_unit(),
             ),
             classes,

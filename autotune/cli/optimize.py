@@ -57,7 +57,7 @@ def _masses(_context: click.Context, _option: click.Parameter, text: str | None)
     parts = text.split(",")
     if len(parts) > 2:
         raise click.BadParameter("give one mass, or two as LOW,HIGH in kg.")
-    return typed_range(parts, "mass", "payload_mass_kg")
+    return typed_range(parts, "mass", "payload_mass")
 
 
 def _stiffness(_context: click.Context, _option: click.Parameter, text: str | None) -> tuple[float, float] | None:
@@ -66,7 +66,7 @@ def _stiffness(_context: click.Context, _option: click.Parameter, text: str | No
     parts = text.split(":")
     if len(parts) != 2:
         raise click.BadParameter("give a range as LOW:HIGH in N/m, for example 2e4:5e5, or with its unit, 20:500N/mm.")
-    return typed_range(parts, "stiffness", "environment_stiffness_n_per_m")
+    return typed_range(parts, "stiffness", "environment_stiffness")
 
 
 @click.command("optimize", cls=GroupedCommand, groups=_GROUPS, epilog=_EPILOG)
@@ -148,8 +148,8 @@ def command(
         seen.append(plant)
         existing = None if old is None else read_controller(old)
         spec = (ProblemSpec() if problem is None else read_problem(problem)).with_options(
-            payload_mass_kg=payload_mass,
-            environment_stiffness_n_per_m=environment_stiffness,
+            payload_mass=payload_mass,
+            environment_stiffness=environment_stiffness,
             with_unit=fields_with_unit(),
         )
         with output.progress("searching", 1.0) as advance:

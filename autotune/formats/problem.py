@@ -61,8 +61,8 @@ class RotationalSpec:
 
     bounds: Mapping[str, Interval] = field(default_factory=dict)
     approach: Approach | None = None
-    environment_stiffness_n_per_m: Interval | None = None
-    payload_mass_kg: Interval | None = None
+    environment_stiffness: Interval | None = None
+    payload_mass: Interval | None = None
     uncertain: Uncertain = field(default_factory=dict)
     requirements: Mapping[str, Any] = field(default_factory=dict)
     soft_n: Mapping[str, float] = field(default_factory=dict)
@@ -75,7 +75,7 @@ class RotationalSpec:
 class ProblemSpec:
     """What is asked of a controller, by `problem.yaml`, options or arguments; None or empty where the default holds.
 
-    `free` makes further parameters of the controller variables, with their bounds; `collision_threshold_n` bounds the
+    `free` makes further parameters of the controller variables, with their bounds; `collision_threshold` bounds the
     threshold of the collision response, which is chosen after the gains (there is none without); `compliance` makes K_e
     a variable, which is the cell's.
     `objective` may be given by its registered name.
@@ -88,14 +88,14 @@ class ProblemSpec:
     axes: tuple[str, ...] | None = None
     bounds: Mapping[str, Interval] = field(default_factory=dict)
     approach: Approach | None = None
-    environment_stiffness_n_per_m: Interval | None = None
-    payload_mass_kg: Interval | None = None
+    environment_stiffness: Interval | None = None
+    payload_mass: Interval | None = None
     uncertain: Uncertain = field(default_factory=dict)
     requirements: Requirements = field(default_factory=Requirements)
     objective: Objective = CONTACT_FORCE
     rotational: RotationalSpec = field(default_factory=RotationalSpec)
     free: Mapping[str, Interval] = field(default_factory=dict)
-    collision_threshold_n: Interval | None = None
+    collision_threshold: Interval | None = None
     compliance: ComplianceSpec | None = None
     limits: LimitsSpec = field(default_factory=LimitsSpec)
     options: Mapping[str, Interval] = field(default_factory=dict)
@@ -103,7 +103,7 @@ class ProblemSpec:
 
     def __post_init__(self) -> None:
         self._check_types()
-        for name in ("environment_stiffness_n_per_m", "payload_mass_kg", "collision_threshold_n"):
+        for name in ("environment_stiffness", "payload_mass", "collision_threshold"):
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, _range(name, getattr(self, name)))
         known = {"bounds": (*VARIABLES, *FURTHER_VARIABLES), "free": FURTHER_VARIABLES, "uncertain": FURTHER_UNCERTAIN}
@@ -144,12 +144,12 @@ class ProblemSpec:
     def with_options(
         self,
         *,
-        payload_mass_kg: Interval | None = None,
-        environment_stiffness_n_per_m: Interval | None = None,
+        payload_mass: Interval | None = None,
+        environment_stiffness: Interval | None = None,
         with_unit: frozenset[str] = frozenset(),
     ) -> "ProblemSpec":
         """Return the problem with the ranges of translational axes that are given, which win over those of the file."""
-        given = {"payload_mass_kg": payload_mass_kg, _STIFFNESS: environment_stiffness_n_per_m}
+        given = {"payload_mass": payload_mass, "environment_stiffness": environment_stiffness}
         ranges: dict[str, Any] = {name: each for name, each in given.items() if each is not None}
         return replace(self, **ranges, options={**self.options, **ranges}, with_unit=self.with_unit | with_unit)
 
@@ -173,7 +173,7 @@ def read_problem(path: Path) -> ProblemSpec:
             requirements=build_requirements(*_requirements(tree.get("requirements", {}))),
             objective=load_objective(tree.get("objective", CONTACT_FORCE.name)),
             free={name: _pair(value) for name, value in free.items() if name not in (_THRESHOLD, _STIFFNESS)},
-            collision_threshold_n=_optional_pair(free.get(_THRESHOLD)),
+            collision_threshold=_optional_pair(free.get(_THRESHOLD)),
             compliance=_compliance(document),
             limits=_limits(tree.get("limits", {})),
             rotational=_rotational(turned),
@@ -188,7 +188,7 @@ def _range(name: str, given: object) -> Interval:
         low, high = as_numbers(name, given, 2)
     except ParameterError:
         raise ParameterError(name, given, "a range (low, high)") from None
-    return as_interval(name, (low, high), may_vanish=name not in {_STIFFNESS, "payload_mass_kg"})
+    return as_interval(name, (low, high), may_vanish=name not in {"environment_stiffness", "payload_mass"})
 
 
 def _objective(given: object) -> Objective:
@@ -227,8 +227,8 @@ def _ranges(tree: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "bounds": {name: _pair(value) for name, value in tree.get("bounds", {}).items()},
         "approach": Approach(**tree["approach"]) if "approach" in tree else None,
-        "environment_stiffness_n_per_m": _optional_pair(tree.get("environment_stiffness_n_per_m")),
-        "payload_mass_kg": _optional_pair(tree.get("payload_mass_kg")),
+        "environment_stiffness": _optional_pair(tree.get(_STIFFNESS)),
+        "payload_mass": _optional_pair(tree.get("payload_mass_kg")),
         "uncertain": {name: _range_or_origin(tree[name]) for name in FURTHER_UNCERTAIN if name in tree},
     }
 

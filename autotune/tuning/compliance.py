@@ -135,7 +135,7 @@ def build_compliance_problems(identified: Identified, spec: ProblemSpec) -> dict
     raises.
     """
     asked = _asked(spec)
-    if STIFFNESS in spec.options:
+    if "environment_stiffness" in spec.options:
         raise UsageError(
             "--environment-stiffness and free.environment_stiffness_n_per_m in problem.yaml both say the surface; give "
             "one of them."
@@ -156,7 +156,7 @@ def at_stiffness(spec: ProblemSpec, stiffness_n_per_m: float) -> ProblemSpec:
     certified = certified_range(stiffness_n_per_m, _asked(spec).tolerance)
     # What is built takes the place of the identified surface, whose damping says nothing of it.
     uncertain: Uncertain = {"environment_damping_n_s_per_m": "nominal", **spec.uncertain}
-    return replace(spec, compliance=None, environment_stiffness_n_per_m=certified, uncertain=uncertain)
+    return replace(spec, compliance=None, environment_stiffness=certified, uncertain=uncertain)
 
 
 def certified_range(stiffness_n_per_m: float, tolerance: float) -> Interval:

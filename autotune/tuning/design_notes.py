@@ -51,7 +51,7 @@ def design_notes(
         if not has_compliance:
             yield from left_out_contacts(problem, plant.result, name)
     turning = [name for name in controller.axes if name in ROTATIONAL_AXES]
-    if turning and "environment_stiffness_n_per_m" in spec.options:
+    if turning and "environment_stiffness" in spec.options:
         yield (
             f"The range of environment stiffness is in N/m and says nothing of {', '.join(turning)}; the range "
             "certified there is the identified one, or that of problem.yaml."

@@ -174,7 +174,7 @@ def _surfaces_tree(
 
 def carried_payload(identified: Identified, problems: Mapping[str, DesignProblem], spec: ProblemSpec) -> RuntimePayload:
     """Return the payload that the runtime compensates; raises UsageError where ranges leave the identified one out."""
-    certified = certified_mass_kg(problems) or spec.payload_mass_kg
+    certified = certified_mass_kg(problems) or spec.payload_mass
     is_chosen = certified is not None and certified[0] == certified[1]
     return runtime_payload(identified, runtime_mass_kg(identified, certified), is_chosen=is_chosen)
 
@@ -339,7 +339,8 @@ def make_provenance(
 ) -> dict[str, Any]:
     """Return where a controller comes from: the tool, the identified file, and what was asked."""
     plant = identified.provenance.get("plant")
-    said = {name: list(spec.options[name]) if name in spec.options else None for name in (MASS, STIFFNESS)}
+    ranges = {MASS: spec.options.get("payload_mass"), STIFFNESS: spec.options.get("environment_stiffness")}
+    said = {name: None if each is None else list(each) for name, each in ranges.items()}
     return {
         "tool": f"autotune {__version__}",
         "identified": {

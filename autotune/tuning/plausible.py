@@ -34,12 +34,12 @@ def check_plausible(identified: Identified, names: Sequence[str], straight: Prob
         stiffness = [value for value in known if value is not None and value > 0.0]
         masses = [mass] if mass is not None and mass > 0.0 else []
         option = "rotational.environment_stiffness_n_m_per_rad" if turns else "--environment-stiffness"
-        if "environment_stiffness_n_per_m" not in spec.with_unit:
-            _check(spec.environment_stiffness_n_per_m, stiffness, option, "stiffness", units.stiffness)
+        if "environment_stiffness" not in spec.with_unit:
+            _check(spec.environment_stiffness, stiffness, option, "stiffness", units.stiffness)
         option = "rotational.payload_inertia_kg_m2" if turns else "--payload-mass"
-        if "payload_mass_kg" not in spec.with_unit:
-            _check(spec.payload_mass_kg, masses, option, "mass", units.mass)
-    heaviest = max(straight.payload_mass_kg or (0.0,))
+        if "payload_mass" not in spec.with_unit:
+            _check(spec.payload_mass, masses, option, "mass", units.mass)
+    heaviest = max(straight.payload_mass or (0.0,))
     if heaviest > _HEAVIEST_KG:
         raise UsageError(
             f"--payload-mass asks for {heaviest:g} kg; a payload of {_HEAVIEST_KG:g} kg is the heaviest that a "

@@ -43,13 +43,13 @@ def within_domain(spec: ProblemSpec, domain: Mapping[str, Interval]) -> ProblemS
     """Return the problem with the set that the plant itself names, wherever `spec` says nothing of it."""
     if not domain:
         return spec
-    stiffness = spec.environment_stiffness_n_per_m or domain.get("environment_stiffness_n_per_m")
+    stiffness = spec.environment_stiffness or domain.get("environment_stiffness_n_per_m")
     further = {name: each for name, each in domain.items() if name not in ALWAYS_UNCERTAIN}
     return replace(
         spec,
         # A stiffness that is still to be chosen has no range.
-        environment_stiffness_n_per_m=stiffness if spec.compliance is None else None,
-        payload_mass_kg=spec.payload_mass_kg or domain.get("payload_mass_kg"),
+        environment_stiffness=stiffness if spec.compliance is None else None,
+        payload_mass=spec.payload_mass or domain.get("payload_mass_kg"),
         uncertain={**further, **spec.uncertain},
     )
 
@@ -86,8 +86,8 @@ def build_problems(identified: Identified, spec: ProblemSpec) -> dict[str, Desig
     problems = {}
     for name in names:
         if name in ROTATIONAL_AXES:
-            if turned.payload_mass_kg is None:
-                _check_same_payload(identified, name, straight.payload_mass_kg)
+            if turned.payload_mass is None:
+                _check_same_payload(identified, name, straight.payload_mass)
             problems[name] = _build_problem(identified, name, turned)
         else:
             problems[name] = _build_problem(identified, name, straight)
@@ -99,7 +99,7 @@ def _check_use(names: list[str], spec: ProblemSpec) -> None:
     turning, unnamed = ROTATIONAL_AXES.intersection(names), spec.axes is None
     if unnamed and not turning and spec.rotational != RotationalSpec():
         raise UsageError(f"problem.yaml has an entry rotational, and no rotational axis is tuned: {', '.join(names)}.")
-    meant = spec.environment_stiffness_n_per_m if unnamed else spec.options.get("environment_stiffness_n_per_m")
+    meant = spec.environment_stiffness if unnamed else spec.options.get("environment_stiffness")
     if len(turning) == len(names) and meant is not None:
         raise UsageError(
             f"A surface's stiffness in N/m says nothing of rotation, and only {', '.join(names)} is tuned; say "
@@ -226,8 +226,8 @@ def _nominal_set(identified: Identified, name: str, spec: ProblemSpec, wrench: W
         coupling_stiffness_n_per_m=_value(coupling.stiffness_n_per_m, _place(name, "coupling.", "stiffness_n_per_m")),
         coupling_damping_n_s_per_m=_damping(coupling.damping_n_s_per_m, _place(name, "coupling.", "damping_n_s_per_m")),
         drag_n_s_per_m=_damping(axis.drag_n_s_per_m, _place(name, "", "drag_n_s_per_m")),
-        environment_stiffness_n_per_m=spec.environment_stiffness_n_per_m or _stiffness_range(identified, name),
-        payload_mass_kg=spec.payload_mass_kg or _mass_range(identified, name),
+        environment_stiffness_n_per_m=spec.environment_stiffness or _stiffness_range(identified, name),
+        payload_mass_kg=spec.payload_mass or _mass_range(identified, name),
         wrench_filter=wrench,
     )
 
@@ -350,8 +350,8 @@ def through_lever(spec: ProblemSpec, approach: Approach) -> ProblemSpec:
         spec,
         bounds={**bounds, **turned, **own.bounds},
         approach=own.approach or _turned_approach(approach),
-        environment_stiffness_n_per_m=own.environment_stiffness_n_per_m,
-        payload_mass_kg=own.payload_mass_kg,
+        environment_stiffness=own.environment_stiffness,
+        payload_mass=own.payload_mass,
         # A range has a unit and is kept where it was given; where it is to come from holds for every axis.
         uncertain={**{name: each for name, each in spec.uncertain.items() if isinstance(each, str)}, **own.uncertain},
         requirements=_turned_requirements(spec.requirements, own),

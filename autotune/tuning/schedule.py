@@ -44,9 +44,7 @@ class _Task:
 
 def of_class(of: ScheduleClass, spec: ProblemSpec) -> ProblemSpec:
     """Return what an ordinary call would ask: the ranges of the class, and those of `spec` where it has none."""
-    return spec.with_options(
-        payload_mass_kg=of.payload_mass_kg, environment_stiffness_n_per_m=of.environment_stiffness_n_per_m
-    )
+    return spec.with_options(payload_mass=of.payload_mass_kg, environment_stiffness=of.environment_stiffness_n_per_m)
 
 
 def build_classes(masses: Sequence[Interval], stiffnesses: Sequence[Interval]) -> tuple[ScheduleClass, ...]:
@@ -138,7 +136,7 @@ def tune_schedule(
 def _check(task: _Task) -> None:
     """Refuse now what the search would refuse later: a mass that nobody can compensate, a parameter that is missing."""
     problems = build_problems(task.identified.result, task.spec)
-    asked = task.spec.payload_mass_kg
+    asked = task.spec.payload_mass
     runtime_mass_kg(task.identified.result, certified_mass_kg(problems) or asked)
 
 

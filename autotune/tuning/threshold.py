@@ -50,12 +50,12 @@ def threshold_settings(identified: Identified, spec: ProblemSpec) -> ThresholdSe
 
     Where no noise was identified a conservative one is taken, and the choice says so.
     """
-    if spec.collision_threshold_n is None:
+    if spec.collision_threshold is None:
         return None
     noise = identified.sensor.force_noise_rms_n.value
     if noise is None:
-        return ThresholdSettings(bounds_n=spec.collision_threshold_n, noise_rms_n=ASSUMED_NOISE_N, is_assumed=True)
-    return ThresholdSettings(bounds_n=spec.collision_threshold_n, noise_rms_n=noise)
+        return ThresholdSettings(bounds_n=spec.collision_threshold, noise_rms_n=ASSUMED_NOISE_N, is_assumed=True)
+    return ThresholdSettings(bounds_n=spec.collision_threshold, noise_rms_n=noise)
 
 
 @dataclass(frozen=True, kw_only=True)

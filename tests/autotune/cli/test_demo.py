@@ -97,7 +97,7 @@ def test_the_command_offers_the_cells_that_there_are() -> None:
     cell = build()
     assert cell.drag_n_s_per_m == 20.0
     assert bandwidth_hz(cell.robot) == pytest.approx(6.97, abs=0.005)
-    assert (spec.payload_mass_kg, spec.environment_stiffness_n_per_m) == ((12.0, 20.0), (2e4, 5e5))
+    assert (spec.payload_mass, spec.environment_stiffness) == ((12.0, 20.0), (2e4, 5e5))
     # The controller that drives it while the log is made is stable in free space and on the wall.
     plant = cell.contact_plant()
     for each in (plant, replace(plant, environment=FREE_SPACE)):

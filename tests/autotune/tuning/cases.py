@@ -43,7 +43,7 @@ FAST_REQUIREMENTS = Requirements(free_space_admittance=AdmittanceTarget(min_m_s_
 BARE_SPEC = ProblemSpec(
     bounds={**ROOM, "mass": (6.0, 6.0), "feedback_damping_s": (0.005, 0.005)}, requirements=FAST_REQUIREMENTS
 )
-FAST_SPEC = BARE_SPEC.with_options(payload_mass_kg=(16.0, 16.0), environment_stiffness_n_per_m=(1e5, 1.2e5))
+FAST_SPEC = BARE_SPEC.with_options(payload_mass=(16.0, 16.0), environment_stiffness=(1e5, 1.2e5))
 
 
 def design_problem(

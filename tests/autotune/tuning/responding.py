@@ -28,8 +28,8 @@ SPEC = ProblemSpec(
     requirements=NOTHING_ASKED,
     objective=SensorForce(),
     uncertain={"drag_n_s_per_m": (100.0, 150.0)},
-    collision_threshold_n=(2.0, 40.0),
-).with_options(payload_mass_kg=(6.3, 6.3), environment_stiffness_n_per_m=STIFFNESS)
+    collision_threshold=(2.0, 40.0),
+).with_options(payload_mass=(6.3, 6.3), environment_stiffness=STIFFNESS)
 
 
 def small_robot() -> IdentifiedFile:

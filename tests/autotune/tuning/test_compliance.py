@@ -194,7 +194,7 @@ def test_a_scenario_keeps_its_share_of_the_range() -> None:
 
 ASKED = ComplianceSpec(bounds=(8e4, 9.2e4), tolerance=0.1)
 SPEC = ProblemSpec(bounds=ROOM, requirements=FAST_REQUIREMENTS, compliance=ASKED).with_options(
-    payload_mass_kg=(16.0, 16.0)
+    payload_mass=(16.0, 16.0)
 )
 
 
@@ -209,7 +209,7 @@ def tuned() -> Optimized:
 
 def ordinary(stiffness: float) -> float:
     """The least worst peak of the ordinary problem, searched from nowhere."""
-    given = replace(SPEC, compliance=None, environment_stiffness_n_per_m=certified_range(stiffness, ASKED.tolerance))
+    given = replace(SPEC, compliance=None, environment_stiffness=certified_range(stiffness, ASKED.tolerance))
     return solve_design(build_problems(identified_plant(), given)["x"], seed=1).evaluation.cost
 
 
@@ -225,7 +225,7 @@ def test_no_other_stiffness_beats_the_chosen_one(stiffness: float) -> None:
 
 def test_what_is_certified_is_an_ordinary_problem_over_the_tolerance(tmp_path: Path) -> None:
     found, chosen = tuned(), tuned().compliance["x"].chosen
-    given = replace(SPEC, compliance=None, environment_stiffness_n_per_m=(7.2e4, 8.8e4))
+    given = replace(SPEC, compliance=None, environment_stiffness=(7.2e4, 8.8e4))
     problem, solved = build_problems(identified_plant(), given)["x"], found.searches["x"].problem
     assert solved.plants.environment_stiffness_n_per_m == problem.plants.environment_stiffness_n_per_m
     assert solved.requirements == problem.requirements
@@ -281,9 +281,7 @@ def test_a_compliance_that_cannot_be_is_refused(
     axes: tuple[str, ...] | None, stiffness: tuple[float, float] | None, told: str
 ) -> None:
     with pytest.raises(UsageError, match=told):
-        build_compliance_problems(
-            two_axes(), replace(SPEC, axes=axes).with_options(environment_stiffness_n_per_m=stiffness)
-        )
+        build_compliance_problems(two_axes(), replace(SPEC, axes=axes).with_options(environment_stiffness=stiffness))
 
 
 def test_what_takes_a_range_takes_no_choice() -> None:

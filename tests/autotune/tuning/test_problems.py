@@ -80,7 +80,7 @@ def touched(axis: str) -> Identified:
 def test_no_default_range_leaves_out_what_was_touched() -> None:
     with pytest.raises(EstimateError, match=r"52\.7 s \(75\.7 N\).*or say --environment-stiffness LO:HI"):
         build_problems(touched("x"), DEFAULT)
-    said = DEFAULT.with_options(environment_stiffness_n_per_m=(2e4, 5e5))
+    said = DEFAULT.with_options(environment_stiffness=(2e4, 5e5))
     assert build_problems(touched("x"), said)["x"].plants.environment_stiffness_n_per_m == (2e4, 5e5)
     # What was touched along another axis is that axis's matter.
     assert build_problems(touched("y"), DEFAULT)["x"].plants.environment_stiffness_n_per_m == (8.8e4, 1.32e5)
@@ -100,10 +100,10 @@ def test_rounding_is_always_outwards(value: float) -> None:
 
 
 def test_the_command_line_wins_over_the_problem_file_and_that_over_the_log() -> None:
-    spec = ProblemSpec(payload_mass_kg=(10.0, 20.0), environment_stiffness_n_per_m=(1e4, 2e4))
+    spec = ProblemSpec(payload_mass=(10.0, 20.0), environment_stiffness=(1e4, 2e4))
     by_file = build_problems(identified_plant(), spec)["x"]
     assert (by_file.plants.payload_mass_kg, by_file.plants.environment_stiffness_n_per_m) == ((10.0, 20.0), (1e4, 2e4))
-    asked = spec.with_options(payload_mass_kg=(11.0, 12.0), environment_stiffness_n_per_m=(3e4, 4e4))
+    asked = spec.with_options(payload_mass=(11.0, 12.0), environment_stiffness=(3e4, 4e4))
     by_hand = build_problems(identified_plant(), asked)["x"]
     assert (by_hand.plants.payload_mass_kg, by_hand.plants.environment_stiffness_n_per_m) == ((11.0, 12.0), (3e4, 4e4))
 
@@ -159,7 +159,7 @@ def test_nothing_is_tuned_on_a_guess(axis: AxisEstimate, told: str) -> None:
 
 def test_a_missing_environment_can_be_given() -> None:
     axis = replace(identified_axis(), environments=())
-    asked = DEFAULT.with_options(environment_stiffness_n_per_m=(1e4, 2e4))
+    asked = DEFAULT.with_options(environment_stiffness=(1e4, 2e4))
     assert build_problems(with_axis(axis), asked)["x"].plants.environment_stiffness_n_per_m == (1e4, 2e4)
 
 

@@ -80,8 +80,8 @@ def test_what_is_said_of_rotation_counts_as_it_stands() -> None:
     said = RotationalSpec(
         bounds={"mass": (0.3, 0.5), "lead_s": (0.0, 0.02)},
         approach=Approach(speed_m_s=0.1),
-        environment_stiffness_n_per_m=(1e3, 2e3),
-        payload_mass_kg=(0.1, 0.2),
+        environment_stiffness=(1e3, 2e3),
+        payload_mass=(0.1, 0.2),
         requirements={"max_peak_force_n": 11.0, "free_space_admittance": None},
     )
     problem = turned(spec=ProblemSpec(rotational=said, requirements=Requirements(modulus_margin=0.4)))
@@ -107,7 +107,7 @@ def test_an_inertia_that_no_motion_tells_is_asked_back(mass: object) -> None:
     axis = replace(turned_axis(), mass_kg=mass)  # type: ignore[arg-type]  # None or an estimate
     with pytest.raises(EstimateError, match=r"axes\.ry\.inertia_kg_m2 is not identified"):
         turned(axis)
-    given_range = ProblemSpec(rotational=RotationalSpec(payload_mass_kg=(0.6, 0.7)))
+    given_range = ProblemSpec(rotational=RotationalSpec(payload_mass=(0.6, 0.7)))
     assert turned(axis, given_range).plants.payload_mass_kg == (0.6, 0.7)
 
 
@@ -119,25 +119,25 @@ def test_missing_parameters_are_named_as_the_file_names_them() -> None:
 
 
 def test_another_payload_is_refused_unless_its_inertia_is_said() -> None:
-    heavy = DEFAULT.with_options(payload_mass_kg=(16.0, 22.0))
+    heavy = DEFAULT.with_options(payload_mass=(16.0, 22.0))
     with pytest.raises(UsageError, match=r"16 to 22 kg is not that of the plant .* rotational\.payload_inertia_kg_m2"):
         build_problems(two_axes(), heavy)
-    said = replace(heavy, rotational=RotationalSpec(payload_mass_kg=(0.6, 0.9)))
+    said = replace(heavy, rotational=RotationalSpec(payload_mass=(0.6, 0.9)))
     problems = build_problems(two_axes(), said)
     assert (problems["x"].plants.payload_mass_kg, problems["ry"].plants.payload_mass_kg) == ((16.0, 22.0), (0.6, 0.9))
     assert build_problems(two_axes(), replace(heavy, axes=("x",)))["x"].plants.payload_mass_kg == (16.0, 22.0)
     # The identified mass itself is no other payload.
     assert (
-        turned(spec=DEFAULT.with_options(payload_mass_kg=(16.0, 16.0))).plants.payload_mass_kg
+        turned(spec=DEFAULT.with_options(payload_mass=(16.0, 16.0))).plants.payload_mass_kg
         == turned().plants.payload_mass_kg
     )
 
 
 def test_ranges_that_no_axis_takes_are_refused() -> None:
     with pytest.raises(UsageError, match="says nothing of rotation"):
-        turned(spec=DEFAULT.with_options(environment_stiffness_n_per_m=(1e4, 2e4)))
+        turned(spec=DEFAULT.with_options(environment_stiffness=(1e4, 2e4)))
     with pytest.raises(UsageError, match="no rotational axis is tuned: x"):
-        build_problems(identified_plant(), ProblemSpec(rotational=RotationalSpec(payload_mass_kg=(0.6, 0.9))))
+        build_problems(identified_plant(), ProblemSpec(rotational=RotationalSpec(payload_mass=(0.6, 0.9))))
 
 
 def test_the_runtime_compensates_the_identified_mass_when_only_rotation_is_tuned() -> None:

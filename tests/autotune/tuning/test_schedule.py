@@ -26,7 +26,7 @@ from problems.model.sampled import build_sampled_plant
 from tests.autotune.tuning.cases import BARE_SPEC, identified_plant
 
 PLANT = IdentifiedFile(result=identified_plant(), provenance={}, path=Path("identified.yaml"), sha256="0" * 64)
-SPEC = BARE_SPEC.with_options(environment_stiffness_n_per_m=(1e5, 1.2e5))
+SPEC = BARE_SPEC.with_options(environment_stiffness=(1e5, 1.2e5))
 CLASSES = build_classes([(8.0, 8.0), (22.0, 22.0)], [])
 POSITIVE = st.floats(min_value=1e-3, max_value=1e12)
 
@@ -105,7 +105,7 @@ def test_classes_that_say_nothing_new_are_refused(
 
 
 def test_a_class_has_the_controller_of_an_ordinary_call() -> None:
-    spec = BARE_SPEC.with_options(payload_mass_kg=(8.0, 8.0), environment_stiffness_n_per_m=(1e5, 1.2e5))
+    spec = BARE_SPEC.with_options(payload_mass=(8.0, 8.0), environment_stiffness=(1e5, 1.2e5))
     assert small_schedule().tuned[0].controller == optimize(PLANT, spec, seed=1).controller
 
 
@@ -147,7 +147,7 @@ def test_a_class_that_the_common_controller_beats_is_searched_again(monkeypatch:
     honest, calls = optimize, list[str]()
 
     def lazy(identified: Any, spec: Any, **further: Any) -> Any:
-        first = spec.payload_mass_kg == (8.0, 8.0) and further.get("existing") is None
+        first = spec.payload_mass == (8.0, 8.0) and further.get("existing") is None
         calls.append("lazy" if first else "honest")
         short = replace(spec, bounds={**spec.bounds, "lead_s": (0.01, 0.012)}) if first else spec
         return honest(identified, short, **further)
@@ -178,7 +178,7 @@ def test_all_infeasible_classes_are_named() -> None:
 def test_a_hull_that_no_controller_serves_is_told_and_is_no_error(tmp_path: Path) -> None:
     # Either mass alone is compensated; nobody can say which weight a range without the identified one would need.
     classes = build_classes([(16.5, 16.5), (16.6, 16.6)], [])
-    schedule = tune_schedule(PLANT, BARE_SPEC.with_options(environment_stiffness_n_per_m=(1e5, 1.1e5)), classes, seed=1)
+    schedule = tune_schedule(PLANT, BARE_SPEC.with_options(environment_stiffness=(1e5, 1.1e5)), classes, seed=1)
     assert schedule.common is None
     assert "leaves out the identified payload of 16 kg" in schedule.common_refusal
     assert [each.controller.payload.mass_kg for each in schedule.tuned] == [16.5, 16.6]
@@ -208,7 +208,7 @@ def test_another_failure_keeps_its_kind_and_names_the_class(monkeypatch: pytest.
     honest = optimize
 
     def doubtful(identified: Any, spec: Any, **further: Any) -> Any:
-        if spec.payload_mass_kg == (8.0, 8.0):
+        if spec.payload_mass == (8.0, 8.0):
             raise CertificateError("Axis x: not proved.")
         return honest(identified, spec, **further)
 

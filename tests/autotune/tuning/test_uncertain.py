@@ -48,7 +48,7 @@ REACH = math.sqrt(11.0705)
 def built(
     uncertain: Uncertain, axis: AxisEstimate = AXIS, stiffness: tuple[float, float] | None = None
 ) -> DesignProblem:
-    spec = ProblemSpec(uncertain=uncertain, environment_stiffness_n_per_m=stiffness)
+    spec = ProblemSpec(uncertain=uncertain, environment_stiffness=stiffness)
     return build_problems(with_axis(axis), spec)["x"]
 
 

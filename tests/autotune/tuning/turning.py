@@ -53,7 +53,7 @@ def two_axes() -> Identified:
 FAST_TURNING_SPEC = replace(
     FAST_SPEC,
     rotational=RotationalSpec(
-        environment_stiffness_n_per_m=(1e5 * SQUARE, 1.2e5 * SQUARE), payload_mass_kg=(16.0 * SQUARE, 16.0 * SQUARE)
+        environment_stiffness=(1e5 * SQUARE, 1.2e5 * SQUARE), payload_mass=(16.0 * SQUARE, 16.0 * SQUARE)
     ),
 )
 
