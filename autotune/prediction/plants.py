@@ -31,9 +31,9 @@ _FIRST_BLOW = (
 )
 # A deviation larger than this share of its value says no more than that the value is of this size.
 _LARGEST_SHARE = 1.0
-# The massless plant: radians per sample of its own mode, which must be far above everything that is asked of it and
-# below what the transient can follow, and the share of that mode's critical damping.
-_SWING, _DAMPED = 8.0, 0.1
+# The massless plant: its own mode must be far above everything that is asked of it, in rad/s, and is followed between
+# the samples at this many radians per sample, the slower the faster; and the share of that mode's critical damping.
+_SWING_RAD_S, _LEAST_SWING, _MOST_SWING, _DAMPED = 2000.0, 2.0, 8.0, 0.1
 # A moving mass of the surface below this many deviations is none.
 _STDS = 2.0
 # What is left out where the payload is not known.
@@ -372,7 +372,8 @@ def series_plant(
     the sampling, and damped by so little that the force is the spring's.
     """
     half = 2.0 * stiffness_n_per_m
-    mass = 2.0 * half * (period_s / _SWING) ** 2
+    swing = min(max(_SWING_RAD_S * period_s, _LEAST_SWING), _MOST_SWING)
+    mass = 2.0 * half * (period_s / swing) ** 2
     # Each spring with half of the damping: the mass is damped in free motion too, and still moves by half of the way.
     own = _DAMPED * math.sqrt(2.0 * half * mass)
     # The surface moves by half of the flange's way, and half of its damping's force passes the coupling.

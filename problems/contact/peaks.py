@@ -7,7 +7,7 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..compiled import compiled
-from .events import advance, contact_force
+from .events import advance, contact_force, rate_bound
 from .kernel_types import CONTACT_PEAK, CONTACT_TIME, IN_CONTACT, PRESSED, Contact, HeldInputs, Inputs
 
 # Looks are half a radian of the fastest oscillation apart: they miss at most 3 % of its amplitude (which the force may
@@ -132,10 +132,8 @@ def largest_force(
     duration: float,
 ) -> tuple[float, float]:
     """Return the largest F_e over [0, duration] with its moment: a power series in pieces, maximised in each."""
-    n, size = len(state), 0.0
-    for i in range(n):
-        size = max(size, np.sum(np.abs(flow[i, :n])))
-    pieces = max(1, int(np.ceil(size * duration)))
+    n = len(state)
+    pieces = max(1, int(np.ceil(rate_bound(flow[:, :n]) * duration)))
     step = duration / pieces
     best, moment, weight = contact_force(state, outputs, inputs), 0.0, np.sum(np.abs(outputs[PRESSED, :n]))
     current, term, next_term, series = state.copy(), np.empty(n), np.empty(n), np.empty(_SERIES_TERMS)
@@ -154,7 +152,7 @@ def largest_force(
                 series[order] += outputs[PRESSED, i] * term[i]
                 longest = max(longest, abs(term[i]))
             count = order + 1
-            # The terms shrink from here on: each is at most `step` · `size` / order of the one before.
+            # The terms shrink from here on: by the bound on the rate, two orders at a time.
             if longest * weight < _NEGLIGIBLE * abs(series[_VALUE]):
                 break
             for i in range(n):

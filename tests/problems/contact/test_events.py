@@ -16,6 +16,7 @@ from problems.contact.events import (
     apply_impact,
     contact_force,
     is_in_contact,
+    rate_bound,
     substeps_apart,
 )
 from problems.contact.kernel import switch_within
@@ -40,6 +41,18 @@ def test_advance_is_the_matrix_exponential(seed: int, n: int, duration: float, s
     np.testing.assert_allclose(
         advance(rate, push, state, duration), whole[:n, :n] @ state + whole[:n, n], atol=1e-11 * (1.0 + size)
     )
+
+
+@LAW
+@given(st.integers(0, 2**32 - 1), st.integers(1, 6))
+def test_nothing_turns_faster_than_the_bound_of_its_rate(seed: int, n: int) -> None:
+    rate = np.random.default_rng(seed).standard_normal((n, n))
+    norm = float(np.linalg.norm(rate, np.inf))
+    assert np.max(np.abs(np.linalg.eigvals(rate))) <= (1.0 + 1e-12) * rate_bound(rate) <= (1.0 + 2e-12) * norm
+
+
+def test_the_bound_of_an_oscillator_is_its_frequency_and_not_the_square() -> None:
+    assert rate_bound(np.array([[0.0, 1.0], [-64.0, 0.0]])) == pytest.approx(8.0)
 
 
 @LAW
