@@ -9,8 +9,9 @@ import autotune as at
 from autotune.prediction.against_touches import ComparedTouch, Running, other_surface
 from autotune.prediction.certified import predict_certified
 from autotune.prediction.contact import Law, nominal_contact, peak_interval, simulate_on, simulate_others
-from autotune.prediction.plants import Surface, build_plants, series_plant
+from autotune.prediction.plants import Surface, build_plants
 from autotune.prediction.result import predict_contact
+from autotune.prediction.series_plant import series_plant
 from identification.result import Estimate, Status, Touch, TouchCause
 from problems.contact.nonlinearities import Deadband
 from problems.contact.transient import Approach, build_sampled_contact
