@@ -15,6 +15,7 @@ from .axis_findings import contact_findings, first_rests, force_beside, latency_
 from .axis_response import measure_axis, response_findings
 from .errors import EstimateError
 from .evidence import AxisEvidence
+from .fit_quality import HeldOutPeak
 from .given import Given, axis_keys, settle_axis
 from .joint_fit.data import JointData, build_joint_data, usual_coupling
 from .joint_fit.estimates import COARSE_COMMAND, NO_COMMAND, JointEstimates
@@ -23,7 +24,7 @@ from .joint_fit.model import COUPLING_NAMES
 from .joint_fit.result import JointFit, with_gain_error, with_robot_shift
 from .joint_fit.segments import find_holds
 from .payload.gravity import GravityFit
-from .result import AxisEstimate, CouplingEstimate, Finding, HeldOutPeak, RobotEstimate, Status
+from .result import AxisEstimate, CouplingEstimate, Finding, RobotEstimate, Status
 from .robot.coupling import CouplingFit, Noise, identify_coupling
 from .robot.logged_command import LoggedRobot, identify_logged_robot
 from .robot.position_loop import RobotFit

@@ -33,7 +33,6 @@ from .result import (
     Timeline,
     Touch,
     WrenchFilterEstimate,
-    name_surfaces,
 )
 from .robot.admittance_estimates import AdmittanceRobots, identify_admittance_robots
 from .robot.admittance_motion import with_compensated_force
@@ -46,7 +45,7 @@ from .signals.segments import MotionSpans, find_motion
 from .timeline.contacts import find_contacts
 from .timeline.left_contacts import Accounted, ObservedAxis, account_for_contacts
 from .timeline.payload import observe_payload
-from .timeline.timeline import build_timeline
+from .timeline.timeline import build_timeline, name_surfaces
 from .timeline.touches import touches_of
 from .turn_estimate import identify_turn, unidentified_turn
 from .verdicts import missing

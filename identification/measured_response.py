@@ -3,11 +3,13 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Annotated
 
 import numpy as np
 
 from problems.arrays import ComplexArray, FloatArray
 from problems.errors import ParameterError
+from problems.frozen import Rule
 
 _DEVIATIONS_95 = float(np.sqrt(np.log(20.0)))
 
@@ -22,8 +24,8 @@ class MeasuredResponse:
     what is not linear, another amplitude or course has another best linear approximation.
     """
 
-    points: tuple[tuple[float, float, float, float, float], ...]
-    records: int = 1
+    points: Annotated[tuple[tuple[float, float, float, float, float], ...], Rule(minItems=1)]
+    records: Annotated[int, Rule(minimum=1)] = 1
 
     def __post_init__(self) -> None:
         if not self.points:

@@ -1,17 +1,19 @@
 """Results of an identification: every parameter with its uncertainty and a verdict, and the phases of the log."""
 
-import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 from enum import StrEnum
-from typing import Literal
+from typing import Annotated, Any, ClassVar
 
 from problems.errors import ParameterError
-from problems.frozen import freeze
+from problems.frozen import Rule, freeze
 
+from .fit_quality import FitQuality, HeldOutPeak
 from .measured_response import FrequencyResponse
 
-_SAME_ONSET_S = 0.3
+_NOT_NEGATIVE, _SOME = Rule(minimum=0), Rule(minItems=1)
+_Name = Annotated[str, Rule(minLength=1)]
+AxisName = Annotated[str, Rule(enum=["x", "y", "z", "rx", "ry", "rz"])]
 
 
 class PhaseKind(StrEnum):
@@ -31,8 +33,8 @@ class ContactPhase:
     """What happens in a contact, in s after the start of the log, None where it is not shown.
 
     `hold_s` from when to when the payload rested on the surface; `bounces_s` when it left the surface before that;
-    `surface` is the name of what was touched, None until it is known (`name_surfaces`); `hand_suspected` that somebody
-    pushed meanwhile, None where the log does not show.
+    `surface` is the name of what was touched, None until it is known; `hand_suspected` that somebody pushed meanwhile,
+    None where the log does not show.
     """
 
     onset_s: float | None
@@ -82,8 +84,8 @@ class Touch:
     are M_a, B_a, K_l and F^d at the onset. `surface` is the name of what was touched, None until it is known.
     """
 
-    axis: str
-    sign: int
+    axis: AxisName
+    sign: Annotated[int, Rule(enum=[-1, 1])]
     cause: TouchCause
     peak_s: float
     peak_force: float
@@ -92,15 +94,15 @@ class Touch:
     hold_s: tuple[float, float] | None = None
     bounces_s: tuple[float, ...] = ()
     peak_interval: tuple[float, float | None] | None = None
-    rise_samples: int | None = None
+    rise_samples: Annotated[int | None, _NOT_NEGATIVE] = None
     approach_speed: float | None = None
     impulse: float | None = None
     held_force: float | None = None
     surface: str | None = None
     is_led: bool | None = None
     is_withdrawn: bool = False
-    mass: float | None = None
-    damping: float | None = None
+    mass: Annotated[float | None, _NOT_NEGATIVE] = None
+    damping: Annotated[float | None, _NOT_NEGATIVE] = None
     lead_s: float | None = None
     desired_force: float | None = None
 
@@ -117,28 +119,6 @@ class Timeline:
     touches: tuple[Touch, ...] = ()
 
 
-def name_surfaces(phases: Sequence[LogPhase], axis: str, onsets_s: Sequence[Sequence[float]]) -> tuple[LogPhase, ...]:
-    """Give the contacts of an axis the names of their surfaces, `x1` for the first one on axis x.
-
-    `onsets_s` holds for each surface when it was touched, in s after the start of the log.
-    """
-
-    def surface(phase: LogPhase) -> str | None:
-        within = [
-            f"{axis}{index + 1}"
-            for index, onsets in enumerate(onsets_s)
-            if any(phase.start_s - _SAME_ONSET_S <= onset < phase.stop_s for onset in onsets)
-        ]
-        return within[0] if len(within) == 1 else None
-
-    return tuple(
-        replace(phase, contact=replace(phase.contact, surface=surface(phase)))
-        if phase.contact is not None and phase.axis == axis
-        else phase
-        for phase in phases
-    )
-
-
 class Status(StrEnum):
     """How far a parameter may be trusted."""
 
@@ -148,12 +128,24 @@ class Status(StrEnum):
     GIVEN = "given"
 
 
+def _known(value: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return in JSON Schema that a parameter has such a `value` where it is known, and none where nothing shows it."""
+    known = {"properties": {"status": {"enum": [Status.IDENTIFIED.value, Status.GIVEN.value]}}}
+    unknown = {"properties": {"status": {"const": Status.UNIDENTIFIABLE.value}}}
+    return [
+        {"if": known, "then": {"properties": {"value": value}}},
+        {"if": unknown, "then": {"properties": {"value": {"type": "null"}}}},
+    ]
+
+
 @dataclass(frozen=True, kw_only=True)
 class Estimate:
     """A scalar parameter; `std` is one standard deviation, both None where the log does not show."""
 
+    RULE: ClassVar = Rule(allOf=_known({"type": "number"}))
+
     value: float | None
-    std: float | None
+    std: Annotated[float | None, _NOT_NEGATIVE]
     status: Status
     method: str = ""
     note: str = ""
@@ -164,11 +156,24 @@ class Estimate:
 class VectorEstimate:
     """A vector parameter with one standard deviation per component."""
 
+    RULE: ClassVar = Rule(allOf=_known({"type": "array"}))
+
     value: tuple[float, ...] | None
-    std: tuple[float, ...] | None
+    std: tuple[Annotated[float, _NOT_NEGATIVE], ...] | None
     status: Status
     method: str = ""
     note: str = ""
+
+
+def _of_size(record: str, fewest: int, most: int) -> Rule:
+    size = {"minItems": fewest, "maxItems": most}
+    return Rule(record=record, properties={"value": size, "std": size})
+
+
+_Above0 = Annotated[Estimate, Rule(record="PositiveEstimate", allOf=_known({"type": "number", "exclusiveMinimum": 0}))]
+_AtLeast0 = Annotated[Estimate, Rule(record="NotNegativeEstimate", properties={"value": {"minimum": 0}})]
+_Three = Annotated[VectorEstimate, _of_size("TripleEstimate", 3, 3)]
+_Polynomial = Annotated[VectorEstimate, _of_size("PolynomialEstimate", 1, 24)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -187,8 +192,8 @@ class InertiaEstimate:
 class PayloadEstimate:
     """Mass, centre of mass (sensor frame S) and, where the tool was turned fast enough, the inertia tensor."""
 
-    mass_kg: Estimate
-    com_m: VectorEstimate
+    mass_kg: _Above0
+    com_m: _Three
     inertia_kg_m2: InertiaEstimate | None = None
 
 
@@ -196,7 +201,7 @@ class PayloadEstimate:
 class CouplingEstimate:
     """K_s and B_s; on a rotational axis in N·m/rad and N·m·s/rad."""
 
-    stiffness_n_per_m: Estimate
+    stiffness_n_per_m: _Above0
     damping_n_s_per_m: Estimate
 
 
@@ -210,24 +215,24 @@ class EnvironmentEstimate:
     a share of it; None with one contact.
     """
 
-    name: str
-    stiffness_n_per_m: Estimate
-    secant_stiffness_n_per_m: Estimate
+    name: _Name
+    stiffness_n_per_m: _Above0
+    secant_stiffness_n_per_m: _Above0
     damping_n_s_per_m: Estimate
     mass_kg: Estimate
-    contacts: int
+    contacts: Annotated[int, _NOT_NEGATIVE]
     peak_force_n: tuple[float, ...]
-    relaxed_stiffness_n_per_m: Estimate | None = None
-    impact_n_s_per_m: Estimate | None = None
-    contact_spread: float | None = None
+    relaxed_stiffness_n_per_m: _Above0 | None = None
+    impact_n_s_per_m: _Above0 | None = None
+    contact_spread: Annotated[float | None, _NOT_NEGATIVE] = None
 
 
 @dataclass(frozen=True, kw_only=True)
 class RobotEstimate:
     """r(s) with coefficients in descending powers of s, r(0) = 1, and the delay T_d."""
 
-    numerator: VectorEstimate
-    denominator: VectorEstimate
+    numerator: _Polynomial
+    denominator: _Polynomial
     delay_s: Estimate
     bandwidth_hz: Estimate
 
@@ -241,9 +246,9 @@ class Covariance:
     trust when taken alone.
     """
 
-    names: tuple[str, ...]
-    values: tuple[float, ...]
-    matrix: tuple[tuple[float, ...], ...]
+    names: Annotated[tuple[_Name, ...], _SOME]
+    values: Annotated[tuple[float, ...], _SOME]
+    matrix: Annotated[tuple[Annotated[tuple[float, ...], _SOME], ...], _SOME]
 
     def __post_init__(self) -> None:
         count = len(self.names)
@@ -255,54 +260,6 @@ class Covariance:
             raise ParameterError("matrix", [len(row) for row in self.matrix], f"{count} rows of {count} numbers")
         if any(row[j] != self.matrix[j][i] for i, row in enumerate(self.matrix) for j in range(i)):
             raise ParameterError("matrix", "another number across the diagonal", "symmetric")
-
-
-@dataclass(frozen=True, kw_only=True)
-class FitQuality:
-    """How well one log is explained, in free motion and in contact.
-
-    `explained_*`: share of the force's variance; `whiteness_*`: probability of a residual at least as coloured if the
-    whitened one were white (Ljung-Box); `noise_ratio_*`: residual RMS over the force's noise at rest; `left_out_*`:
-    residual over force of a span that is predicted by all others, None where there is no other; `widening`: the largest
-    factor by which deviations were widened for what the model leaves out; `wrench_lag_s`: how late the wrench is
-    stamped against pose and command. Without contacts those entries are None.
-    """
-
-    free_spans: int
-    explained_free: float
-    whiteness_free: float
-    noise_ratio_free: float
-    left_out_free: float | None
-    contacts: int
-    explained_contact: float | None
-    whiteness_contact: float | None
-    noise_ratio_contact: float | None
-    left_out_contact: float | None
-    widening: float
-    wrench_lag_s: float
-    wrench_lag_std_s: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class HeldOutPeak:
-    """The peak of a contact beside what everything but this contact, or but its whole log, predicts.
-
-    `without` is `contact` (predicted from the command as it was recorded, the other contacts of the log saying what
-    plant and surface are) or `log` (predicted from gains and approach). `time_s` counts from the start of the log;
-    peaks are those of the sensor, in N or N·m.
-    """
-
-    without: Literal["contact", "log"]
-    surface: str
-    time_s: float
-    measured_peak: float
-    predicted_peak: float
-    log: str = ""
-
-    @property
-    def log_ratio(self) -> float:
-        """ln(predicted/measured), which is the relative error where that is small."""
-        return math.log(self.predicted_peak / self.measured_peak)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -318,7 +275,7 @@ class AxisEstimate:
     drag_n_s_per_m: Estimate
     environments: tuple[EnvironmentEstimate, ...]
     robot: RobotEstimate
-    mass_kg: Estimate | None = None
+    mass_kg: _Above0 | None = None
     covariance: Covariance | None = None
     fits: tuple[FitQuality, ...] = ()
     held_out: tuple[HeldOutPeak, ...] = ()
@@ -343,10 +300,10 @@ class NoiseSpectrum:
     None where none shows. Of a log without torques theirs is empty.
     """
 
-    frequency_hz: tuple[float, ...]
-    force_n2_per_hz: tuple[float, ...]
-    torque_n2_m2_per_hz: tuple[float, ...]
-    resolution: tuple[float | None, ...]
+    frequency_hz: Annotated[tuple[Annotated[float, _NOT_NEGATIVE], ...], _SOME]
+    force_n2_per_hz: Annotated[tuple[Annotated[float, _NOT_NEGATIVE], ...], _SOME]
+    torque_n2_m2_per_hz: tuple[Annotated[float, _NOT_NEGATIVE], ...]
+    resolution: Annotated[tuple[float | None, ...], Rule(minItems=6, maxItems=6)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -357,8 +314,10 @@ class WrenchFilterEstimate:
     Raises ParameterError unless exactly one is there, a corner above 0 or a delay of at least 0.
     """
 
-    corner_hz: Estimate | None = None
-    delay_s: Estimate | None = None
+    RULE: ClassVar = Rule(minProperties=1, maxProperties=1, description="corner_hz or delay_s, one of the two")
+
+    corner_hz: _Above0 | None = None
+    delay_s: _AtLeast0 | None = None
 
     def __post_init__(self) -> None:
         if (self.corner_hz is None) == (self.delay_s is None):
@@ -379,17 +338,17 @@ class SensorEstimate:
     measured pose at rest, None where nothing showed.
     """
 
-    force_bias_n: VectorEstimate
-    torque_bias_n_m: VectorEstimate
+    force_bias_n: _Three
+    torque_bias_n_m: _Three
     force_noise_rms_n: Estimate
     gravity_residual_rms_n: Estimate
     deadband_n: Estimate
-    torque_noise_rms_n_m: VectorEstimate | None = None
-    mounting_rad: VectorEstimate | None = None
-    base_tilt_rad: VectorEstimate | None = None
+    torque_noise_rms_n_m: _Three | None = None
+    mounting_rad: _Three | None = None
+    base_tilt_rad: Annotated[VectorEstimate, _of_size("PairEstimate", 2, 2)] | None = None
     noise: NoiseSpectrum | None = None
     wrench_filter: WrenchFilterEstimate | None = None
-    position_noise_rms_m: Estimate | None = None
+    position_noise_rms_m: _Above0 | None = None
 
 
 CONTACT_UNEXPLAINED = "contact-unexplained"
@@ -403,8 +362,8 @@ class Finding:
     `axis` is the axis that it is about where a machine has to know it, else empty.
     """
 
-    code: str
-    severity: str
+    code: _Name
+    severity: Annotated[str, Rule(enum=["info", "warning", "error"])]
     message: str
     advice: str
     axis: str = ""
@@ -429,9 +388,9 @@ class Finding:
 class Identified:
     """The plant as the log shows it; `axes` is keyed x y z rx ry rz of the control frame, `timelines` one per log."""
 
-    sample_time_s: Estimate
+    sample_time_s: _Above0
     payload: PayloadEstimate
-    axes: Mapping[str, AxisEstimate]
+    axes: Mapping[AxisName, AxisEstimate]
     sensor: SensorEstimate
     findings: tuple[Finding, ...]
     timelines: tuple[Timeline, ...] = ()

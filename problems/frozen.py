@@ -1,4 +1,4 @@
-"""Frozen records: a dictionary that cannot be changed for their fields, and a short text of what was said."""
+"""Frozen records: dictionaries that cannot be changed, a short text of what was said, what a file asks of a field."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, fields
@@ -46,3 +46,14 @@ def short_repr(record: Any, name: str) -> str:
         if each.repr and value != default:
             said.append(f"{each.name}={value!r}")
     return f"{name}({', '.join(said)})"
+
+
+class Rule(dict[str, Any]):
+    """Words of JSON Schema that the schema of a file adds to the type of an entry, in `Annotated`.
+
+    `turning` holds those that are others about rx, ry, rz, None where these have no such entry; `record` names a record
+    that reads otherwise here. What a whole record is asked is its class variable `RULE`.
+    """
+
+    def __hash__(self) -> int:  # type: ignore[override] # the types of a union are hashed
+        return hash(tuple(sorted(self)))

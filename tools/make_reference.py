@@ -1,4 +1,4 @@
-"""Write the schema of `controller.yaml` from its records, and docs/reference.md from all schemas.
+"""Write the schemas of controller.yaml and identified.yaml from their records, and docs/reference.md from all schemas.
 
 The page lists every entry of every file; `--check` only says whether both are up to date.
 """
@@ -13,7 +13,7 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
 SCHEMAS, PAGE = ROOT / "autotune" / "formats" / "schemas", ROOT / "docs" / "reference.md"
-CONTROLLER = SCHEMAS / "controller.schema.json"
+CONTROLLER, IDENTIFIED = SCHEMAS / "controller.schema.json", SCHEMAS / "identified.schema.json"
 ORDER = ("controller", "identified", "plant", "problem", "cell", "plan", "pareto", "schedule")
 HEAD = """# Every entry of every file
 
@@ -194,11 +194,11 @@ def main(argv: list[str] | None = None) -> int:
     options = parser.parse_args(argv)
     # The project of this folder, installed or not.
     sys.path.insert(0, str(ROOT))
-    from tools.make_schema import text
+    from tools.make_schema import controller_text, identified_text
 
     late = False
-    # The page second: it is made from what the first writes.
-    for path, make in ((CONTROLLER, text), (PAGE, page)):
+    # The page last: it is made from what the others write.
+    for path, make in ((CONTROLLER, controller_text), (IDENTIFIED, identified_text), (PAGE, page)):
         wanted = make()
         if not options.check:
             path.write_text(wanted, encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Make the JSON Schema of `controller.yaml` from its records: their types and what a `Rule` adds to one.
+"""Make the JSON Schemas of `controller.yaml` and `identified.yaml` from their records: types and what a `Rule` adds.
 
 What has no default is required, and null is allowed where nothing else says that there is none. A number that is named
 like a parameter of the plant has the bounds of `PARAMETER_BOUNDS` unless it has a rule of its own.
@@ -12,31 +12,46 @@ from enum import Enum
 from functools import reduce
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
+from autotune.formats import controller, identified
 from autotune.formats.certificate_record import PARAMETER_BOUNDS
-from autotune.formats.controller import FORMAT
 from autotune.formats.controller_record import Controller
 from autotune.formats.records import ROTATIONAL_KEYS
-from autotune.formats.schema import VERSION, Rule
+from autotune.formats.schema import VERSION
 from autotune.formats.units import ROTATIONAL_AXES
+from identification.result import Identified
+from problems.frozen import Rule
 
 Node = dict[str, Any]
 _TYPES = {float: "number", int: "integer", bool: "boolean", str: "string", types.NoneType: "null"}
 _RECORD, _WIDTH = "record", 110
 
 
-def schema() -> Node:
+def controller_schema() -> Node:
     """Return the schema of `controller.yaml`."""
-    definitions: dict[str, Node] = {}
-    node = _record(Controller, turning=False)
-    ends = {"format": {"const": FORMAT}, "version": {"const": VERSION}}
     checksum = {"description": "64 hexadecimal digits", "type": "string", "pattern": "^[0-9a-f]{64}$"}
+    title = "A tuned admittance controller and its certificate"
+    return _file(Controller, controller.FORMAT, title, {"checksum": checksum})
+
+
+def identified_schema() -> Node:
+    """Return the schema of `identified.yaml`."""
+    return _file(
+        Identified, identified.FORMAT, "Plant parameters identified from logs", {"provenance": {"type": "object"}}
+    )
+
+
+def _file(record: type, name: str, title: str, last: Node) -> Node:
+    """Return the schema of a file that holds a record, and `last` behind it."""
+    definitions: dict[str, Node] = {}
+    node = _record(record, turning=False)
+    first = {"format": {"const": name}, "version": {"const": VERSION}}
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
-        "$id": f"urn:autotune:schema:controller:{VERSION}",
-        "title": f"A tuned admittance controller and its certificate ({FORMAT}, version {VERSION})",
+        "$id": f"urn:autotune:schema:{name.partition('/')[2]}:{VERSION}",
+        "title": f"{title} ({name}, version {VERSION})",
         "type": "object",
-        "properties": {**ends, **_with_references(node["properties"], definitions), "checksum": checksum},
-        "required": [*ends, *node["required"], "checksum"],
+        "properties": {**first, **_with_references(node["properties"], definitions), **last},
+        "required": [*first, *node["required"], *last],
         "additionalProperties": False,
         "$defs": dict(sorted(definitions.items())),
     }
@@ -54,7 +69,7 @@ def _record(record: type, *, turning: bool) -> Node:
             properties[field.name] = _renamed(node) if turns and not turning else node
             required += [] if has_default else [field.name]
     found: Node = {_RECORD: record.__name__, "type": "object", "properties": properties}
-    return {**found, "required": required, "additionalProperties": False}
+    return {**found, "required": required, "additionalProperties": False, **getattr(record, "RULE", {})}
 
 
 def _node(hint: Any, name: str = "", *, turning: bool) -> Node | None:
@@ -69,7 +84,8 @@ def _node(hint: Any, name: str = "", *, turning: bool) -> Node | None:
         return _union([_inner(each, name, turning=turning) for each in arguments])
     if origin is tuple:
         size = {} if arguments[-1] is Ellipsis else {"minItems": len(arguments), "maxItems": len(arguments)}
-        return {"type": "array", "items": _inner(arguments[0], name, turning=turning), **size}
+        kinds: Any = Union[tuple(each for each in arguments if each is not Ellipsis)]  # noqa: UP007 - of a tuple
+        return {"type": "array", "items": _inner(kinds, name, turning=turning), **size}
     if isinstance(origin, type) and issubclass(origin, Mapping):
         return _mapping(*arguments, turning=turning)
     return _single(hint, name, turning=turning)
@@ -158,9 +174,14 @@ def _with_references(node: Any, definitions: dict[str, Node]) -> Any:
     return {"$ref": f"#/$defs/{name}"}
 
 
-def text() -> str:
-    """Return the file."""
-    return _written(schema(), "") + "\n"
+def controller_text() -> str:
+    """Return the file of `controller.yaml`."""
+    return _written(controller_schema(), "") + "\n"
+
+
+def identified_text() -> str:
+    """Return the file of `identified.yaml`."""
+    return _written(identified_schema(), "") + "\n"
 
 
 def _written(node: Any, indent: str) -> str:

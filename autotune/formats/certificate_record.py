@@ -12,12 +12,11 @@ from problems.contact.transient import Approach
 from problems.design.requirements import AdmittanceTarget, NoiseLimit, PassivityTarget
 from problems.design.uncertainty import ALWAYS_UNCERTAIN, FURTHER_UNCERTAIN, Ellipsoid, PlantSet
 from problems.errors import ParameterError
-from problems.frozen import FrozenDict, freeze
+from problems.frozen import FrozenDict, Rule, freeze
 from problems.model.plant import NO_FILTER, WrenchFilter
 from problems.model.plant_parameters import PARAMETERS
 from problems.model.robot import RobotModel
 
-from .schema import Rule
 from .units import AXES, ROTATIONAL_AXES
 
 Interval = tuple[float, float]

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 from problems.contact.nonlinearities import Deadband, DeadbandType
 from problems.design.uncertainty import Scenario
 from problems.errors import ParameterError
-from problems.frozen import freeze
+from problems.frozen import Rule, freeze
 from problems.model.controller import SMALLEST_FEEDBACK_DAMPING_S, AdmittanceController
 
 from .certificate_record import (
@@ -22,7 +22,6 @@ from .certificate_record import (
     check_interval,
 )
 from .limits import CollisionResponse, Limits, Peak, ResidualPeaks
-from .schema import Rule
 
 Vector = tuple[float, float, float]
 Corner = Annotated[float, Rule(minimum=0.1, maximum=1_000_000)]

@@ -7,9 +7,8 @@ from enum import StrEnum
 from typing import Annotated, get_type_hints
 
 from problems.errors import ParameterError
-from problems.frozen import FrozenDict, freeze
+from problems.frozen import FrozenDict, Rule, freeze
 
-from .schema import Rule
 from .units import AXES
 
 MOST_REST_SAMPLES = 100_000

@@ -35,16 +35,6 @@ _BOUNDS = {
 }
 
 
-class Rule(dict[str, Any]):
-    """Words of JSON Schema that the schema of a file adds to the type of an entry, in `Annotated`.
-
-    `turning` holds those that are others about rx, ry, rz, None where these have no such entry.
-    """
-
-    def __hash__(self) -> int:  # type: ignore[override] # the types of a union are hashed
-        return hash(tuple(sorted(self)))
-
-
 @cache
 def load_schema(name: str) -> dict[str, Any]:
     """Return the JSON Schema `controller` or `identified`."""

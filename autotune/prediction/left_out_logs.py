@@ -4,8 +4,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from autotune.formats.identified import IN_MEMORY, IdentifiedFile
+from identification.fit_quality import HeldOutPeak
 from identification.merging.combine import NamedResult
-from identification.result import HeldOutPeak, Identified, Touch, TouchCause
+from identification.result import Identified, Touch, TouchCause
 from problems.errors import AutotuneError
 from problems.model.controller import AdmittanceController
 

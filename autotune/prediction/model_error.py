@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import stdtrit
 
-from identification.result import HeldOutPeak
+from identification.fit_quality import HeldOutPeak
 from problems.arrays import FloatArray
 
 # What identical models missed on two surfaces of a cell of this kind that are in no log of this project: +8 and +6 %

@@ -10,10 +10,11 @@ from autotune.formats.units import axis_units
 from autotune.text import TOUCH_COLUMNS, ParameterRow, held_out_lines, parameter_rows, touch_rows
 from identification.errors import LogError
 from identification.evidence import AxisEvidence, Evidence
+from identification.fit_quality import FitQuality
 from identification.logs.inspect import inspect_log
 from identification.logs.span import LogSpan
 from identification.logs.summary import LogSummary
-from identification.result import AxisEstimate, Finding, FitQuality, Identified
+from identification.result import AxisEstimate, Finding, Identified
 
 from .identify_charts import (
     contact_charts,

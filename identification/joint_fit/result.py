@@ -9,7 +9,7 @@ from problems.arrays import FloatArray
 from problems.frozen import freeze
 from problems.model.robot import RobotModel
 
-from ..result import FitQuality
+from ..fit_quality import FitQuality
 from .covariance import Spread, bounded_intervals, count_misfits, other_minima, widened, with_competing_minimum
 from .data import HeldCommand
 from .latency import CompetingMinimum, WrenchLatency

@@ -1,6 +1,7 @@
-"""Time line of a log: its phases without gaps or overlaps."""
+"""Time line of a log: its phases without gaps or overlaps, and which surface each contact is on."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -15,6 +16,7 @@ from .contacts import ContactTimes, Pressed, find_contacts
 from .moves import Scene, judge_moves, settle_moves
 from .payload import AxisContacts, observe_payload
 
+_SAME_ONSET_S = 0.3
 _OFFSET_FACTOR = 3.0
 _SMALLEST_OFFSET_N = 0.2
 
@@ -112,3 +114,25 @@ def _pieces(span: Span, number: IntArray) -> Iterator[Span]:
     """Yield what of a span is not labelled yet."""
     for part in spans_of(number[span.slice] == 0):
         yield Span(start=span.start + part.start, stop=span.start + part.stop)
+
+
+def name_surfaces(phases: Sequence[LogPhase], axis: str, onsets_s: Sequence[Sequence[float]]) -> tuple[LogPhase, ...]:
+    """Give the contacts of an axis the names of their surfaces, `x1` for the first one on axis x.
+
+    `onsets_s` holds for each surface when it was touched, in s after the start of the log.
+    """
+
+    def surface(phase: LogPhase) -> str | None:
+        within = [
+            f"{axis}{index + 1}"
+            for index, onsets in enumerate(onsets_s)
+            if any(phase.start_s - _SAME_ONSET_S <= onset < phase.stop_s for onset in onsets)
+        ]
+        return within[0] if len(within) == 1 else None
+
+    return tuple(
+        replace(phase, contact=replace(phase.contact, surface=surface(phase)))
+        if phase.contact is not None and phase.axis == axis
+        else phase
+        for phase in phases
+    )

@@ -10,8 +10,9 @@ import pytest
 from identification.advice import advise
 from identification.experiment_design.sweep import SweepLimits, fastest_sweep
 from identification.experiment_design.values import values_of
+from identification.fit_quality import FitQuality
 from identification.joint_fit.estimates import COARSE_COMMAND
-from identification.result import Estimate, Finding, FitQuality, Identified, Status
+from identification.result import Estimate, Finding, Identified, Status
 from identification.robot.logged_command import UNKNOWN_PERIOD
 from tests.identification.merging.test_combine import UNDECIDED, known, surface, told
 

@@ -19,14 +19,15 @@ def test_the_page_is_up_to_date(repository: Path) -> None:
     assert main(["--check"]) == 0
 
 
+@pytest.mark.parametrize("name", ["controller", "identified"])
 def test_a_record_that_the_schema_does_not_follow_is_found_out(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    stale = tmp_path / "controller.schema.json"
+    stale = tmp_path / f"{name}.schema.json"
     stale.write_text("{}", encoding="utf-8")
-    monkeypatch.setattr(make_reference, "CONTROLLER", stale)
+    monkeypatch.setattr(make_reference, name.upper(), stale)
     assert main(["--check"]) == 1
-    assert "controller.schema.json is out of date" in capsys.readouterr().err
+    assert f"{name}.schema.json is out of date" in capsys.readouterr().err
 
 
 def test_a_page_that_is_not_is_found_out(

@@ -17,6 +17,7 @@ from autotune.formats.controller_record import (
     ScenarioPrediction,
 )
 from autotune.formats.limits import AxisLimits, CollisionResponse, Limits
+from identification.fit_quality import FitQuality, HeldOutPeak
 from identification.measured_response import FrequencyResponse, MeasuredResponse
 from identification.result import (
     AxisEstimate,
@@ -26,8 +27,6 @@ from identification.result import (
     EnvironmentEstimate,
     Estimate,
     Finding,
-    FitQuality,
-    HeldOutPeak,
     Identified,
     LogPhase,
     PayloadEstimate,

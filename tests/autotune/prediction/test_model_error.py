@@ -11,7 +11,7 @@ from scipy import stats
 from autotune.prediction.contact import PeakInterval
 from autotune.prediction.model_error import model_error
 from autotune.prediction.result import interval_notes
-from identification.result import HeldOutPeak
+from identification.fit_quality import HeldOutPeak
 
 
 def held(ratio: float, without: str = "contact") -> HeldOutPeak:

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 
 from identification.errors import LogError
+from identification.fit_quality import FitQuality
 from identification.given import Given
 from identification.merging.combine import NamedResult, combine_identified
 from identification.payload.gravity import LOCAL_GRAVITY_STD
@@ -18,7 +19,6 @@ from identification.result import (
     EnvironmentEstimate,
     Estimate,
     Finding,
-    FitQuality,
     Identified,
     LogPhase,
     PayloadEstimate,

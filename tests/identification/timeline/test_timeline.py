@@ -18,12 +18,12 @@ from identification.axes.straight import find_axes
 from identification.joint_fit.segments import find_holds
 from identification.payload.gravity import identify_gravity
 from identification.payload.static_poses import collect_static_poses
-from identification.result import ContactPhase, LogPhase, PhaseKind, name_surfaces
+from identification.result import ContactPhase, LogPhase, PhaseKind
 from identification.signals.aligned import AlignedLog, align, spans_of
 from identification.signals.recording import PoseSignal
 from identification.signals.segments import find_motion, without_pauses, without_short
 from identification.timeline.payload import AxisContacts
-from identification.timeline.timeline import build_timeline
+from identification.timeline.timeline import build_timeline, name_surfaces
 from problems.arrays import BoolArray
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Coupling, Environment
