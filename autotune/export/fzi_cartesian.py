@@ -4,15 +4,21 @@ Its rule is that of `fzi_axis`. Read in the sources of branch ros2 (cartesian_co
 cartesian_force_controller of the same time); docs/targets.md says what was read where.
 """
 
-import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from autotune.errors import UsageError
-
-from .ros_yaml import NAME_OPTIONS, Tree, check_keys, check_names, update_rate_hz
-from .target import ExportTarget, TargetOption, begins_with, render_translation
+from .ros_yaml import (
+    NAME_OPTIONS,
+    ORIENTATION,
+    Quaternion,
+    Tree,
+    check_keys,
+    check_names,
+    check_orientation,
+    update_rate_hz,
+)
+from .target import ExportTarget, begins_with, render_translation
 
 if TYPE_CHECKING:
     from autotune.formats.controller import ControllerFile
@@ -20,9 +26,7 @@ if TYPE_CHECKING:
     from autotune.validation.law import AxisTask
 
     from .retune import ControllerStructure
-    from .third_party import ParameterFile, Translation
-
-Quaternion = tuple[float, float, float, float]
+    from .third_party import ParameterFile, TranslatedAxis, Translation
 
 LINK_MASS_KEY = "solver/forward_dynamics/link_mass"
 """One name with slashes, as it is declared; keys that are nested in the file are joined by points."""
@@ -48,28 +52,6 @@ KNOWN_KEYS = frozenset(
 # The mass (kg) of the inner links, which the law leaves out: at 1e-4 they take 0.04 % of the motion, at the default of
 # 0.1 more than a quarter.
 _LINK_MASS = 1e-4
-# How far from 1 the length of a quaternion may be that a person types.
-_UNIT = 0.01
-
-
-def parse_orientation(text: str) -> Quaternion:
-    """Return the quaternion (x, y, z, w) of a text as "0,0,0,1"; raises UsageError for one that is none."""
-    try:
-        numbers = [float(each) for each in text.split(",")]
-    except ValueError:
-        numbers = []
-    if len(numbers) != len("xyzw"):
-        raise UsageError(f"--orientation must be four numbers QX,QY,QZ,QW, a quaternion; found {text}.")
-    return numbers[0], numbers[1], numbers[2], numbers[3]
-
-
-def check_orientation(orientation: Quaternion) -> None:
-    """Raise UsageError for a quaternion that is not of length 1."""
-    length = math.hypot(*orientation)
-    if not abs(length - 1.0) <= _UNIT:
-        raise UsageError(
-            f"--orientation must be a quaternion QX,QY,QZ,QW of length 1, found {orientation} of length {length:.6g}."
-        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,7 +131,8 @@ def translate(
     source: "ControllerFile", options: FziOptions, progress: Callable[[float], None] | None = None
 ) -> "Translation":
     """Return the controller as this program runs it, certified; raises as `third_party.translate_controller`."""
-    from .fzi_axis import FziAxis, base_axes, check_kinds, orientation_notes  # noqa: PLC0415
+    from .base_axes import base_axes, check_kinds, orientation_notes  # noqa: PLC0415
+    from .fzi_axis import FziAxis  # noqa: PLC0415
     from .third_party import ParameterFile, translate_controller  # noqa: PLC0415
 
     def build_axes(
@@ -158,11 +141,12 @@ def translate(
         check_kinds(tasks, options.orientation)
         return [FziAxis(task, gains[name]) for name, task in tasks.items()], False
 
-    def build_file(controller: "Controller", written: Mapping[str, Mapping[str, float]]) -> "ParameterFile":
+    def build_file(controller: "Controller", axes: Sequence["TranslatedAxis"]) -> "ParameterFile":
+        written = {each.axis: each.written for each in axes}
         places = base_axes(written, options.orientation)
         tree, rate = parameter_tree(controller, {places[axis]: gains for axis, gains in written.items()}, options)
         return ParameterFile(
-            tree=tree,
+            content=tree,
             update_rate_hz=rate,
             software="cartesian_controllers (FZI), cartesian_force_controller, branch ros2",
             notes=(*orientation_notes(written, options.orientation, options.base_link), *notes()),
@@ -178,12 +162,7 @@ FZI_CARTESIAN = ExportTarget(
     is_own=begins_with(rb"# Written by autotune \S+ for cartesian_controllers "),
     options=(
         *NAME_OPTIONS,
-        TargetOption(
-            flag="--orientation",
-            metavar="QX,QY,QZ,QW",
-            help="The sensor's orientation in the base where it is used, for gains that are not alike.",
-            parse=parse_orientation,
-        ),
+        ORIENTATION,
     ),
     runs_same_law=False,
 )

@@ -6,14 +6,14 @@ in which file.
 
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from autotune.errors import UsageError
 from problems.frozen import FrozenDict
 
-from .ros_yaml import NAME_OPTIONS, Tree, check_keys, check_names, update_rate_hz
+from .ros_yaml import CONTROL_FRAME, NAME_OPTIONS, SENSOR_NAME, Tree, check_keys, check_names, update_rate_hz
 from .target import ExportTarget, TargetOption, begins_with, render_translation
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from autotune.validation.law import AxisTask
 
     from .retune import ControllerStructure
-    from .third_party import ParameterFile, Translation
+    from .third_party import ParameterFile, TranslatedAxis, Translation
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 STANDARD_GRAVITY = 9.80665
@@ -278,10 +278,11 @@ def translate(
         same = axes if version >= FIRST_WITH_MASS_IN_CONTROL_FRAME else with_common_masses(axes)
         return list(same.values()), same != axes
 
-    def build_file(controller: "Controller", written: Mapping[str, Mapping[str, float]]) -> "ParameterFile":
+    def build_file(controller: "Controller", axes: Sequence["TranslatedAxis"]) -> "ParameterFile":
+        written = {each.axis: each.written for each in axes}
         tree, rate = parameter_tree(controller, written, options)
         return ParameterFile(
-            tree=tree,
+            content=tree,
             update_rate_hz=rate,
             software=f"ros2_controllers admittance_controller {'.'.join(map(str, version))} ({options.ros2_version})",
             notes=tuple(notes(controller.payload, written, options)),
@@ -302,8 +303,8 @@ ROS2_CONTROL = ExportTarget(
             help="humble, jazzy (default), kilted, lyrical, rolling, or 6.4.0.",
         ),
         *NAME_OPTIONS,
-        TargetOption(flag="--sensor-name", metavar="NAME", help="The sensor in the robot description (ft_sensor)."),
-        TargetOption(flag="--control-frame", metavar="NAME", help="The frame of the tuned axes (the sensor's)."),
+        SENSOR_NAME,
+        CONTROL_FRAME,
         TargetOption(
             flag="--return-stiffness",
             metavar="N/M",

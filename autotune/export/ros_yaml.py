@@ -15,6 +15,7 @@ from problems.errors import ParameterError
 
 from .target import TargetOption
 
+Quaternion = tuple[float, float, float, float]
 Tree = Mapping[str, "Tree | float | bool | int | str | list[float] | list[bool] | list[str]"]
 
 NAME_OPTIONS = (
@@ -30,6 +31,41 @@ NAME_OPTIONS = (
     TargetOption(flag="--sensor-frame", metavar="NAME", help="The frame of the sensor's wrench (ft_frame)."),
 )
 """Options for the names of an installation, which every parameter file needs."""
+SENSOR_NAME = TargetOption(
+    flag="--sensor-name", metavar="NAME", help="The sensor in the robot description (ft_sensor)."
+)
+CONTROL_FRAME = TargetOption(flag="--control-frame", metavar="NAME", help="The frame of the tuned axes (the sensor's).")
+
+# How far from 1 the length of a quaternion may be that a person types.
+_UNIT = 0.01
+
+
+def parse_orientation(text: str) -> Quaternion:
+    """Return the quaternion (x, y, z, w) of a text as "0,0,0,1"; raises UsageError for one that is none."""
+    try:
+        numbers = [float(each) for each in text.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) != len("xyzw"):
+        raise UsageError(f"--orientation must be four numbers QX,QY,QZ,QW, a quaternion; found {text}.")
+    return numbers[0], numbers[1], numbers[2], numbers[3]
+
+
+def check_orientation(orientation: Quaternion) -> None:
+    """Raise UsageError for a quaternion that is not of length 1."""
+    length = math.hypot(*orientation)
+    if not abs(length - 1.0) <= _UNIT:
+        raise UsageError(
+            f"--orientation must be a quaternion QX,QY,QZ,QW of length 1, found {orientation} of length {length:.6g}."
+        )
+
+
+ORIENTATION = TargetOption(
+    flag="--orientation",
+    metavar="QX,QY,QZ,QW",
+    help="The sensor's orientation in the base where it is used, for gains that are not alike.",
+    parse=parse_orientation,
+)
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_./-]*")
 _WIDTH = 110
@@ -94,8 +130,14 @@ def _paths(tree: Tree, within: str = "") -> Iterator[str]:
 
 def dump_parameters(tree: Tree, comments: Iterable[str]) -> str:
     """Return the comments and the tree as the text of a parameter file, floats with a point and no exponent."""
+    return render_commented(tree, comments)
+
+
+def render_commented(content: Tree | str, comments: Iterable[str]) -> str:
+    """Return the comments, and below them a tree as above, or a text as it is."""
     lines = [line for comment in comments for line in _wrapped(comment)]
-    return "\n".join([*lines, *_lines(tree, 0), ""])
+    below = [content.rstrip("\n")] if isinstance(content, str) else list(_lines(content, 0))
+    return "\n".join([*lines, *below, ""])
 
 
 def _wrapped(comment: str) -> list[str]:

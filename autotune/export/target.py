@@ -90,7 +90,8 @@ class ExportTarget:
     `summary` is a sentence for `--help`. `render` returns what is to be written, or raises CertificateError,
     InfeasibleError or UsageError. `is_own` recognises an earlier export to this target, the only file that is replaced.
     `files` returns the files to write from the one that `-o` names. With `runs_same_law` the file's own law is
-    checked before; a target that runs another law certifies it itself.
+    checked before; a target that runs another law certifies it itself. `sample_time_s` is the period of a program that
+    has one of its own.
     """
 
     name: str
@@ -100,3 +101,4 @@ class ExportTarget:
     options: tuple[TargetOption, ...] = ()
     files: Callable[[Path], tuple[Path, ...]] = lambda out: (out,)
     runs_same_law: bool = True
+    sample_time_s: float | None = None

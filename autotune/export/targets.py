@@ -4,11 +4,15 @@ from collections.abc import Mapping
 
 from problems.frozen import FrozenDict
 
+from .cartesian_vic import CARTESIAN_VIC
+from .crisp import CRISP
 from .fzi_cartesian import FZI_CARTESIAN
+from .lbr_fri_ros2 import LBR_FRI_ROS2
 from .own_formats import CELL, JSON, C
 from .ros2_control import ROS2_CONTROL
 from .ros2_params import ROS2_PARAMS
 from .target import ExportTarget, TargetOption
+from .urscript import URSCRIPT
 
 TARGETS: Mapping[str, ExportTarget] = FrozenDict(
     {
@@ -19,6 +23,10 @@ TARGETS: Mapping[str, ExportTarget] = FrozenDict(
             C,
             ROS2_CONTROL,
             FZI_CARTESIAN,
+            URSCRIPT,
+            LBR_FRI_ROS2,
+            CRISP,
+            CARTESIAN_VIC,
             ROS2_PARAMS,
         )
     }

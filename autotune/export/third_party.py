@@ -18,18 +18,22 @@ from autotune.formats.units import axis_units
 from autotune.validation.bouncing import search_bouncing
 from autotune.validation.law import AxisTask, LawCertificate, certify_law
 from autotune.version import __version__
+from problems.errors import ParameterError
 from problems.model.third_party_controllers import alternates
 
 from .retune import ControllerStructure, Values, retune
-from .ros_yaml import Tree, check_joint_count, dump_parameters, joint_notes
+from .ros_yaml import Tree, check_joint_count, joint_notes, render_commented
 from .target import Rendered
 
 
 @dataclass(frozen=True, kw_only=True)
 class ParameterFile:
-    """The parameters of another controller, the update rate that they hold for, which software it is, and notes."""
+    """What another controller reads, the update rate that it holds for, which software it is, and notes.
 
-    tree: Tree
+    `content` is the tree of a parameter file, or the text of a script whose comments begin with #.
+    """
+
+    content: Tree | str
     update_rate_hz: int
     software: str
     notes: tuple[str, ...]
@@ -37,8 +41,8 @@ class ParameterFile:
 
 AxisBuilder = Callable[[Mapping[str, AxisTask], Mapping[str, AxisGains]], tuple[Sequence[ControllerStructure], bool]]
 """Returns the axes in the structure of another controller, and whether their masses had to be made the same."""
-FileBuilder = Callable[[Controller, Mapping[str, Mapping[str, float]]], ParameterFile]
-"""Returns the parameter file from the controller and the numbers of each axis, as written."""
+FileBuilder = Callable[[Controller, "Sequence[TranslatedAxis]"], ParameterFile]
+"""Returns the parameter file from the controller and its axes as certified."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,7 +138,7 @@ def translate_controller(
     axes, common = build_axes(tasks, controller.axes)
     check_joint_count(joints, len(axes))
     done = _all_certified(axes, joints, common, progress)
-    file = build_file(controller, {each.axis: each.written for each in done})
+    file = build_file(controller, done)
     dropped = (*_dropped(controller), *(line for axis in axes for line in axis.dropped()))
     return Translation(axes=done, dropped=dropped, notes=file.notes, text=_text(source, file, done, dropped))
 
@@ -182,12 +186,7 @@ def _all_certified(
 def _certified(axis: ControllerStructure, joints: tuple[str, ...], common: bool) -> TranslatedAxis:
     """Certify the translated gains of an axis, or tune what the structure can do."""
     task, values = axis.task, axis.translated
-    law, reason, found = axis.law(values), None, None
-    if alternates(law):
-        reason = "the law itself would change the sign of its speed in every cycle at this update rate"
-    else:
-        found = certify_law(task, law)
-        reason = None if found.holds else found.missed[0]
+    found, reason = _translated(axis)
     if found is None or reason is not None:
         try:
             values, found = retune(task, axis)
@@ -212,6 +211,18 @@ def _certified(axis: ControllerStructure, joints: tuple[str, ...], common: bool)
             *joint_notes(joints, axis.task.axis),
         ),
     )
+
+
+def _translated(axis: ControllerStructure) -> tuple[LawCertificate | None, str | None]:
+    """Certify the numbers that come nearest to the file's; return why they cannot be used, None where they can."""
+    try:
+        law = axis.law(axis.translated)
+    except ParameterError as error:
+        return None, str(error).removesuffix(".")
+    if alternates(law):
+        return None, "the law itself would change the sign of its speed in every cycle at this update rate"
+    found = certify_law(axis.task, law)
+    return found, None if found.holds else found.missed[0]
 
 
 def _bound_notes(axis: ControllerStructure, values: Values) -> Iterator[str]:
@@ -261,7 +272,7 @@ def _text(
     for each in axes:
         comments += [*_certificate(each), *each.notes, ""]
     comments += [f"Dropped: {line}." for line in dropped] or ["Nothing of the file is dropped."]
-    return dump_parameters(file.tree, [*comments, "", *file.notes, ""])
+    return render_commented(file.content, [*comments, "", *file.notes, ""])
 
 
 def _certificate(each: TranslatedAxis) -> Iterator[str]:

@@ -13,6 +13,7 @@ from autotune.export import fzi_cartesian, retune, ros2_control, third_party
 from autotune.export.fzi_cartesian import FziOptions
 from autotune.export.ros2_control import Ros2Options
 from autotune.export.third_party import Translation
+from autotune.export.urscript import STEP_TIME_S
 from autotune.formats.certificate_record import AxisDomain, Requirement
 from autotune.formats.controller import ControllerFile, read_controller, write_controller
 from autotune.formats.controller_record import (
@@ -90,6 +91,14 @@ def peer_controller(
 
 EASY = requirements(2.5e-4)
 """Requirements that a plain law meets."""
+SLOW = requirements(4e-5)
+"""Requirements that a law meets which damps the measured motion, and needs far more mass for that."""
+
+
+def at_500_hz(controller: Controller) -> Controller:
+    """Return the same at the period of a script of Universal Robots; its predictions stay those of its own period."""
+    certificate = replace(controller.certificate, sample_time_s=STEP_TIME_S)
+    return replace(controller, sample_time_s=STEP_TIME_S, certificate=certificate)
 
 
 def translated(source: ControllerFile, options: Ros2Options | FziOptions) -> Translation:
@@ -178,3 +187,12 @@ def task_of(controller: Controller, axis: str = "x") -> AxisTask:
         predicted=controller.predicted[axis],
         sample_time_s=controller.sample_time_s,
     )
+
+
+MDK_CASES = {
+    "urscript": at_500_hz(peer_controller({"x": PLAIN}, EASY)),
+    "lbr_fri_ros2": peer_controller({"x": PLAIN}, SLOW),
+    "crisp": peer_controller({"x": PLAIN}, EASY),
+    "cartesian_vic": peer_controller({"x": PLAIN}, SLOW),
+}
+"""A controller for each target whose law is mass, damping and spring."""

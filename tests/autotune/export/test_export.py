@@ -13,7 +13,7 @@ from autotune.export.ros2_control import Ros2Options
 from autotune.export.targets import TARGETS
 from autotune.formats.controller import read_controller, write_controller
 from autotune.formats.controller_record import Controller
-from tests.autotune.export.peer_cases import PLAIN, peer_controller, requirements, translated
+from tests.autotune.export.peer_cases import MDK_CASES, PLAIN, peer_controller, requirements, translated
 from tests.autotune.formats.samples import make_controller
 from tests.autotune.tuning.cases import small_controller
 
@@ -48,6 +48,11 @@ def texts(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     write_controller(easy, peer_controller({"x": PLAIN}, requirements(2.5e-4)))
     read = read_controller(easy)
     level = FziOptions(orientation=(0.0, 0.0, 0.0, 1.0))
+    for name, controller in MDK_CASES.items():
+        write_controller(easy, controller)
+        options = {"orientation": (0.0, 0.0, 0.0, 1.0)} if name in ("crisp", "lbr_fri_ros2") else {}
+        export_controller(easy, name, folder / name, options=options)
+        found[name] = (folder / name).read_text(encoding="utf-8")
     return found | {"ros2_control": translated(read, Ros2Options()).text, "fzi_cartesian": translated(read, level).text}
 
 

@@ -10,9 +10,10 @@ import pytest
 
 from autotune.errors import UsageError
 from autotune.export import fzi_cartesian
-from autotune.export.fzi_axis import FziAxis, base_axes, rotation
-from autotune.export.fzi_cartesian import FziOptions, Quaternion, parse_orientation
-from autotune.export.ros_yaml import check_keys
+from autotune.export.base_axes import base_axes, rotation
+from autotune.export.fzi_axis import FziAxis
+from autotune.export.fzi_cartesian import FziOptions
+from autotune.export.ros_yaml import Quaternion, check_keys, parse_orientation
 from autotune.export.third_party import Translation
 from problems.contact.linear_controller_contact import force_per_speed
 from problems.errors import ParameterError

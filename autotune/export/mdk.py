@@ -1,0 +1,150 @@
+"""Export to programs whose law is M dv/dt = f − D v − K x: what all of them share, to which each adds a template.
+
+A program is a module with a `MdkProgram`, made a target by `mdk_target`, and a line in `targets`.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from autotune.errors import UsageError
+from problems.progress import Progress
+
+from .ros_yaml import Quaternion, Tree, check_names, check_orientation, update_rate_hz
+from .target import ExportTarget, TargetOption, begins_with, render_translation
+
+if TYPE_CHECKING:
+    from autotune.formats.controller import ControllerFile
+    from autotune.formats.controller_record import AxisGains, Controller
+    from autotune.validation.law import AxisTask
+
+    from .mdk_axis import MdkForm
+    from .retune import ControllerStructure
+    from .third_party import ParameterFile, TranslatedAxis, Translation
+
+_SAME_PERIOD = 1e-6
+
+
+@dataclass(frozen=True, kw_only=True)
+class MdkOptions:
+    """The names of an installation, and the sensor's orientation in the base where it is used.
+
+    `orientation` is a quaternion (x, y, z, w) that takes vectors from the sensor's axes to the base's. Raises
+    UsageError for a name or a quaternion that is none.
+    """
+
+    controller_name: str = "admittance_controller"
+    joints: tuple[str, ...] = tuple(f"joint_{i}" for i in range(1, 7))
+    base_link: str = "base_link"
+    tip_link: str = "tool0"
+    sensor_name: str = "ft_sensor"
+    sensor_frame: str = "ft_frame"
+    control_frame: str | None = None
+    robot_name: str = "lbr"
+    orientation: Quaternion | None = None
+
+    def __post_init__(self) -> None:
+        check_names("--joints", self.joints)
+        if self.orientation is not None:
+            check_orientation(self.orientation)
+        for name in ("controller_name", "base_link", "tip_link", "sensor_name", "sensor_frame", "robot_name"):
+            check_names(f"--{name.replace('_', '-')}", (getattr(self, name),))
+        if self.control_frame is not None:
+            check_names("--control-frame", (self.control_frame,))
+
+
+@dataclass(frozen=True, kw_only=True)
+class MdkExport:
+    """What a template fills in: the controller, its axes as certified, the options and 1/h in whole hertz."""
+
+    controller: "Controller"
+    axes: Mapping[str, "TranslatedAxis"]
+    options: MdkOptions
+    update_rate_hz: int
+
+    def numbers(self, name: str, still: float) -> dict[str, float]:
+        """Return one number of every axis by name, `still` for those that were not tuned."""
+        from autotune.formats.units import AXES  # noqa: PLC0415
+
+        return {axis: self.axes[axis].written[name] if axis in self.axes else still for axis in AXES}
+
+
+@dataclass(frozen=True, kw_only=True)
+class MdkProgram:
+    """Another program with such a law.
+
+    `software` names it with the version that was read; files that `begins_with` recognises begin with its first word.
+    `form` returns its discretisation and ranges; `check` raises UsageError for axes and options that do not fit;
+    `content` returns the tree of its parameter file, or the text of its script; `notes` say what it does of itself.
+    `sample_time_s` is its period where it has one of its own, `joints` those of the robot that it is for.
+    """
+
+    name: str
+    summary: str
+    software: str
+    form: Callable[[], "MdkForm"]
+    content: Callable[[MdkExport], Tree | str]
+    notes: Callable[[MdkExport], Iterator[str]]
+    options: tuple[TargetOption, ...] = ()
+    check: Callable[[Mapping[str, "AxisGains"], MdkOptions], None] = lambda _gains, _options: None
+    sample_time_s: float | None = None
+    joints: Callable[[MdkOptions], tuple[str, ...]] = lambda options: options.joints
+
+
+def translate(
+    program: MdkProgram, source: "ControllerFile", options: MdkOptions, progress: Progress | None = None
+) -> "Translation":
+    """Return the controller as the program runs it, certified; raises as `third_party.translate_controller`."""
+    from .mdk_axis import MdkAxis  # noqa: PLC0415
+    from .third_party import ParameterFile, translate_controller  # noqa: PLC0415
+
+    form = program.form()
+
+    def build_axes(
+        tasks: Mapping[str, "AxisTask"], gains: Mapping[str, "AxisGains"]
+    ) -> tuple[list["ControllerStructure"], bool]:
+        _check_period(program, source)
+        program.check(gains, options)
+        return [MdkAxis(task=task, gains=gains[name], form=form) for name, task in tasks.items()], False
+
+    def build_file(controller: "Controller", axes: Sequence["TranslatedAxis"]) -> "ParameterFile":
+        rate = update_rate_hz(controller.sample_time_s)
+        made = MdkExport(
+            controller=controller, axes={each.axis: each for each in axes}, options=options, update_rate_hz=rate
+        )
+        return ParameterFile(
+            content=program.content(made),
+            update_rate_hz=rate,
+            software=program.software,
+            notes=tuple(program.notes(made)),
+        )
+
+    return translate_controller(source, program.joints(options), build_axes, build_file, progress)
+
+
+def _check_period(program: MdkProgram, source: "ControllerFile") -> None:
+    own, h = program.sample_time_s, source.controller.sample_time_s
+    if own is not None and abs(h / own - 1.0) > _SAME_PERIOD:
+        raise UsageError(
+            f"{program.name} runs every {own * 1e3:g} ms whatever the cell does, and {source.path} is for "
+            f"{h * 1e3:g} ms; what is certified for one period is not for another. Design for it: autotune optimize "
+            f"IDENTIFIED --for {program.name}."
+        )
+
+
+def mdk_target(program: MdkProgram) -> ExportTarget:
+    """Return the export target of a program."""
+    first = program.software.split()[0]
+
+    def run(source: "ControllerFile", options: MdkOptions, progress: Progress | None) -> "Translation":
+        return translate(program, source, options, progress)
+
+    return ExportTarget(
+        name=program.name,
+        summary=program.summary,
+        render=render_translation(run, MdkOptions),
+        is_own=begins_with(rb"# Written by autotune \S+ for " + first.encode() + rb" "),
+        options=program.options,
+        runs_same_law=False,
+        sample_time_s=program.sample_time_s,
+    )
