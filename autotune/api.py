@@ -102,7 +102,7 @@ def optimize(
     problem: "str | Path | ProblemSpec | None" = None,
     axes: Sequence[str] | None = None,
     seed: int = 0,
-    compare: "Design | str | Path | None" = None,
+    compare: "Mapping[str, Any] | Design | str | Path | None" = None,
     progress: Progress = None,
 ) -> Design:
     """Search the controller with the gentlest contact that stays stable and moves freely, and validate it.
@@ -122,7 +122,9 @@ def optimize(
     seed
         The same seed gives the same controller.
     compare
-        A controller to put beside the new one: a design, or the path of a file; the search starts from it too.
+        What runs today, to put beside the new controller: gains by name as of `predict` (by axis and name, or as in
+        `x.mass`, where there are several axes), "log" for those with which the log was recorded, a design, or the path
+        of a `controller.yaml` or `cell.yaml`; the search starts from it too. Those in the log unless they are said.
     progress
         True for a bar, or a callable that takes the share of the work done since its last call.
 
@@ -157,30 +159,21 @@ def optimize(
     True
 
     """
-    from autotune.formats.controller import ControllerFile, read_controller  # noqa: PLC0415 - for who compares only
     from autotune.formats.problem import ProblemSpec, read_problem  # noqa: PLC0415
+    from autotune.prediction.said_gains import present_gains  # noqa: PLC0415 - compiles
     from autotune.tuning.optimize import optimize as search  # noqa: PLC0415 - compiles
 
     source, seed, names = _plant_file(plant), count("seed", seed), axis_names(axes)
     path = None if problem is None or isinstance(problem, ProblemSpec) else file_path("problem", problem)
     spec = problem if isinstance(problem, ProblemSpec) else ProblemSpec() if path is None else read_problem(path)
     spec = spec if names is None else replace(spec, axes=names)
-    existing = compare.as_file() if isinstance(compare, Design) else compare
+    present = present_gains(compare.as_file() if isinstance(compare, Design) else compare, source, spec.axes)
     spec = spec.with_options(
         payload_mass=interval("payload_mass", payload_mass),
         environment_stiffness=interval("environment_stiffness", environment_stiffness),
     )
     with reporting(progress, "searching") as report:
-        found = search(
-            source,
-            spec,
-            seed=seed,
-            problem_path=path,
-            existing=existing
-            if existing is None or isinstance(existing, ControllerFile)
-            else read_controller(file_path("compare", existing)),
-            progress=report,
-        )
+        found = search(source, spec, seed=seed, problem_path=path, present=present, progress=report)
     return Design(controller=found.controller, optimized=found)
 
 

@@ -20,6 +20,7 @@ _REWORDED = (
     # Arguments are in SI: there is no unit that could be said.
     (re.compile(r" If it is meant, say its unit: --\S+ \S+?\.(?=\s|$)"), ""),
     (re.compile(r"--environment-stiffness LO:HI"), "environment_stiffness=(low, high)"),
+    (re.compile(r"--compare mass=(\d+),damping=(\d+)"), r'compare={"mass": \1, "damping": \2}'),
     (re.compile(r"`?--salvage`?"), "salvage=True (an argument of read_log)"),
     (re.compile(r"--allow-partial"), "allow_partial=True"),
     (re.compile(r"--given ([\w.{}]+)=([A-Z]+)"), r'given={"\1": \2}'),

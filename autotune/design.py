@@ -7,7 +7,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from autotune.arguments import count, file_path
+from autotune.arguments import count, file_path, in_arguments
 from autotune.errors import CertificateError, UsageError
 from autotune.formats.atomic import check_target
 from autotune.formats.controller import ControllerFile, controller_tree, write_controller
@@ -15,8 +15,9 @@ from autotune.formats.controller_record import Controller
 from autotune.formats.identified import IN_MEMORY
 from autotune.formats.units import axis_units
 from autotune.formats.yaml12 import dump_yaml
-from autotune.results import Validation
+from autotune.results import Identification, Validation
 from autotune.shown import Progress, ResultTable, Shown, data_frame, reporting
+from autotune.text import NOTHING_BEFORE
 from problems.design.uncertainty import SYMBOLS, Scenario
 from problems.model.axis_kind import AxisKind
 
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from autotune.charts.show import AxesLike
+    from autotune.prediction.before_after import BeforeAndAfter
     from autotune.prediction.result import PredictedContact
     from autotune.report.axis_design import AxisDesign
     from autotune.tuning.optimize import Optimized
@@ -81,16 +83,51 @@ class Design(Shown):
         """Largest predicted force at the surface over all axes [N, N·m] of all contacts of the certificate."""
         return max(each.peak_contact_force_n for p in self.controller.predicted.values() for each in p.scenarios)
 
+    @property
+    def before_after(self) -> dict[str, str]:
+        """What the design changes, a sentence by axis: on the contacts of the log, and in free motion."""
+        told = self.controller.provenance.get("before_after", {})
+        texts = {name: str(told[name]["text"]) if name in told else NOTHING_BEFORE for name in self.gains}
+        return {name: in_arguments(text) for name, text in texts.items()}
+
+    def compare(
+        self, plant: Identification, gains: "Mapping[str, Any] | Design | str | Path | None" = None
+    ) -> "dict[str, BeforeAndAfter]":
+        """Replay the contacts of a log with this design, beside what was measured.
+
+        Parameters
+        ----------
+        plant
+            What `identify` returned, with the contacts of the log.
+        gains
+            What runs today, as `compare` of `autotune.optimize`; those in the log unless they are said.
+
+        Returns
+        -------
+        dict of str to BeforeAndAfter
+            By axis: prints as a table, and draws itself with `plot()`.
+
+        """
+        from autotune.prediction.before_after import compare_before_after  # noqa: PLC0415 - compiles
+        from autotune.prediction.said_gains import present_gains  # noqa: PLC0415
+
+        file, said = plant.file(), gains.as_file() if isinstance(gains, Design) else gains
+        return compare_before_after(file, self.controller, present=present_gains(said, file, tuple(self.gains)))
+
     def _headline(self) -> str:
         listed = "; ".join(_gains_text(name, gains) for name, gains in self.gains.items())
         return f"Design, {self.controller.status.value}: {listed}"
 
     def _tables(self) -> Iterator[ResultTable]:
         rows = tuple(
-            (name, f"{g['mass']:.4g}", f"{g['damping']:.4g}", f"{g['lead']:.4g}", f"{g['feedback_damping']:.4g}")
+            (
+                name,
+                *(f"{g[key]:.4g}" for key in ("mass", "damping")),
+                *(f"{1e3 * g[key]:.4g}" for key in ("lead", "feedback_damping")),
+            )
             for name, g in self.gains.items()
         )
-        columns = ("axis", "M_a [kg, kg·m²]", "B_a [N·s/m, N·m·s/rad]", "K_l [s]", "B_fb [s]")
+        columns = ("axis", "M_a [kg, kg·m²]", "B_a [N·s/m, N·m·s/rad]", "K_l [ms]", "B_fb [ms]")
         yield ResultTable(title="gains", columns=columns, rows=rows)
         yield ResultTable(
             title="smallest margins over the domain",
@@ -159,7 +196,10 @@ class Design(Shown):
         return self.notes
 
     def summary(self) -> None:
-        """Print gains, margins, predicted contacts, what is proved and what is not, and what not to overlook."""
+        """Print what it changes, gains, margins, predicted contacts, what is proved, and what not to overlook."""
+        for name, text in self.before_after.items():
+            print(f"before → after, axis {name}: {text}")
+        print()
         print(self)
 
     def to_dict(self) -> dict[str, Any]:
@@ -281,17 +321,17 @@ class Design(Shown):
         )
 
     def plot_contact(self, axis: str | None = None, *, ax: "AxesLike | None" = None) -> "Figure":
-        """Draw the predicted contacts with the highest peak, from the softest to the stiffest surface.
+        """Draw the predicted contact with the highest peak, and the band of all of them.
 
-        On a single `ax` the stiffest alone. Raises UsageError where several axes are there and none is named.
+        Raises UsageError where several axes are there and none is named.
         """
         from autotune.charts.show import show  # noqa: PLC0415 - matplotlib
-        from autotune.report.controller_charts import contact_charts  # noqa: PLC0415
+        from autotune.report.controller_charts import contact_chart  # noqa: PLC0415
 
-        charts = list(contact_charts(self._axis(axis), None))
-        if not charts:
+        chart = contact_chart(self._axis(axis))
+        if chart is None:
             raise UsageError("The design predicts no contact that could be drawn.")
-        return show(charts[-1], ax, panel=len(charts[-1].panels) - 1)
+        return show(chart, ax)
 
     def plot_nyquist(self, axis: str | None = None, *, ax: "AxesLike | None" = None) -> "Figure":
         """Draw L, cut at the force and at the command, and the disk that it must not enter; on one `ax` the force."""
@@ -341,7 +381,7 @@ def _gains_text(name: str, gains: Mapping[str, float]) -> str:
     units: AxisKind = axis_units(name)
     return (
         f"axis {name}: M_a {gains['mass']:.4g} {units.mass}, B_a {gains['damping']:.4g} {units.damping}, "
-        f"K_l {gains['lead']:.4g} s, B_fb {gains['feedback_damping']:.4g} s"
+        f"K_l {1e3 * gains['lead']:.4g} ms, B_fb {1e3 * gains['feedback_damping']:.4g} ms"
     )
 
 

@@ -19,6 +19,7 @@ from autotune.prediction.contact import check_approach
 from autotune.prediction.law import law_of, law_of_gains
 from autotune.prediction.plants import Surface, build_plants, find_axis
 from autotune.prediction.result import PredictedContact, predict_contact
+from autotune.prediction.said_gains import parse_number, parse_pairs
 from autotune.quantities import parse_quantity
 from autotune.results import Identification
 from identification.result import Identified
@@ -166,28 +167,13 @@ def _mapping(gains: Gains) -> Mapping[str, float | str]:
     )
 
 
-def parse_gains(text: str, axis: str | None) -> dict[str, float | str]:
-    """Return gains of the form mass=13,damping=1000,lead=20ms; raises UsageError."""
-    turns = axis in ROTATIONAL_AXES
-    kinds = {
-        "mass": "inertia" if turns else "mass",
-        "damping": "rotational damping" if turns else "damping",
-        "lead": "time",
-        "feedback_damping": "time",
-        "deadband": "torque" if turns else "force",
-    }
-    found: dict[str, float | str] = {}
-    for name, value in _pairs(text, "--gains", (*kinds, "deadband_type")):
-        found[name] = value if name == "deadband_type" else _quantity(value, kinds[name], "--gains")
-    return found
-
-
 def parse_approach(text: str, axis: str | None) -> dict[str, float]:
     """Return force and speed of the form force=30 or speed=28mm/s,force=15; raises UsageError."""
     turns = axis in ROTATIONAL_AXES
     kinds = {"force": "torque" if turns else "force", "speed": "rotational speed" if turns else "speed"}
     return {
-        name: _quantity(value, kinds[name], "--approach") for name, value in _pairs(text, "--approach", tuple(kinds))
+        name: parse_number(value, kinds[name], "--approach")
+        for name, value in parse_pairs(text, "--approach", tuple(kinds))
     }
 
 
@@ -212,23 +198,6 @@ def parse_surface(text: str, result: Identified | None) -> tuple[str, float | Un
             f"--surface {text} must be the name of a surface ({held}) or a stiffness such as 20N/mm."
         ) from None
     return "", Uncertain(stiffness, deviation) if sign else stiffness
-
-
-def _pairs(text: str, option: str, known: tuple[str, ...]) -> list[tuple[str, str]]:
-    pairs: list[tuple[str, str]] = []
-    for part in text.split(","):
-        name, sign, value = (each.strip() for each in part.partition("="))
-        if not sign or name not in known or name in dict(pairs):
-            raise UsageError(f"{option} must be NAME=VALUE,… with {', '.join(known)}, each once; found {part!r}.")
-        pairs.append((name, value))
-    return pairs
-
-
-def _quantity(text: str, kind: str, option: str) -> float:
-    try:
-        return parse_quantity(text, kind).value
-    except ValueError as error:
-        raise UsageError(f"{option}: {error}") from None
 
 
 def compare_with_touches(

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 from ._terminal import painted, print_message, print_table, printable, table_lines
 
 if TYPE_CHECKING:
-    from autotune.formats.controller import ControllerFile
     from autotune.formats.controller_record import Controller, ScenarioPrediction
+    from autotune.prediction.before_after import BeforeAndAfter
+    from autotune.prediction.law import PresentGains
     from autotune.tuning.compare import EvaluatedController, SideBySide
     from autotune.tuning.compliance import Compliance, CompliancePoint
     from autotune.tuning.optimality_report import ActiveConstraint, OptimalityReport, Reference
@@ -141,7 +142,16 @@ def _where_it_was_looked(reference: "Reference") -> str:
     return f"{text}, {reference.arrived} of which end there"
 
 
-def compare_tree(old: "ControllerFile", found: Mapping[str, "SideBySide"]) -> dict[str, Any]:
+def print_before_after(found: "Mapping[str, BeforeAndAfter]") -> None:
+    """Print what a controller changes: on the contacts of the log, and in free motion."""
+    for each in found.values():
+        headline, _, _ = each.parts()
+        print_message(headline)
+        for line in (*each.further(), *each.notes):
+            print_message(f"  {line}")
+
+
+def compare_tree(old: "PresentGains", found: Mapping[str, "SideBySide"]) -> dict[str, Any]:
     """Return the comparison as plain data; a margin without limit and every number of an unstable loop are null."""
     from autotune.formats.records import rename_axis_keys
 
@@ -150,8 +160,7 @@ def compare_tree(old: "ControllerFile", found: Mapping[str, "SideBySide"]) -> di
         for name, both in found.items()
     }
     return {
-        "path": str(old.path),
-        "checksum": old.checksum,
+        **old.tree(),
         "axes": {name: rename_axis_keys(name, tree, reading=False) for name, tree in axes.items()},
     }
 
@@ -175,12 +184,11 @@ def _evaluated_tree(evaluated: "EvaluatedController") -> dict[str, Any]:
     }
 
 
-def compare_lines(old: "ControllerFile", found: Mapping[str, "SideBySide"]) -> Iterator[str]:
+def compare_lines(old: "PresentGains", found: Mapping[str, "SideBySide"]) -> Iterator[str]:
     """Yield the comparison in words: a table per axis, then what the old controller misses."""
-    from autotune.formats.canonical import short
     from autotune.formats.units import axis_units
 
-    yield f"beside {printable(str(old.path))}, checksum {short(old.checksum)}, on the same problem"
+    yield f"beside {printable(old.label)}, on the same problem"
     for name, both in found.items():
         units = axis_units(name)
         yield from table_lines([("", "old", "new"), *_rows(both, units)], point=(1, 2), indent=f"  {name}  ")
@@ -190,13 +198,13 @@ def compare_lines(old: "ControllerFile", found: Mapping[str, "SideBySide"]) -> I
 
 def _rows(both: "SideBySide", units: "AxisKind") -> Iterator[tuple[str, str, str]]:
     sides = (both.old, both.new)
-    for what, name in (
-        (f"M_a [{units.mass}]", "mass_kg"),
-        (f"B_a [{units.damping}]", "damping_n_s_per_m"),
-        ("K_l [s]", "lead_s"),
-        ("B_fb [s]", "feedback_damping_s"),
+    for what, name, scale in (
+        (f"M_a [{units.mass}]", "mass_kg", 1.0),
+        (f"B_a [{units.damping}]", "damping_n_s_per_m", 1.0),
+        ("K_l [ms]", "lead_s", 1e3),
+        ("B_fb [ms]", "feedback_damping_s", 1e3),
     ):
-        old, new = (f"{getattr(side.law, name):.6g}" for side in sides)
+        old, new = (f"{scale * getattr(side.law, name):.6g}" for side in sides)
         yield what, old, new
     for what, name, scale in (
         (f"peak at sensor [{units.force}]", "peak_sensor_force_n", 1.0),

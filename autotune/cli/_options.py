@@ -43,6 +43,15 @@ class FilePath(click.Path):
         return is_shown and path.name.startswith(begin) and path.suffix.lower() in self.endings and path.is_file()
 
 
+class PresentType(FilePath):
+    """What runs in a cell today: gains as in mass=10,damping=1500, the word log, or a file that says it."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return gains and the word as text, and a file as its path."""
+        is_text = isinstance(value, str) and ("=" in value or value == "log")
+        return value if is_text else super().convert(value, param, ctx)
+
+
 class BothComplete(BashComplete):
     """Completion for bash that proposes folders beside names, where click's own would do so instead of them."""
 

@@ -188,8 +188,8 @@ def print_fronts(fronts: Mapping[str, "Front"], path: Path) -> None:
         gains = [
             f"M_a [{units.mass}]",
             f"B_a [{units.damping}]",
-            "K_l [s]",
-            "B_fb [s]",
+            "K_l [ms]",
+            "B_fb [ms]",
             "form",
             f"P̂ [{units.mass}]",
             "",
@@ -214,7 +214,7 @@ def _cells(front: "Front", point: "Judgement") -> Iterator[str]:
     law = point.controller
     for objective in front.objectives:
         yield f"{point.values[objective.name]:.4g}"
-    for gain in (law.mass_kg, law.damping_n_s_per_m, law.lead_s, law.feedback_damping_s):
+    for gain in (law.mass_kg, law.damping_n_s_per_m, 1e3 * law.lead_s, 1e3 * law.feedback_damping_s):
         yield f"{gain:.6g}"
     yield law.discretization
     yield f"{law.compensation_mass_kg:g}"

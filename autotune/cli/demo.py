@@ -123,8 +123,8 @@ def _print(found: "DemoResult", page: Path | None) -> None:
     for name, gains in controller.axes.items():
         _heading(f"Controller chosen for axis {name}")
         print_message(
-            f"  M_a {gains.mass:g} kg, B_a {gains.damping:g} N·s/m, K_l {gains.lead_s:g} s, "
-            f"B_fb {gains.feedback_damping_s:g} s"
+            f"  M_a {gains.mass:g} kg, B_a {gains.damping:g} N·s/m, K_l {1e3 * gains.lead_s:g} ms, "
+            f"B_fb {1e3 * gains.feedback_damping_s:g} ms"
         )
         worst = max(controller.predicted[name].scenarios, key=lambda s: s.peak_contact_force_n)
         print_message(

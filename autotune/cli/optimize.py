@@ -16,19 +16,20 @@ from ._optimized import (
     contact_spark,
     default_lines,
     limit_lines,
+    print_before_after,
     print_compliance,
     response_lines,
 )
-from ._options import SETTINGS, FilePath, GroupedCommand, fields_with_unit, typed_range
+from ._options import SETTINGS, FilePath, GroupedCommand, PresentType, fields_with_unit, typed_range
 from ._pareto import FrontWriter, pareto_options, proof_options
 from ._report import check_report, print_report_path, report_option, report_refusal, write_report
 from ._schedule import schedule_options
 from ._terminal import detect_terminal, echo, print_message, print_table
 
 if TYPE_CHECKING:
-    from autotune.formats.controller import ControllerFile
     from autotune.formats.controller_record import ScenarioPrediction
     from autotune.formats.identified import IdentifiedFile
+    from autotune.prediction.law import PresentGains
     from autotune.report.page import Page
     from autotune.studies.front import FrontRequest
     from autotune.tuning.optimize import Optimized
@@ -40,7 +41,7 @@ Examples:
   autotune optimize identified.yaml -o controller.yaml
   autotune optimize identified.yaml --payload-mass 10,22 --environment-stiffness 2e4:5e5
   autotune optimize identified.yaml --problem problem.yaml --json
-  autotune optimize identified.yaml --compare old.yaml --report controller.html
+  autotune optimize identified.yaml --compare mass=10,damping=1500 --report controller.html
   autotune optimize identified.yaml --pareto 9 -o best.yaml
   autotune optimize identified.yaml --schedule payload=8:12,16.2,22 --schedule stiffness=2e4:1e5,1e5:5e5 -o cell
 """
@@ -95,9 +96,10 @@ def _stiffness(_context: click.Context, _option: click.Parameter, text: str | No
 @click.option(
     "--compare",
     "old",
-    type=FilePath(*SETTINGS),
-    metavar="CONTROLLER",
-    help="Compare with this controller on the same problem; the search starts from it too.",
+    type=PresentType(*SETTINGS),
+    metavar="GAINS|log|FILE",
+    help="What runs today: gains as in mass=10,damping=1500, those of the log, a controller or cell.yaml. The search "
+    "starts from it too.",
 )
 @click.option(
     "--seed",
@@ -118,7 +120,7 @@ def command(
     problem: Path | None,
     payload_mass: tuple[float, float] | None,
     environment_stiffness: tuple[float, float] | None,
-    old: Path | None,
+    old: Path | str | None,
     seed: int,
     pareto: "FrontRequest | None",
     report: Path | None,
@@ -134,27 +136,29 @@ def command(
     """
     from autotune.formats.atomic import check_target
     from autotune.formats.canonical import short
-    from autotune.formats.controller import controller_tree, read_controller, write_controller
+    from autotune.formats.controller import controller_tree, write_controller
     from autotune.formats.plant_file import read_plant
     from autotune.formats.problem import ProblemSpec, read_problem
+    from autotune.prediction.said_gains import present_gains
     from autotune.tuning.optimize import optimize
 
-    sources = [path for path in (identified, problem, old) if path is not None]
+    sources = [path for path in (identified, problem, old) if isinstance(path, Path)]
     check_target(out, [path for path in sources if path != old], kind="controller")
     check_report(report, [*sources, out])
     fronts, seen = FrontWriter(pareto, out), list["IdentifiedFile"]()
     with report_refusal(output, report, sources, lambda error: _refused_page(error, seen)):
         plant = read_plant(identified)
         seen.append(plant)
-        existing = None if old is None else read_controller(old)
-        spec = (ProblemSpec() if problem is None else read_problem(problem)).with_options(
+        asked = ProblemSpec() if problem is None else read_problem(problem)
+        present = present_gains(old, plant, asked.axes)
+        spec = asked.with_options(
             payload_mass=payload_mass,
             environment_stiffness=environment_stiffness,
             with_unit=fields_with_unit(),
         )
         with output.progress("searching", 1.0) as advance:
             found = optimize(
-                plant, spec, seed=seed, problem_path=problem, existing=existing, proof=proof,
+                plant, spec, seed=seed, problem_path=problem, present=present, proof=proof,
                 step=lambda doing: advance(0.0, f"searching {doing}".rstrip()), progress=advance,
             )  # fmt: skip
         fronts.trace(output, found)
@@ -164,34 +168,36 @@ def command(
     for note in found.controller.provenance.get("notes", ()):
         output.note(note)
     tree = {**controller_tree(found.controller), "active": active_tree(found)}
-    if existing is not None:
-        tree["compare"] = compare_tree(existing, found.compared)
+    if present is not None:
+        tree["compare"] = compare_tree(present, found.compared)
+    tree["before_after"] = {name: each.to_dict() for name, each in found.before_after.items()}
     tree |= {"pareto": fronts.tree} if fronts.tree else {}
-    tree |= write_report(output, report, lambda: _page(found, checksum, existing, fronts))
-    output.result(tree, lambda: _print_all(found, out, short(checksum), existing, fronts, report))
+    tree |= write_report(output, report, lambda: _page(found, checksum, present, fronts))
+    output.result(tree, lambda: _print_all(found, out, short(checksum), present, fronts, report))
 
 
 def _print_all(
     found: "Optimized",
     out: Path,
     checksum: str,
-    existing: "ControllerFile | None",
+    present: "PresentGains | None",
     fronts: FrontWriter,
     report: Path | None,
 ) -> None:
-    print_optimized(found, out, checksum, existing)
+    print_optimized(found, out, checksum, present)
     fronts.print()
     print_report_path(report)
 
 
-def _page(found: "Optimized", checksum: str, existing: "ControllerFile | None", fronts: FrontWriter) -> "Page":
+def _page(found: "Optimized", checksum: str, present: "PresentGains | None", fronts: FrontWriter) -> "Page":
     from autotune.report.optimize_page import build_optimize_page
 
     return build_optimize_page(
         found.controller,
         checksum,
         steps={name: search.steps for name, search in found.searches.items()},
-        old=existing,
+        old=present,
+        before_after=found.before_after,
         fronts=fronts.tree.get("axes"),
     )
 
@@ -202,19 +208,20 @@ def _refused_page(error: Exception, plants: "list[IdentifiedFile]") -> "Page":
     return refused_search_page(error, plants[0] if plants else None)
 
 
-def print_optimized(found: "Optimized", out: Path, checksum: str, existing: "ControllerFile | None" = None) -> None:
-    """Print the chosen gains, the predicted peaks, what holds them up, and what was verified."""
+def print_optimized(found: "Optimized", out: Path, checksum: str, present: "PresentGains | None" = None) -> None:
+    """Print what it changes, the chosen gains, the predicted peaks, what holds them up, and what was verified."""
     from autotune.formats.units import axis_units
     from problems.design.problem import VARIABLES
 
     controller = found.controller
+    print_before_after(found.before_after)
     for name, compliance in found.compliance.items():
         print_compliance(name, compliance, found.searches[name].problem)
     for name, gains in controller.axes.items():
         units = axis_units(name)
         print_message(
             f"axis {name}: M_a {gains.mass:g} {units.mass}, B_a {gains.damping:g} {units.damping}, "
-            f"K_l {gains.lead_s:g} s, B_fb {gains.feedback_damping_s:g} s"
+            f"K_l {1e3 * gains.lead_s:g} ms, B_fb {1e3 * gains.feedback_damping_s:g} ms"
         )
         if found.searches[name].problem.variables != VARIABLES:
             filters, compensation = controller.filters, controller.compensation_mass_kg
@@ -234,8 +241,8 @@ def print_optimized(found: "Optimized", out: Path, checksum: str, existing: "Con
         print_message(f"{axis}{check.name}: {check.message}", verdict=verdict, indent="  ")
     for claim in controller.certificate.sampled:
         print_message(f"  sampled, not proved: {claim.claim}; over {claim.over}")
-    if existing is not None:
-        for line in compare_lines(existing, found.compared):
+    if present is not None:
+        for line in compare_lines(present, found.compared):
             echo(line)
     print_message(f"written: {out}, checksum {checksum}")
 

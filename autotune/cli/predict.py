@@ -170,7 +170,8 @@ def _certified(path: Path, options: dict[str, Any]) -> "PredictedContact":
 
 def _predicted(identified: Path, options: dict[str, Any]) -> "PredictedContact":
     from autotune.formats.plant_file import read_plant
-    from autotune.predicting import parse_gains, predict_any
+    from autotune.predicting import predict_any
+    from autotune.prediction.said_gains import parse_gains
 
     file, axis = read_plant(identified), options["axis"]
     asked = _request(options, file.result)
@@ -187,7 +188,8 @@ def _compared(output: Output, identified: Path, options: dict[str, Any]) -> "Tou
     from autotune.formats.controller import read_controller
     from autotune.formats.plant_file import read_plant
     from autotune.pipeline import IdentifyOptions, identify_log
-    from autotune.predicting import compare_with_touches, parse_gains
+    from autotune.predicting import compare_with_touches
+    from autotune.prediction.said_gains import parse_gains
 
     file, controller, cell = read_plant(identified), options["controller"], options["cell_path"]
     asked = _request(options, file.result)

@@ -144,7 +144,7 @@ def _from_controller(read: ControllerFile) -> Exploration:
     axes = {}
     for name in controller.axes:
         problem = problem_of(controller, name)
-        design = start_design(controller, name, problem)
+        design = start_design(admittance_controller(controller, name), problem)
         if design is None:
             raise UsageError(f"{read.path}: the gains of axis {name} cannot be led from where they are.")
         further = (each.scenario() for each in controller.predicted[name].scenarios if each.further)

@@ -265,6 +265,23 @@ class Running:
         return Approach(force_n=force)
 
 
+def plants_of_touch(
+    source: IdentifiedFile, touch: Touch, *, surface: Surface | None = None, sample_time_s: float | None = None
+) -> PlantEnsemble:
+    """Return the plants of a touch: against `surface`, or else against the surface of `source` that it names.
+
+    Raises UsageError for an axis or a surface that the source does not hold, EstimateError as `build_plants`.
+    """
+    asked = Surface() if surface is None else surface
+    axis = source.result.axes.get(touch.axis)
+    if axis is None:
+        raise UsageError(f"the plant holds no axis {touch.axis}.")
+    names = {each.name for each in axis.environments}
+    if asked == Surface() and len(names) > 1 and touch.surface in names:
+        asked = Surface(name=touch.surface or "")
+    return build_plants(source, asked, axis=touch.axis, sample_time_s=sample_time_s)
+
+
 def compare_touches(
     source: IdentifiedFile,
     touches: Sequence[tuple[str, Touch]],
@@ -279,19 +296,12 @@ def compare_touches(
     `running` gives what was running on an axis. Touches of a hand, on axes or of surfaces that the source does not
     hold, and of loops that are unstable are passed over with the reason. Raises EstimateError where none is left.
     """
-    known: dict[tuple[str, str], PlantEnsemble] = {}
+    known: dict[tuple[str, str | None], PlantEnsemble] = {}
 
     def plants(touch: Touch) -> PlantEnsemble:
-        asked = Surface() if surface is None else surface
-        axis = source.result.axes.get(touch.axis)
-        if axis is None:
-            raise UsageError(f"the plant holds no axis {touch.axis}.")
-        names = {each.name for each in axis.environments}
-        if asked == Surface() and len(names) > 1 and touch.surface in names:
-            asked = Surface(name=touch.surface or "")
-        key = touch.axis, asked.name
+        key = touch.axis, touch.surface
         if key not in known:
-            known[key] = build_plants(source, asked, axis=touch.axis, sample_time_s=sample_time_s)
+            known[key] = plants_of_touch(source, touch, surface=surface, sample_time_s=sample_time_s)
         return known[key]
 
     found, passed = [], []

@@ -1,9 +1,16 @@
 """The admittance law of a controller file or of gains that a person says."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 from autotune.errors import UsageError
+from autotune.formats.canonical import short
+from autotune.formats.cell import CellFile
+from autotune.formats.controller import ControllerFile
 from autotune.formats.controller_record import Controller, admittance_controller, file_deadband
+from autotune.formats.units import AXES
+from identification.result import Identified
 from problems.contact.nonlinearities import Deadband, DeadbandType
 from problems.model.controller import AdmittanceController
 
@@ -48,3 +55,73 @@ def _number(name: str, value: float | str) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise UsageError(f"The gain {name} must be a number in SI, found {value!r}.")
     return float(value)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PresentGains:
+    """What runs in a cell today, or ran in its log: `laws` by axis; `label` says in words where they are from.
+
+    `file` is the controller file that they were read from, None for gains that a person or a log says.
+    """
+
+    laws: Mapping[str, Law]
+    label: str
+    file: ControllerFile | None = None
+
+    @property
+    def name(self) -> str:
+        """What they are called in a table: the name of the file, or where they are from."""
+        return self.label if self.file is None else self.file.path.name
+
+    def tree(self) -> dict[str, Any]:
+        """Return where they are from, as a provenance keeps it: path and checksum of a file, else the numbers."""
+        if self.file is not None:
+            return {"path": str(self.file.path), "checksum": self.file.checksum}
+        gains = {
+            name: {key: getattr(law.controller, field) for key, field in GAINS.items()}
+            for name, law in self.laws.items()
+        }
+        return {"from": self.label, "gains": gains}
+
+    @classmethod
+    def of_file(cls, file: ControllerFile) -> "PresentGains":
+        """Return those of a controller file."""
+        laws = {name: law_of(file.controller, name) for name in file.controller.axes}
+        return cls(laws=laws, label=f"{file.path}, checksum {short(file.checksum)}", file=file)
+
+    @classmethod
+    def of_cell(cls, cell: CellFile, axes: Sequence[str]) -> "PresentGains":
+        """Return the constant gains of a `cell.yaml` on some axes; raises UsageError where it holds none."""
+        gains = cell.cell.gains
+        if gains is None or gains.mass is None or gains.damping is None:
+            raise UsageError(f"{cell.path} says no gains in numbers; add gains with mass and damping, or say them.")
+        laws = {}
+        for name in axes:
+            place = AXES.index(name)
+            lead = 0.0 if gains.lead is None else gains.lead[place]
+            said = {"mass": gains.mass[place], "damping": gains.damping[place], "lead": lead}
+            laws[name] = law_of_gains(said)
+        return cls(laws=laws, label=f"the gains in {cell.path}")
+
+    @classmethod
+    def of_log(cls, result: Identified, axes: Sequence[str]) -> "PresentGains":
+        """Return those with which the contacts of a log were recorded, on the axes that have one set of them.
+
+        Raises UsageError where no axis has: the log does not say gains, or several.
+        """
+        laws, several = {}, []
+        for name in axes:
+            touches = (touch for line in result.timelines for touch in line.touches if touch.axis == name)
+            found = {(touch.mass, touch.damping, touch.lead_s or 0.0) for touch in touches}
+            if len(found) > 1:
+                several.append(name)
+            for mass, damping, lead in found if len(found) == 1 else ():
+                if mass is not None and damping is not None:
+                    laws[name] = law_of_gains({"mass": mass, "damping": damping, "lead": lead})
+        if laws:
+            return cls(laws=laws, label="the gains in the log")
+        why = f"several gains on axis {', '.join(several)}" if several else "no gains"
+        raise UsageError(
+            f"The contacts of the log hold {why}, so there are none to compare with; say those that run now, as in "
+            "--compare mass=10,damping=1500."
+        )

@@ -6,10 +6,9 @@ from typing import Any
 import numpy as np
 from contourpy import contour_generator
 
-from autotune.charts.chart import Chart, Element, Heat, Limit, Line, Panel, Points, Role, Scale, Stretch
+from autotune.charts.chart import Band, Chart, Element, Heat, Limit, Line, Panel, Points, Role, Scale, Stretch
 from autotune.errors import UsageError
-from autotune.formats.controller_record import ScenarioPrediction
-from autotune.text import off_nominal, stiffness_text
+from autotune.text import scenario_text, stiffness_text
 from problems.arrays import ComplexArray, FloatArray
 from problems.contact.transient import ContactTransient
 from problems.design.requirements import AdmittanceTarget
@@ -24,8 +23,6 @@ from problems.stability.margins import frequency_grid
 
 from .axis_design import AxisDesign, OverStiffness, contact_of, over_stiffness
 
-_PANELS = 3
-_WORST = "the worst where everything uncertain varies"
 _SHORTEST_S, _LONGEST_S = 0.15, 2.0
 _SETTLED = 0.03
 _LOOP_POINTS = 700
@@ -38,93 +35,67 @@ _GAINS = {"mass": "mass", "damping": "damping", "lead": "lead_s", "feedback_damp
 """What a map of gains may vary, by the names of the Python interface."""
 
 
-def contact_charts(design: AxisDesign, old: AdmittanceController | None) -> Iterator[Chart]:
-    """Draw the predicted contacts: for each payload the softest, a middle and the stiffest surface; then the worst."""
+def contact_chart(design: AxisDesign, old: AdmittanceController | None = None) -> Chart | None:
+    """Draw the hardest predicted contact, and the band of all of them; None where one of them is unstable.
+
+    `old` is drawn on the same plants: its hardest contact at the surface, where it is stable.
+    """
     scenarios = design.predicted.scenarios
-    groups: dict[str, list[ScenarioPrediction]] = {}
-    for each in scenarios:
-        title = _WORST if each.further else f"payload {_mass(design, each.payload_mass_kg)}"
-        groups.setdefault(title, []).append(each)
-    for index, (title, group) in enumerate(groups.items()):
-        chart = _contact_chart(design, old, f"{design.name}-contact-{index + 1}", title, _spread(group))
-        if chart is not None:
-            yield chart
+    runs = [run for each in scenarios if (run := contact_of(design, design.law, each.scenario())) is not None]
+    if not runs or len(runs) < len(scenarios):
+        return None
+    before = [] if old is None else [contact_of(design, old, each.scenario()) for each in scenarios]
+    stable = [run for run in before if run is not None]
+    hardest = max(stable, key=lambda run: run.peak_contact_force_n) if stable else None
+    worst = max(range(len(runs)), key=lambda i: runs[i].peak_contact_force_n)
+    units, run, case = design.units, runs[worst], scenarios[worst]
+    duration = max(_duration(each) for each in (*runs, *(() if hardest is None else (hardest,))))
+    lost = len(before) - len(stable)
+    return Chart(
+        key=f"{design.name}-contact",
+        title=f"Predicted contact, {len(runs)} surfaces and payloads of the domain",
+        alternative=f"{units.force_name.capitalize()} over time after touching {len(runs)} plants; the largest peak is "
+        f"{run.peak_contact_force_n:.4g} {units.force} at the surface, {1e3 * run.time_of_peak_s:.0f} ms after "
+        f"touching {stiffness_text(case.environment_stiffness_n_per_m, units)}."
+        + ("" if hardest is None else f" Before it was up to {hardest.peak_contact_force_n:.4g} {units.force}."),
+        caption=f"Line: the hardest of them, {scenario_text(case.scenario(), units)}. Shaded: what all of them reach."
+        + ("" if hardest is None else " Grey: the hardest with the gains before, on the same plants.")
+        + (f" In {lost} of them the loop before is unstable and not drawn." if lost else ""),
+        panels=(
+            Panel(
+                x=Scale(label="time after touching [ms]", limits=(0.0, 1e3 * duration)),
+                y=Scale(label=f"{units.force_name} [{units.force}]"),
+                elements=tuple(_contact_elements(runs, run, hardest, duration)),
+            ),
+        ),
+    )
 
 
 def _mass(design: AxisDesign, mass: float) -> str:
     return f"{mass:.4g} {design.units.mass}"
 
 
-def _spread(group: Sequence[ScenarioPrediction]) -> tuple[ScenarioPrediction, ...]:
-    """Return at most three of them, from the softest to the stiffest."""
-    ordered = sorted(group, key=lambda each: each.environment_stiffness_n_per_m)
-    places = np.unique(np.linspace(0, len(ordered) - 1, min(_PANELS, len(ordered))).round().astype(int))
-    return tuple(ordered[i] for i in places)
-
-
-def _contact_chart(
-    design: AxisDesign,
-    old: AdmittanceController | None,
-    key: str,
-    title: str,
-    shown: Sequence[ScenarioPrediction],
-) -> Chart | None:
-    laws = [("after", design.law)] if old is None else [("before", old), ("after", design.law)]
-    runs = [{name: contact_of(design, law, each.scenario()) for name, law in laws} for each in shown]
-    if any(run["after"] is None for run in runs):
-        return None
-    every = [run for each in runs for run in each.values() if run is not None]
-    highest = 1.08 * max(max(run.peak_contact_force_n, run.peak_sensor_force_n) for run in every)
-    units, duration = design.units, max(_duration(run) for run in every)
-    panels = tuple(
-        Panel(
-            title=f"K_e {stiffness_text(each.environment_stiffness_n_per_m, units)}"
-            + (f", {_mass(design, each.payload_mass_kg)} ({index})" if each.further else ""),
-            x=Scale(label="time after touching [ms]", limits=(0.0, 1e3 * duration)),
-            y=Scale(label=f"{units.force_name} [{units.force}]", limits=(0.0, highest)),
-            elements=tuple(_contact_lines(run, duration, alone=old is None)),
+def _contact_elements(
+    runs: Sequence[ContactTransient], worst: ContactTransient, before: ContactTransient | None, duration: float
+) -> Iterator[Element]:
+    count = int(np.searchsorted(max(runs, key=lambda run: len(run.time_s)).time_s, duration)) + 1
+    time = 1e3 * max(runs, key=lambda run: len(run.time_s)).time_s[:count]
+    # A contact that has come to rest stays at its last force.
+    forces = np.array([run.contact_force_n[np.minimum(np.arange(len(time)), len(run.time_s) - 1)] for run in runs])
+    if len(runs) > 1:
+        yield Band(
+            x=time, low=forces.min(axis=0), high=forces.max(axis=0), label="all of them, at the surface", role="after"
         )
-        for index, (each, run) in enumerate(zip(shown, runs, strict=True), 1)
-    )
-    others = "; ".join(
-        f"({index}) {off_nominal(each.scenario(), units)}" for index, each in enumerate(shown, 1) if each.further
-    )
-    worst = max(shown, key=lambda each: each.peak_contact_force_n)
-    beside = "" if old is None else " Grey: the controller before, at the surface, on the same plants."
-    lost = sum(run.get("before", run["after"]) is None for run in runs)
-    return Chart(
-        key=key,
-        title=f"Predicted contact, {title}",
-        alternative=f"{units.force_name.capitalize()} over time after touching {len(shown)} surfaces; the largest peak "
-        f"is {worst.peak_contact_force_n:.4g} {units.force} at the surface, {1e3 * worst.time_of_peak_s:.0f} ms after "
-        f"touching {stiffness_text(worst.environment_stiffness_n_per_m, units)}.{_peak_before(runs, units)}",
-        caption=f"Blue: at the surface; dashed: at the sensor.{beside}"
-        + (f" In {lost} of these the controller before is unstable and not drawn." if lost else "")
-        + (f" Other than nominal: {others}." if others else ""),
-        panels=panels,
-        beside=True,
-    )
-
-
-def _peak_before(runs: Sequence[dict[str, ContactTransient | None]], units: AxisKind) -> str:
-    peaks = [run.peak_contact_force_n for each in runs if (run := each.get("before")) is not None]
-    return f" Before it was up to {max(peaks):.4g} {units.force}." if peaks else ""
-
-
-def _contact_lines(run: dict[str, ContactTransient | None], duration: float, *, alone: bool) -> Iterator[Element]:
-    for name, seen in run.items():
-        if seen is None:
-            continue
-        role: Role = "after" if name == "after" else "before"
-        used = slice(0, int(np.searchsorted(seen.time_s, duration)) + 1)
-        time = 1e3 * seen.time_s[used]
-        yield Line(x=time, y=seen.contact_force_n[used], label="at the surface" if alone else name, role=role)
-        if name == "after":
-            label = "at the sensor" if alone else "after, at the sensor"
-            yield Line(x=time, y=seen.sensor_force_n[used], label=label, role=role, dashed=True)
-            peak = np.array([1e3 * seen.time_of_peak_s]), np.array([seen.peak_contact_force_n])
-            if seen.time_of_peak_s <= duration:
-                yield Points(x=peak[0], y=peak[1], role=role, marker="diamond", names=("peak",))
+    if before is not None:
+        used = before.time_s <= duration
+        yield Line(x=1e3 * before.time_s[used], y=before.contact_force_n[used], label="before", role="before")
+    used = worst.time_s <= duration
+    seen = 1e3 * worst.time_s[used]
+    yield Line(x=seen, y=worst.contact_force_n[used], label="the hardest, at the surface", role="after")
+    yield Line(x=seen, y=worst.sensor_force_n[used], label="at the sensor", role="after", dashed=True)
+    if worst.time_of_peak_s <= duration:
+        peak = np.array([1e3 * worst.time_of_peak_s]), np.array([worst.peak_contact_force_n])
+        yield Points(x=peak[0], y=peak[1], role="after", marker="diamond", names=("peak",))
 
 
 def _duration(run: ContactTransient) -> float:

@@ -8,10 +8,10 @@ import numpy as np
 
 from autotune.formats.canonical import short
 from autotune.formats.certificate_record import SoftRequirement
-from autotune.formats.controller import ControllerFile
-from autotune.formats.controller_record import Controller, admittance_controller
+from autotune.formats.controller_record import Controller
 from autotune.formats.units import ROTATIONAL_AXES, axis_units
 from autotune.plugins import find_requirement
+from autotune.prediction.law import PresentGains
 from autotune.text import scenario_text, stiffness_text, value_text
 from problems.design.requirements import BUILT_IN, AdmittanceRequirement, Margin, PeakForceLimit
 from problems.design.uncertainty import SYMBOLS, UNCERTAIN
@@ -96,10 +96,11 @@ def gains_table(controller: Controller) -> Table:
     response = ""
     if collision.threshold_n is not None:
         response = f", collision response {collision.response} at {collision.threshold_n:g} N"
+    virtual = controller.compensation_mass_kg
+    feedback = f", acceleration feedback P̂ {virtual:g} kg" if virtual else ""
     return build_table(
         f"The controller, every {1e3 * controller.sample_time_s:g} ms; filters {filters.velocity_rad_per_s:g} and "
-        f"{filters.acceleration_rad_per_s:g} rad/s, compensated mass {controller.compensation_mass_kg:g} kg"
-        f"{response}",
+        f"{filters.acceleration_rad_per_s:g} rad/s{feedback}{response}",
         ("axis", "mass M_a", "damping B_a", "lead K_l", "feedback damping B_fb", "deadband"),
         rows,
         numbers=range(1, 6),
@@ -214,31 +215,31 @@ def _soft_text(soft: SoftRequirement | None, unit: str, scale: float = 1.0) -> s
     return "met" if soft is None else _with_unit(soft.achieved, scale, unit)
 
 
-def law_before(old: ControllerFile | None, axis: str) -> AdmittanceController | None:
-    """Return what another controller runs on an axis, None where it does not know it."""
-    return None if old is None or axis not in old.controller.axes else admittance_controller(old.controller, axis)
+def law_before(old: PresentGains | None, axis: str) -> AdmittanceController | None:
+    """Return what runs on an axis today, None where it is not known."""
+    return None if old is None or axis not in old.laws else old.laws[axis].controller
 
 
-def compared_blocks(design: AxisDesign, old: ControllerFile | None, checksum: str) -> Iterator[Block]:
+def compared_blocks(design: AxisDesign, old: PresentGains | None, checksum: str) -> Iterator[Block]:
     """Yield the comparison of one axis with another controller, nothing where there is none; `checksum` is its own."""
     if old is None:
         return
     law = law_before(old, design.name)
     if law is None:
-        yield Note(text=f"{old.path.name} has no axis {design.name} to compare with.", kind="before", tone="quiet")
+        yield Note(text=f"{old.name} has no axis {design.name} to compare with.", kind="before", tone="quiet")
         return
     if law == design.law:
-        same = f"{old.path.name} has the same gains: what is drawn for before lies under what is drawn for after."
+        same = f"{old.name} has the same gains: what is drawn for before lies under what is drawn for after."
         yield Note(text=same, kind="before", tone="warn")
     yield _compared_table(design, law, old, checksum)
 
 
-def _compared_table(design: AxisDesign, law: AdmittanceController, old: ControllerFile, checksum: str) -> Table:
+def _compared_table(design: AxisDesign, law: AdmittanceController, old: PresentGains, checksum: str) -> Table:
     units = design.units
     worst = (design.worst_plant(each.margin) for each in _MARGINS)
     found = (*design.corners(), design.free_plant(), *(each for each in worst if each is not None))
     plants = tuple(dict.fromkeys(found))
-    rows = [("checksum", short(old.checksum), short(checksum))]
+    rows = [] if old.file is None else [("checksum", short(old.file.checksum), short(checksum))]
     for title, name, scale in (
         (f"M_a [{units.mass}]", "mass_kg", 1.0),
         (f"B_a [{units.damping}]", "damping_n_s_per_m", 1.0),
@@ -256,7 +257,7 @@ def _compared_table(design: AxisDesign, law: AdmittanceController, old: Controll
     rows += zip(titles, *(_reached(design, each, plants) for each in (law, design.law)), strict=True)
     return build_table(
         f"Axis {design.name}, before and after on the same {len(design.predicted.scenarios)} contacts and "
-        f"{len(plants)} plants of the domain, its ends and its worst cases; before is {old.path.name}",
+        f"{len(plants)} plants of the domain, its ends and its worst cases; before is {old.name}",
         ("", "before", "after"),
         (
             (title, *(TableCell(text=text, tone="bad" if text == _UNSTABLE else "") for text in (before, after)))

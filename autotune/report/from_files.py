@@ -13,6 +13,7 @@ from autotune.formats.schedule import read_schedule
 from autotune.formats.schema import check_document, check_format
 from autotune.formats.yaml12 import kind_of_file, load_document
 from autotune.pipeline import IdentifyOptions, identify_log
+from autotune.prediction.law import PresentGains
 from autotune.processes import count_processors
 from autotune.validation.report import ValidationReport
 from autotune.validation.verify import verify
@@ -81,7 +82,7 @@ def report_files(
             raise UsageError(f"{path} is of the format autotune/{kinds[str(path)]}; {must}.")
     plants = {path: read_identified(path) for path in shown if kinds[str(path)] == "identified"}
     given = _match(logs, plants)
-    before = None if old is None else read_controller(old)
+    before = None if old is None else PresentGains.of_file(read_controller(old))
     report = progress or no_progress
     pages, reports, part = list[tuple[str, Page]](), list[ValidationReport](), 1.0 / max(len(shown), 1)
     refusals: list[CertificateError] = []
@@ -172,7 +173,7 @@ def _cell_of(plant: IdentifiedFile) -> CellFile | None:
 
 
 def _controller_page(
-    file: ControllerFile, old: ControllerFile | None, samples: int, report: Progress
+    file: ControllerFile, old: PresentGains | None, samples: int, report: Progress
 ) -> tuple[Page, ValidationReport]:
     """Return what `optimize` and `validate` would show, from the file alone."""
     part = 0.5 if samples else 1.0

@@ -1,20 +1,23 @@
 """The page of a tuned controller: requirements, figures, the search, the front, and the certificate."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from autotune.charts.chart import Chart, Element, Line, Panel, Points, Scale
 from autotune.formats.canonical import short
-from autotune.formats.controller import ControllerFile
 from autotune.formats.controller_record import Controller
 from autotune.formats.units import axis_units
+from autotune.prediction.before_after import BeforeAndAfter
+from autotune.prediction.law import PresentGains
+from autotune.text import NOTHING_BEFORE
 from problems.arrays import FloatArray
 from problems.model.axis_kind import AxisKind
 
 from .axis_design import AxisDesign, axis_designs
-from .controller_charts import admittance_chart, contact_charts, map_chart, nyquist_chart, stiffness_chart
+from .controller_charts import admittance_chart, contact_chart, map_chart, nyquist_chart, stiffness_chart
 from .controller_tables import (
     checksum_fact,
     compared_blocks,
@@ -43,33 +46,44 @@ def build_optimize_page(
     checksum: str,
     *,
     steps: Mapping[str, Sequence["SearchStep"]] | None = None,
-    old: ControllerFile | None = None,
+    old: PresentGains | None = None,
+    before_after: Mapping[str, BeforeAndAfter] | None = None,
     fronts: Mapping[str, Any] | None = None,
 ) -> Page:
     """Build the report of a controller from its file alone, or with what only the search knows.
 
-    `steps` adds by axis how the search converged, `old` is drawn beside it on the same plants, `fronts` are the axes of
-    `pareto.yaml`.
+    `steps` adds by axis how the search converged, `old` is drawn beside it on the same plants, `before_after` are the
+    contacts of the log replayed, `fronts` are the axes of `pareto.yaml`.
     """
     designs = axis_designs(controller)
+    replayed = before_after or {}
     sections = [
+        Section(
+            key="before-after",
+            title="Before and after",
+            blocks=tuple(block for design in designs for block in _first_blocks(design, old, replayed)),
+        ),
         Section(
             key="result",
             title="Result",
-            blocks=(
-                Facts(facts=(checksum_fact(checksum), *_before_fact(old))),
-                design_facts(designs),
-                gains_table(controller),
-                *active_notes(controller),
-            ),
+            blocks=(design_facts(designs), gains_table(controller), *active_notes(controller)),
         ),
-        *(design_section(design, optimality_of(controller, design.name), old, checksum) for design in designs),
+        *(
+            design_section(design, optimality_of(controller, design.name), old, checksum, replayed)
+            for design in designs
+        ),
         *([] if fronts is None else [front_section(fronts)]),
-        search_section(controller, steps or {}),
-        certificate_section(controller, designs),
+        replace(search_section(controller, steps or {}), is_folded=True),
+        replace(certificate_section(controller, designs), is_folded=True),
+        Section(
+            key="provenance",
+            title="Checksum and origin",
+            blocks=tuple(_origin(controller, checksum, old)),
+            is_folded=True,
+        ),
     ]
     return Page(
-        title="The controller and what it rests on",
+        title="The controller and what it changes",
         lead=_lead(controller, designs),
         tone=_tone(controller),
         sections=tuple(section for section in sections if section.blocks),
@@ -78,17 +92,53 @@ def build_optimize_page(
 
 
 def _lead(controller: Controller, designs: Sequence[AxisDesign]) -> str:
+    """Return three sentences: what it changes, what is certified, and what holds it back."""
+    many = len(designs) > 1
+    told = controller.provenance.get("before_after", {})
+    changes = (
+        (f"axis {each.name}: " if many else "") + (told[each.name]["text"] if each.name in told else NOTHING_BEFORE)
+        for each in designs
+    )
     axes = (
-        f"axis {each.name}: at most {each.worst_contact.peak_contact_force_n:.1f} {each.units.force} at the contact, "
+        (f"axis {each.name} " if many else "")
+        + f"at most {each.worst_contact.peak_contact_force_n:.1f} {each.units.force} at the contact, "
         f"modulus margin {each.margins.modulus:.3f}"
         for each in designs
     )
-    return f"{'; '.join((controller.status.value.capitalize(), *axes))}."
+    certified = f"{controller.status.value} over all that is certified: {'; '.join(axes)}"
+    limits = [note.text for note in active_notes(controller)]
+    sentences = ("; ".join(changes), certified, *((" ".join(limits),) if limits else ()))
+    return " ".join(f"{each[0].upper()}{each[1:]}".rstrip(".") + "." for each in sentences)
 
 
-def _before_fact(old: ControllerFile | None) -> Iterator[Fact]:
+def _first_blocks(
+    design: AxisDesign, old: PresentGains | None, replayed: Mapping[str, BeforeAndAfter]
+) -> Iterator[Block]:
+    """Yield the figure of the hardest contact before and after, of the log or else of the certified plants."""
+    found = replayed.get(design.name)
+    chart = None if found is None else found.chart()
+    if found is None or chart is None:
+        chart = contact_chart(design, law_before(old, design.name))
+        yield from () if chart is None else (chart,)
+        return
+    yield chart
+    for text in (*found.further(), *found.notes):
+        yield Note(text=text, kind="note", tone="quiet")
+
+
+def _origin(controller: Controller, checksum: str, old: PresentGains | None) -> Iterator[Block]:
+    """Yield what the files are compared by and what was asked."""
+    yield Facts(facts=(checksum_fact(checksum), *_before_fact(old)))
+    asked = controller.provenance.get("options", {})
+    said = [(str(name).replace("_", " "), str(value)) for name, value in asked.items() if value is not None]
+    if said:
+        yield build_table("What was asked on the command line", ("option", "value"), said)
+
+
+def _before_fact(old: PresentGains | None) -> Iterator[Fact]:
     if old is not None:
-        yield Fact(label="before, in grey", value=old.path.name, detail=f"checksum {short(old.checksum)}")
+        detail = "" if old.file is None else f"checksum {short(old.file.checksum)}"
+        yield Fact(label="before, in grey", value=old.name, detail=detail)
 
 
 def _tone(controller: Controller) -> Tone:
@@ -130,12 +180,19 @@ def _objective_of(optimality: Mapping[str, Any] | None, units: AxisKind) -> tupl
 
 
 def design_section(
-    design: AxisDesign, optimality: Mapping[str, Any] | None, old: ControllerFile | None, checksum: str
+    design: AxisDesign,
+    optimality: Mapping[str, Any] | None,
+    old: PresentGains | None,
+    checksum: str,
+    replayed: Mapping[str, BeforeAndAfter],
 ) -> Section:
     """Return requirements, comparison and figures of one axis."""
     before = law_before(old, design.name)
     blocks: list[Block] = [requirement_table(design, prices_of(optimality)), *compared_blocks(design, old, checksum)]
-    blocks += contact_charts(design, before)
+    if design.name in replayed and replayed[design.name].surfaces:
+        # Without contacts of a log this figure is the first of the page.
+        chart = contact_chart(design, before)
+        blocks += [] if chart is None else [chart]
     blocks += [stiffness_chart(design, before), admittance_chart(design, before), nyquist_chart(design, before)]
     blocks.append(map_chart(design))
     responses = response_table(design)
@@ -194,10 +251,10 @@ def _front_table(axis: str, tree: Mapping[str, Any]) -> Table:
     rows: list[tuple[str | TableCell, ...]] = []
     for index, point in enumerate(tree["points"]):
         values = [point["values"][each["name"]] for each in objectives]
-        values += [point[key] for key in ("mass", "damping", "lead_s", "feedback_damping_s")]
+        values += [point["mass"], point["damping"], 1e3 * point["lead_s"], 1e3 * point["feedback_damping_s"]]
         mark = TableCell(text="the controller written" if index == tree["chosen"] else "", tone="good")
         rows.append((str(index + 1), *(f"{value:.5g}" for value in values), mark))
-    columns = ("", *heads, "M_a", "B_a", "K_l [s]", "B_fb [s]", "")
+    columns = ("", *heads, "M_a", "B_a", "K_l [ms]", "B_fb [ms]", "")
     return build_table(f"Controllers of axis {axis}", columns, rows, numbers=range(1, len(columns) - 1))
 
 
@@ -275,8 +332,8 @@ def front_chart(axis: str, tree: Mapping[str, Any]) -> Chart:
     y, x = objectives[0], objectives[min(1, len(objectives) - 1)]
     values = {each["name"]: np.array([point["values"][each["name"]] for point in points]) for each in (x, y)}
     names = tuple(
-        f"M_a {point['mass']:.4g}, B_a {point['damping']:.4g}, K_l {point['lead_s']:.4g} s, "
-        f"B_fb {point['feedback_damping_s']:.4g} s"
+        f"M_a {point['mass']:.4g}, B_a {point['damping']:.4g}, K_l {1e3 * point['lead_s']:.4g} ms, "
+        f"B_fb {1e3 * point['feedback_damping_s']:.4g} ms"
         for point in points
     )
     order = np.argsort(values[x["name"]], kind="stable")

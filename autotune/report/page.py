@@ -105,7 +105,7 @@ Block = Chart | Table | Note | Facts
 class Section:
     """A part of the page under a heading; `key` is the anchor that the contents point to.
 
-    One that `is_part` begins a report of its own on a page of several.
+    One that `is_part` begins a report of its own on a page of several; one that `is_folded` opens on demand.
     """
 
     key: str
@@ -113,6 +113,7 @@ class Section:
     blocks: tuple[Block, ...]
     lead: str = ""
     is_part: bool = False
+    is_folded: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,8 +12,8 @@ from autotune.validation.against_log import ComparedContact, ContactTrace, LogCo
 from autotune.validation.monte_carlo import BAND, QUANTILES, AxisMonteCarlo
 from autotune.validation.report import ValidationReport
 
-from .axis_design import axis_designs
-from .controller_charts import contact_charts, stiffness_chart
+from .axis_design import AxisDesign, axis_designs
+from .controller_charts import contact_chart, stiffness_chart
 from .controller_tables import checksum_fact, design_facts
 from .optimize_page import certificate_section, footer
 from .page import Block, Fact, Facts, Page, Section, Table, TableCell, Tone, build_table
@@ -44,7 +44,7 @@ def build_validate_page(controller: Controller, checksum: str, validated: Valida
             Section(
                 key=f"axis-{design.name}",
                 title=f"Axis {design.name}",
-                blocks=(design_facts((design,)), *contact_charts(design, None), stiffness_chart(design, None)),
+                blocks=(design_facts((design,)), *_charts(design)),
             )
             for design in designs
             if validated.report.passed
@@ -58,6 +58,12 @@ def build_validate_page(controller: Controller, checksum: str, validated: Valida
         sections=tuple(sections),
         footer=footer(controller, checksum),
     )
+
+
+def _charts(design: AxisDesign) -> Iterator[Chart]:
+    contact = contact_chart(design)
+    yield from () if contact is None else (contact,)
+    yield stiffness_chart(design, None)
 
 
 def lead(validated: Validated) -> str:

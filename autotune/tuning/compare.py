@@ -7,8 +7,8 @@ import numpy as np
 
 from autotune.errors import InfeasibleError, UsageError
 from autotune.formats.controller import ControllerFile
-from autotune.formats.controller_record import Controller, admittance_controller
 from autotune.formats.limits import CollisionResponse
+from autotune.prediction.law import PresentGains
 from problems.arrays import FloatArray
 from problems.design.evaluation import PreparedScenarios, build_scenarios
 from problems.design.problem import FURTHER_VARIABLES, VARIABLES, DesignProblem
@@ -62,14 +62,21 @@ class SideBySide:
     is_start: bool
 
 
-def check_comparable(old: ControllerFile, problems: Mapping[str, DesignProblem]) -> None:
-    """Raise UsageError unless the old controller has one of the axes and runs as the new one will."""
-    controller = old.controller
-    if not set(problems) & set(controller.axes):
+def check_comparable(present: PresentGains, problems: Mapping[str, DesignProblem]) -> None:
+    """Raise UsageError unless the present gains have one of the axes and run as the new ones will."""
+    if not set(problems) & set(present.laws):
+        where = present.label if present.file is None else present.file.path
         raise UsageError(
-            f"{old.path} holds {', '.join(controller.axes)}, and {', '.join(problems)} is tuned here; compare with a "
+            f"{where} holds {', '.join(present.laws)}, and {', '.join(problems)} is tuned here; compare with a "
             "controller of the same axes."
         )
+    if present.file is not None:
+        _check_same_run(present.file, problems)
+
+
+def _check_same_run(old: ControllerFile, problems: Mapping[str, DesignProblem]) -> None:
+    """Raise UsageError for a controller file of another period, or with a collision response."""
+    controller = old.controller
     period = next(iter(problems.values())).sample_time_s
     if abs(controller.sample_time_s / period - 1.0) > _SAME_PERIOD:
         raise UsageError(
@@ -83,11 +90,8 @@ def check_comparable(old: ControllerFile, problems: Mapping[str, DesignProblem])
         )
 
 
-def start_design(controller: Controller, name: str, problem: DesignProblem) -> FloatArray | None:
-    """Return the old gains as a design of the new problem, None where there are none inside its bounds."""
-    if name not in controller.axes:
-        return None
-    law = admittance_controller(controller, name)
+def start_design(law: AdmittanceController, problem: DesignProblem) -> FloatArray | None:
+    """Return gains as a design of a problem, None where they lie outside of its bounds."""
     values = dict(zip((*VARIABLES, *FURTHER_VARIABLES), law.numbers(), strict=True))
     fixed = dict(zip(values, problem.controller(bounds_of(problem)[:, 0]).numbers(), strict=True))
     held = [each for each in _in_use(law) if each not in problem.variables]
@@ -103,17 +107,17 @@ def _in_use(law: AdmittanceController) -> tuple[str, ...]:
     return FURTHER_VARIABLES if law.compensates else ("velocity_filter_rad_per_s", "compensation_mass_kg")
 
 
-def compare(old: Controller, searches: Mapping[str, SearchResult]) -> dict[str, SideBySide]:
+def compare(old: PresentGains, searches: Mapping[str, SearchResult]) -> dict[str, SideBySide]:
     """Evaluate both controllers of every axis that both have, exactly, over the dense grid of the new problem."""
     found = {}
     for name, search in searches.items():
-        if name in old.axes:
+        if name in old.laws:
             problem = search.problem
-            dense = WholeSet(problem).prepared
+            dense, law = WholeSet(problem).prepared, old.laws[name].controller
             found[name] = SideBySide(
-                old=evaluate_controller(dense, admittance_controller(old, name)),
+                old=evaluate_controller(dense, law),
                 new=evaluate_controller(dense, problem.controller(search.design)),
-                is_start=start_design(old, name, problem) is not None,
+                is_start=start_design(law, problem) is not None,
             )
     return found
 

@@ -1,5 +1,6 @@
 """From identified parameters to a validated controller: search, prove, write down, verify."""
 
+import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -7,12 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from autotune.errors import CertificateError, InfeasibleError
-from autotune.formats.controller import ControllerFile
 from autotune.formats.controller_record import Controller, RuntimePayload
 from autotune.formats.identified import IdentifiedFile
 from autotune.formats.problem import ComplianceSpec, ProblemSpec
 from autotune.formats.records import rename_axis_keys
 from autotune.formats.units import ROTATIONAL_AXES
+from autotune.prediction.before_after import BeforeAndAfter, compare_before_after
+from autotune.prediction.law import PresentGains
 from autotune.validation.axis_proof import AxisProof, ProofOptions
 from autotune.validation.report import ValidationReport
 from autotune.validation.validate import validate_controller
@@ -55,7 +57,8 @@ _ROUNDING = 1e-9
 class Optimized:
     """A controller that passed validation, the searches behind it, their optimality, and the checks it passed.
 
-    `compared` puts it beside an existing controller, axis by axis, if one was given; `compliance` holds the stiffness
+    `compared` puts it beside the present gains, axis by axis, if they are known, and `before_after` beside the contacts
+    of the log; `compliance` holds the stiffness
     that was chosen for the axis, where the problem left it open; `defaults` what was asked by default and followed the
     cell. What the user should know is in the provenance, as `notes`.
     """
@@ -67,6 +70,7 @@ class Optimized:
     compared: Mapping[str, SideBySide] = field(default_factory=dict)
     compliance: Mapping[str, Compliance] = field(default_factory=dict)
     defaults: Mapping[str, DefaultAdmittance] = field(default_factory=dict)
+    before_after: Mapping[str, BeforeAndAfter] = field(default_factory=dict)
 
 
 def optimize(
@@ -75,8 +79,9 @@ def optimize(
     *,
     seed: int = 0,
     problem_path: Path | None = None,
-    existing: ControllerFile | None = None,
+    present: PresentGains | None = None,
     relax: bool = True,
+    replays: bool = True,
     proof: ProofOptions | None = None,
     step: Callable[[str], None] | None = None,
     progress: Callable[[float], None] | None = None,
@@ -84,28 +89,28 @@ def optimize(
     """Tune every axis, on the compliance to build if that is open, and return a controller that validation has passed.
 
     An admittance that nobody asked for follows the cell (`defaults`), with `relax` down to what can be had. `proof`
-    says how closely the modulus is proved. `existing` is a controller to compare with; its gains join the
-    search where they lie inside the bounds. `step` is called with the compliance that is worked on, `progress` with the
-    share of the work done since the last call.
+    says how closely the modulus is proved. `present` are the gains of today to compare with; they join the search where
+    they lie inside the bounds. With `replays` the contacts of the log are replayed. `step` is called with the
+    compliance that is worked on, `progress` with the share of the work done since the last call.
 
     Raises InfeasibleError when nothing meets the requirements (with `relax`, after searching for what would have to be
     relaxed: several times the work of a search), CertificateError when a claim cannot be proved or verified,
-    EstimateError for a missing parameter, UsageError for a problem or an existing controller that do not fit.
+    EstimateError for a missing parameter, UsageError for a problem or present gains that do not fit.
     """
     report = progress or no_progress
     asked = proof if proof is not None else ProofOptions()
     spec = within_domain(spec, identified.domain)
     build = build_problems if spec.compliance is None else build_compliance_problems
     problems = build(identified.result, spec)
-    if existing is not None:
-        check_comparable(existing, problems)
+    if present is not None:
+        check_comparable(present, problems)
     # Asked before the search, because it may refuse.
     payload = carried_payload(identified.result, problems, spec)
     chosen = _choose(problems, spec.compliance, seed, step or no_progress, ProgressSlice(report, _COMPLIANCE_SHARE))
     if chosen:
         report = ProgressSlice(report, 1.0 - _COMPLIANCE_SHARE)
         problems = {name: compliance.on_chosen(problems[name]) for name, compliance in chosen.items()}
-    searches = _search_all(problems, existing, chosen, seed, relax, report)
+    searches = _search_all(problems, present, chosen, seed, relax, report)
     chosen = {name: settle_compliance(problems[name], each, searches[name], seed) for name, each in chosen.items()}
     settled = _settle_all(searches, asked, seed, report)
     searches = {name: each.search for name, each in settled.items()}
@@ -113,7 +118,7 @@ def optimize(
     by_default = {name: default_admittance(problems[name], each) for name, each in searches.items()}
     defaults = {name: each for name, each in by_default.items() if each is not None}
     problems = {name: each.problem for name, each in searches.items()}
-    provenance = make_provenance(identified, problems, spec, seed, problem_path, existing, asked)
+    provenance = make_provenance(identified, problems, spec, seed, problem_path, present, asked)
     provenance |= _optimality_tree(optimality_reports) | _surfaces_tree(problems, identified.result, chosen)
     provenance |= _defaults_tree(defaults)
     controller, checked = certify(
@@ -122,20 +127,42 @@ def optimize(
         limits=limits_settings(identified.result, spec),
         proved={name: each.proved for name, each in settled.items()},
     )  # fmt: skip
-    lowered = {name: each for name, each in defaults.items() if each.attainable is not None}
-    notes = [default_message(name, each, problems[name]) for name, each in lowered.items()]
+    compared = {} if present is None else compare(present, searches)
+    before_after = _before_after(identified, controller, present, compared) if replays else {}
+    notes = [
+        default_message(name, each, problems[name]) for name, each in defaults.items() if each.attainable is not None
+    ]
     notes += design_notes(identified, controller, problems, spec, has_compliance=bool(chosen))
-    if notes:
-        controller = replace(controller, provenance={**controller.provenance, "notes": notes})
+    controller = _with_notes(controller, notes, before_after)
     return Optimized(
         controller=controller,
         searches=searches,
         optimality_reports=optimality_reports,
         report=checked,
-        compared={} if existing is None else compare(existing.controller, searches),
+        compared=compared,
         compliance=chosen,
         defaults=defaults,
+        before_after=before_after,
     )
+
+
+def _with_notes(controller: Controller, notes: list[str], before_after: Mapping[str, BeforeAndAfter]) -> Controller:
+    """Return the controller with what the user should know in its provenance, and what it changes."""
+    trees = {name: each.to_dict() for name, each in before_after.items() if not each.is_empty}
+    said: dict[str, Any] = ({"notes": notes} if notes else {}) | ({"before_after": trees} if trees else {})
+    return replace(controller, provenance={**controller.provenance, **said})
+
+
+def _before_after(
+    identified: IdentifiedFile,
+    controller: Controller,
+    present: PresentGains | None,
+    compared: Mapping[str, SideBySide],
+) -> dict[str, BeforeAndAfter]:
+    """Return what a controller changes; the largest peak of present gains that are unstable somewhere is infinite."""
+    did = {name: both.old.performance for name, both in compared.items()}
+    worst = {name: math.inf if each is None else each.peak_contact_force_n for name, each in did.items()}
+    return compare_before_after(identified, controller, present=present, worst_before=worst)
 
 
 def _settle_all(
@@ -258,7 +285,7 @@ def _choose(
 
 def _search_all(
     problems: Mapping[str, DesignProblem],
-    existing: ControllerFile | None,
+    present: PresentGains | None,
     chosen: Mapping[str, Compliance],
     seed: int,
     relax: bool,
@@ -268,7 +295,7 @@ def _search_all(
     searches = {}
     for name, problem in problems.items():
         portion = ProgressSlice(report, _SEARCH_SHARE / len(problems))
-        start = _start(name, problem, existing, chosen.get(name))
+        start = _start(name, problem, present, chosen.get(name))
         with _named_compliance(name, chosen.get(name)):
             searches[name] = _search(name, problem, seed, start, relax, report, portion)
     return searches
@@ -289,10 +316,11 @@ def _named_compliance(name: str, compliance: Compliance | None) -> Iterator[None
 
 
 def _start(
-    name: str, problem: DesignProblem, existing: ControllerFile | None, compliance: Compliance | None
+    name: str, problem: DesignProblem, present: PresentGains | None, compliance: Compliance | None
 ) -> FloatArray | None:
-    """Return the design that joins the search: that of an existing controller, else that of the chosen compliance."""
-    start = None if existing is None else start_design(existing.controller, name, problem)
+    """Return the design that joins the search: the present gains, else that of the chosen compliance."""
+    today = None if present is None else present.laws.get(name)
+    start = None if today is None else start_design(today.controller, problem)
     if start is None and compliance is not None and compliance.chosen.found is not None:
         return compliance.chosen.found.design
     return start
@@ -334,7 +362,7 @@ def make_provenance(
     spec: ProblemSpec,
     seed: int,
     problem_path: Path | None,
-    existing: ControllerFile | None,
+    present: PresentGains | None,
     proof: ProofOptions,
 ) -> dict[str, Any]:
     """Return where a controller comes from: the tool, the identified file, and what was asked."""
@@ -355,6 +383,6 @@ def make_provenance(
             "seed": seed,
             "slack": proof.slack,
             "proof_budget_s": proof.further_s,
-            "compare": None if existing is None else {"path": str(existing.path), "checksum": existing.checksum},
+            "compare": None if present is None else present.tree(),
         },
     }

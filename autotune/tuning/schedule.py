@@ -14,6 +14,7 @@ from autotune.formats.controller_record import Controller, admittance_controller
 from autotune.formats.identified import IdentifiedFile
 from autotune.formats.problem import Interval, ProblemSpec
 from autotune.formats.schedule import COMMON_FILE, Schedule, ScheduleClass, Tuned, worst_peaks
+from autotune.prediction.law import PresentGains
 from autotune.processes import map_in_processes
 from identification.errors import EstimateError
 from problems.design.objectives import PeakObjective, force_of
@@ -144,7 +145,7 @@ def _tune(task: _Task) -> Controller | AutotuneError:
     """Return the controller of one task, or what was refused, so that the other classes are looked at as well."""
     try:
         return optimize(
-            task.identified, task.spec, seed=task.seed, problem_path=task.problem_path, relax=False
+            task.identified, task.spec, seed=task.seed, problem_path=task.problem_path, relax=False, replays=False
         ).controller
     except AutotuneError as error:
         return _bare(error)
@@ -155,17 +156,18 @@ def _beside(pair: tuple[_Task, Tuned], *, common: str) -> Tuned | AutotuneError:
     task, own = pair
     read = parse_controller(common, COMMON_FILE)
     # What is held against each other are gains, and their contacts without a collision response.
-    existing = replace(read, controller=without_response(read.controller))
+    common_file = replace(read, controller=without_response(read.controller))
     try:
-        peaks, missed = _judge(task, existing.controller)
+        peaks, missed = _judge(task, common_file.controller)
         if missed <= _HAIR and any(peak < own.peaks[axis] for axis, peak in peaks.items()):
             again = optimize(
                 task.identified,
                 task.spec,
                 seed=task.seed,
                 problem_path=task.problem_path,
-                existing=existing,
+                present=PresentGains.of_file(common_file),
                 relax=False,
+                replays=False,
             ).controller
             found = worst_peaks(again, force_of(task.spec.objective))
             if all(found[axis] <= peak for axis, peak in own.peaks.items()):

@@ -154,7 +154,7 @@ def _payload(case: AxisCase) -> Iterator[Check]:
         return
     (low, high), mass = case.domain.payload_mass_kg, case.controller.payload.mass_kg
     certified = f"the certified {low:g} to {high:g} kg"
-    carried = f"the runtime compensates {mass:.4g} kg"
+    carried = f"the runtime takes off the weight of {mass:.4g} kg"
     wrong = "" if low <= mass <= high else f"{carried}, which is outside {certified}"
     yield case.check("payload", wrong, f"{carried}, inside {certified}")
 

@@ -50,7 +50,8 @@ def test_people_see_gains_peaks_what_holds_them_up_and_the_checks(first_run: tup
     folder, told, aside = first_run
     assert aside == ""
     lines = told.splitlines()
-    assert lines[0].startswith("axis x: M_a 6 kg, B_a ")
+    assert lines[0].startswith("before → after, axis x: nothing to compare with: say the gains that run now")
+    assert lines[1].startswith("axis x: M_a 6 kg, B_a ")
     assert "peak at contact [N]" in lines[1]
     assert any("holds the peak up: easing it by 1 % saves" in line for line in lines)
     assert any(
@@ -80,6 +81,8 @@ def test_json_is_the_tree_of_the_file_and_the_same_seed_gives_the_same_bytes(
     told = tree["provenance"]["optimality"]["x"]
     assert (told["feasible"], told["gap"] < 1e-3, told["kkt_residual"] < 1e-3) == (True, True, True)
     assert [each["name"] for each in told["active"]] == [each["name"] for each in active["x"]]
+    changes = tree.pop("before_after")["x"]
+    assert changes["largest_certified_peak"]["before"] is None
     assert tree == load_yaml(tmp_path / "controller.yaml")
     assert {entry["name"] for entry in active["x"]} <= set(tree["certificate"]["requirements"]) | {
         f"{side} bound of {name}" for side in ("lower", "upper") for name in ("damping", "lead_s")

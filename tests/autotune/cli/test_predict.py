@@ -9,7 +9,8 @@ from autotune.cli.main import main
 from autotune.errors import UsageError
 from autotune.formats.controller import write_controller
 from autotune.formats.quantity import Uncertain
-from autotune.predicting import parse_approach, parse_gains, parse_surface
+from autotune.predicting import parse_approach, parse_surface
+from autotune.prediction.said_gains import parse_gains
 from tests.autotune.formats.samples import make_identified
 from tests.autotune.tuning.cases import fast_optimized
 

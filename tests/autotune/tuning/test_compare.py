@@ -10,12 +10,20 @@ from autotune.cli._common import json_text
 from autotune.cli._optimized import compare_lines, compare_tree
 from autotune.errors import InfeasibleError, UsageError
 from autotune.formats.controller import ControllerFile
-from autotune.formats.controller_record import CollisionSettings, Controller, ControllerStatus, Filters
+from autotune.formats.controller_record import (
+    CollisionSettings,
+    Controller,
+    ControllerStatus,
+    Filters,
+    admittance_controller,
+)
 from autotune.formats.limits import CollisionResponse
+from autotune.prediction.law import PresentGains
 from autotune.tuning import search as search_module
 from autotune.tuning.compare import check_comparable, compare, start_design
 from autotune.tuning.search import solve_design
 from problems.design.problem import VARIABLES
+from problems.model.controller import AdmittanceController
 from tests.autotune.tuning.cases import fast_optimized
 from tests.autotune.tuning.turning import both_optimized
 
@@ -27,13 +35,18 @@ def old_with(**gains: float) -> Controller:
     return replace(controller, axes={"x": replace(controller.axes["x"], **{**GAINS, **gains})})  # type: ignore[arg-type]
 
 
-def file_of(controller: Controller) -> ControllerFile:
-    return ControllerFile(controller=controller, checksum="ab" * 32, path=Path("old.yaml"), sha256="0" * 64)
+def old_law(**gains: float) -> AdmittanceController:
+    return admittance_controller(old_with(**gains), "x")
+
+
+def file_of(controller: Controller) -> PresentGains:
+    file = ControllerFile(controller=controller, checksum="ab" * 32, path=Path("old.yaml"), sha256="0" * 64)
+    return PresentGains.of_file(file)
 
 
 def test_a_controller_beside_itself_is_the_same_and_tells_what_its_file_says() -> None:
     found = fast_optimized()
-    both = compare(found.controller, found.searches)["x"]
+    both = compare(file_of(found.controller), found.searches)["x"]
     assert both.old == both.new
     assert both.is_start
     does, margins = both.old.performance, found.controller.certificate.margins["x"]
@@ -48,7 +61,7 @@ def test_a_controller_beside_itself_is_the_same_and_tells_what_its_file_says() -
 
 def test_what_the_old_one_misses_is_told_with_its_share() -> None:
     # |G| is about 1/B_a: more damping than the target allows misses it by the ratio.
-    both = compare(old_with(damping=2000.0), fast_optimized().searches)["x"]
+    both = compare(file_of(old_with(damping=2000.0)), fast_optimized().searches)["x"]
     assert both.old.performance is not None
     assert set(both.old.performance.missed) == {"free_space_admittance"}
     share = both.old.performance.min_m_s_per_n / 6.5e-4
@@ -61,7 +74,7 @@ def test_what_the_old_one_misses_is_told_with_its_share() -> None:
 
 def test_an_unstable_old_controller_has_no_numbers_but_a_place() -> None:
     old = old_with(damping=300.0, lead_s=0.0, feedback_damping_s=0.0)
-    both = compare(old, fast_optimized().searches)["x"]
+    both = compare(file_of(old), fast_optimized().searches)["x"]
     assert both.old.performance is None
     assert both.old.spectral_radius >= 1.0
     assert both.old.unstable_at is not None
@@ -77,7 +90,7 @@ def test_an_unstable_old_controller_has_no_numbers_but_a_place() -> None:
 
 def test_a_rotational_axis_is_told_in_its_units() -> None:
     found = both_optimized()
-    both = compare(found.controller, found.searches)
+    both = compare(file_of(found.controller), found.searches)
     told = "\n".join(compare_lines(file_of(found.controller), both))
     assert all(unit in told for unit in ("M_a [kg·m²]", "B_a [N·m·s/rad]", "[rad/s/(N·m)]", "M_a [kg]", "[m/s/N]"))
     tree = compare_tree(file_of(found.controller), both)
@@ -117,7 +130,7 @@ def test_axes_in_common_are_compared_and_the_others_left() -> None:
     found = both_optimized()
     problems = {name: search.problem for name, search in found.searches.items()}
     check_comparable(file_of(old_with()), problems)
-    assert list(compare(old_with(), found.searches)) == ["x"]
+    assert list(compare(file_of(old_with()), found.searches)) == ["x"]
 
 
 # --- the start ----------------------------------------------------------------------------------------------------
@@ -125,13 +138,12 @@ def test_axes_in_common_are_compared_and_the_others_left() -> None:
 
 def test_only_gains_inside_the_bounds_and_under_the_same_filter_start_the_search() -> None:
     problem = fast_optimized().searches["x"].problem
-    design = start_design(old_with(), "x", problem)
+    design = start_design(old_law(), problem)
     assert design is not None
     assert list(design) == [GAINS[name] for name in VARIABLES]
-    assert start_design(old_with(mass=6.1), "x", problem) is None  # the bounds say 6
-    assert start_design(old_with(), "y", problem) is None
+    assert start_design(old_law(mass=6.1), problem) is None  # the bounds say 6
     slow = replace(old_with(), filters=Filters(velocity_rad_per_s=60.0, acceleration_rad_per_s=200.0))
-    assert start_design(slow, "x", problem) is None
+    assert start_design(admittance_controller(slow, "x"), problem) is None
 
 
 def test_a_started_search_is_never_worse_than_its_start_and_repeats_to_the_bit(monkeypatch: pytest.MonkeyPatch) -> None:

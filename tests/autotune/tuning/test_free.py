@@ -9,6 +9,7 @@ import pytest
 
 from autotune.errors import UsageError
 from autotune.formats.controller import read_controller, write_controller
+from autotune.formats.controller_record import admittance_controller
 from autotune.formats.identified import IdentifiedFile
 from autotune.formats.problem import ProblemSpec
 from autotune.tuning.bounds import Box
@@ -93,7 +94,7 @@ def test_the_file_tells_what_was_chosen_and_is_read_back(tmp_path: Path) -> None
     search = found.searches["x"]
     told = (read.filters.velocity_rad_per_s, read.filters.acceleration_rad_per_s, read.compensation_mass_kg)
     assert told == tuple(search.design[len(VARIABLES) :])
-    assert start_design(read, "x", search.problem) == pytest.approx(search.design, rel=0.0)
+    assert start_design(admittance_controller(read, "x"), search.problem) == pytest.approx(search.design, rel=0.0)
 
 
 @pytest.mark.parametrize(

@@ -147,7 +147,7 @@ def test_a_class_that_the_common_controller_beats_is_searched_again(monkeypatch:
     honest, calls = optimize, list[str]()
 
     def lazy(identified: Any, spec: Any, **further: Any) -> Any:
-        first = spec.payload_mass == (8.0, 8.0) and further.get("existing") is None
+        first = spec.payload_mass == (8.0, 8.0) and further.get("present") is None
         calls.append("lazy" if first else "honest")
         short = replace(spec, bounds={**spec.bounds, "lead_s": (0.01, 0.012)}) if first else spec
         return honest(identified, short, **further)
