@@ -52,7 +52,7 @@ def test_people_see_gains_peaks_what_holds_them_up_and_the_checks(first_run: tup
     lines = told.splitlines()
     assert lines[0].startswith("before → after, axis x: nothing to compare with: say the gains that run now")
     assert lines[1].startswith("axis x: M_a 6 kg, B_a ")
-    assert "peak at contact [N]" in lines[1]
+    assert "peak at contact [N]" in lines[2]
     assert any("holds the peak up: easing it by 1 % saves" in line for line in lines)
     assert any(
         line.startswith("  every requirement is met over 33 contacts; nearest to its limit is ") for line in lines
