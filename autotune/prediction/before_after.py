@@ -294,7 +294,7 @@ def _with_held_force(touch: Touch) -> Touch:
     """Return the touch with the force that it held as F^d, where the log does not say that: at rest they are equal."""
     if touch.desired_force is not None or not touch.held_force:
         return touch
-    return replace(touch, desired_force=touch.held_force)
+    return replace(touch, desired_force=touch.sign * abs(touch.held_force))
 
 
 def _running(law: Law) -> Running:

@@ -58,15 +58,16 @@ def today(**gains: float) -> PresentGains:
 
 
 @cache
-def replayed() -> BeforeAndAfter:
+def replayed(sign: int = 1) -> BeforeAndAfter:
     measured = peak_of(13.0, 1000.0, 0.02)
-    touches = (touch(measured), touch(0.97 * measured, approach_speed=0.98 * SPEED))
+    touches = (touch(measured, sign=sign), touch(0.97 * measured, sign=sign, approach_speed=0.98 * SPEED))
     return compare_before_after(source(*touches), controller(), present=today())["x"]
 
 
-def test_the_hardest_contact_is_replayed_at_its_speed_as_another_integrator_does() -> None:
+@pytest.mark.parametrize("sign", [1, -1])
+def test_the_hardest_contact_is_replayed_at_its_speed_as_another_integrator_does(sign: int) -> None:
     """The force that the log held acts after the impact; both peaks are those of the continuous law."""
-    (surface,) = replayed().surfaces
+    (surface,) = replayed(sign).surfaces
     assert surface.after.predicted.contact.contact_speed_m_s == SPEED
     assert surface.after.predicted.peak_sensor_force == pytest.approx(peak_of(8.0, 1200.0, 0.02), rel=0.01)
     assert surface.before_peak == pytest.approx(peak_of(13.0, 1000.0, 0.02), rel=0.01)
