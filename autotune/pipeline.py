@@ -148,8 +148,8 @@ def identify_log(
         cell=cell,
         salvage=options.salvage,
         span=options.span,
-        # Of several recordings each is identified without: what is known from elsewhere counts once.
-        given=given if len(runs) == 1 else {},
+        # Of several recordings each is identified without: what is known from elsewhere counts once; a period is exact.
+        given={**_given_by_cell(cell), **(given if len(runs) == 1 else {})},
         is_one_of_many=len(runs) > 1,
         with_evidence=with_evidence,
     )
@@ -174,6 +174,11 @@ def identify_log(
     if not (options.allow_partial or defers_refusal):
         found.require()
     return found
+
+
+def _given_by_cell(cell: Cell) -> dict[str, Given]:
+    """Return what a cell.yaml declares of a recording's numbers."""
+    return {} if cell.sample_time_s is None else {"sample_time_s": Given(value=cell.sample_time_s, std=0.0)}
 
 
 @dataclass(frozen=True, kw_only=True)

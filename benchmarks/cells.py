@@ -19,6 +19,7 @@ from problems.stability.margins import UnstableLoopError, find_margins
 Draw = np.random.Generator
 
 _ADMITTANCE_MASS_KG = 10.0
+_LEAST_TILT_SHARE = 0.45  # of the largest
 _DAMPINGS = np.geomspace(400.0, 4e4, 24)
 _LEAST_MODULUS_MARGIN = 0.55
 _SLOWEST_APPROACH_M_S = 2e-3
@@ -158,10 +159,11 @@ def _resistance(cell: SimulatedCell) -> float:
 
 
 def _program(rng: Draw) -> Program:
+    count, hold, tilt = int(rng.integers(6, 13)), float(rng.uniform(0.8, 1.3)), float(rng.uniform(0.6, 1.3))
     return Program(
-        pose_count=int(rng.integers(6, 13)),
-        pose_hold_s=float(rng.uniform(0.8, 1.3)),
-        largest_tilt_rad=float(rng.uniform(0.6, 1.3)),
+        pose_count=count,
+        pose_hold_s=hold,
+        tilts_rad=(_LEAST_TILT_SHARE * tilt, tilt),
         jogging_s=float(rng.choice([0.0, 8.0])),
         sweep_s=float(rng.uniform(9.0, 14.0)),
         sweep_hz=(float(rng.uniform(0.4, 0.7)), float(rng.uniform(35.0, 55.0))),

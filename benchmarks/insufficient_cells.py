@@ -64,7 +64,7 @@ GRAVITY = ("mass", "centre of mass")
 CONTACT = ("K_e", "secant", "B_e", "M_e")
 CASES = (
     Untold(name="one pose", hidden=GRAVITY, changed=_with(pose_count=1)),
-    Untold(name="poses tilted by 2 degrees", hidden=GRAVITY, changed=_with(largest_tilt_rad=_TILT_2_DEG)),
+    Untold(name="poses tilted by 2 degrees", hidden=GRAVITY, changed=_with(tilts_rad=(_TILT_2_DEG, _TILT_2_DEG))),
     Untold(name="no contact", hidden=CONTACT, changed=_no_contact),
     Untold(name="no free motion", hidden=("K_s", "B_s", "B_p"), changed=_with(jogging_s=0.0, sweep_s=0.0)),
     Untold(

@@ -9,7 +9,6 @@ from .joint_fit.result import JointFit
 from .payload.gravity import GravityFit
 from .result import Finding
 from .signals.segments import Span
-from .verdicts import missing
 
 _MASS_DISAGREEMENT_STDS = 3.0
 _MASS_DISAGREEMENT_SHARE = 0.02
@@ -59,14 +58,16 @@ def contact_findings(axis: str, holds: Sequence[Span], fit: JointFit, left_n: fl
         )
     if not fit.surfaces:
         findings.append(
-            missing(
-                "no-contact",
-                f"Axis {axis}: no contact with an onset and a hold was found, so the environment's stiffness "
+            Finding(
+                code="no-contact",
+                severity="error",
+                message=f"Axis {axis}: no contact with an onset and a hold was found, so the environment's stiffness "
                 "cannot be determined.",
-                _OFF_ADVICE
+                advice=_OFF_ADVICE
                 if is_off and holds
                 else "Record 3 or more contacts: approach at 1 to 3 cm/s, press with 20 to 50 N, hold for 1 s, back "
                 "off.",
+                axis=axis,
             )
         )
     return findings

@@ -11,6 +11,8 @@ from .errors import EstimateError
 from .result import AxisEstimate, Estimate, Finding, Identified, Status
 
 _CONTRADICTION_STDS = 4.0
+# Of a value that is given as exact: no stamp is free of rounding.
+_ROUNDING_SHARE = 1e-6
 
 _AXIS_KEYS = {
     "coupling_stiffness_n_per_m": "stiffness_n_per_m",
@@ -119,7 +121,7 @@ def _posterior(name: str, estimate: Estimate, fitted: Estimate | None, prior: Gi
     note = f"given {prior.value:.6g} ± {prior.std:.2g}, the log shows {estimate.value:.6g} ± {estimate.std:.2g}"
     status = Status.GIVEN if prior.std <= estimate.std else estimate.status
     apart, alone = abs(estimate.value - prior.value), f"{estimate.value:.5g} ± {estimate.std:.2g}"
-    if apart > _CONTRADICTION_STDS * math.hypot(estimate.std, prior.std):
+    if apart > _CONTRADICTION_STDS * math.hypot(estimate.std, prior.std) + _ROUNDING_SHARE * abs(prior.value):
         about = Finding(
             code="given-contradicts",
             severity="error",

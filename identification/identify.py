@@ -1,6 +1,6 @@
 """Identification of plant parameters from one recording: the driver over all estimators."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -156,7 +156,7 @@ def _identify(
             *about_spikes,
             *read.findings,
             *robots.findings,
-            *about_axes,
+            *_without_surface(about_axes, accounted),
             *accounted.findings,
             *_hands(timeline),
             *gravity_findings(gravity),
@@ -261,7 +261,10 @@ def _accounted(
     axes = []
     for (name, axis), payload, found in zip(results.items(), payloads, pressed, strict=True):
         surfaces = () if axis.fit is None else axis.fit.surfaces
-        phases = name_surfaces(phases, name, [[onset * period for onset in surface.onsets] for surface in surfaces])
+        # What the fit leaves without a stiffness is none of its surfaces: the slope of force over depth may show one.
+        known = [each.stiffness_n_per_m.value is not None for each in axis.estimate.environments]
+        onsets = [[t * period for t in each.onsets] if ok else [] for each, ok in zip(surfaces, known, strict=True)]
+        phases = name_surfaces(phases, name, onsets)
         signs = [surface.sign for surface in surfaces]
         axes.append(
             ObservedAxis(
@@ -278,7 +281,14 @@ def _accounted(
 
 
 def _with_surfaces(axis: AxisEstimate, added: Sequence[EnvironmentEstimate]) -> AxisEstimate:
-    return replace(axis, environments=(*axis.environments, *added))
+    """Return the axis with the surfaces that slopes show, in place of those that the fit leaves without a stiffness."""
+    fitted = [each for each in axis.environments if not added or each.stiffness_n_per_m.value is not None]
+    return replace(axis, environments=(*fitted, *added))
+
+
+def _without_surface(findings: Sequence[Finding], accounted: Accounted) -> Iterator[Finding]:
+    """Yield the findings without those that no contact was found where a slope shows the surface."""
+    return (each for each in findings if each.code != "no-contact" or not accounted.surfaces.get(each.axis or ""))
 
 
 def _hands(timeline: Timeline) -> list[Finding]:

@@ -120,6 +120,9 @@ _END = """
 
 # Where gravity points in the base frame.
 # gravity_direction: [0.0, 0.0, -1.0]
+
+# The controller's period in s, if it holds each command until the next one.
+# sample_time_s: 0.001
 """
 
 

@@ -3,7 +3,8 @@
 Needs `mcap-ros2-support` when the file is written, and no other library.
 """
 
-from .first_log import FirstLog, FirstLogCommand, PlainAdmittance
+from .first_log import FirstLog, FirstLogCommand
+from .plain_admittance import PlainAdmittance
 from .recorder import Recorder
 
 __all__ = ["FirstLog", "FirstLogCommand", "PlainAdmittance", "Recorder"]

@@ -1,16 +1,19 @@
 """Record wrench, measured pose and command of a control loop, and write them when it ends."""
 
+import json
 import math
 import time
 from array import array
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 
 from autotune.errors import UsageError
+from autotune.formats.atomic import write_atomic
 from problems.errors import ParameterError
 
 from .mcap_log import StampedChannel, StampedKind, write_channels
+from .motions import check_above_zero
 
 _UNIT_WITHIN = 1e-3
 _END_NS = 2**31 * 10**9
@@ -33,11 +36,17 @@ class Recorder:
         Names of the channels.
     sensor_frame, base_frame
         Frames of the wrench and of both poses.
+    period_s
+        Period of the controller [s], where it holds each command until the next one. It stands in the `cell.yaml` that
+        is written beside the log (`run7.cell.yaml` beside `run7.mcap`), with which `identify` knows the delay and the
+        stiffness of what is touched to the last digit that the log shows.
 
     Raises
     ------
     UsageError
-        The file exists, or its folder does not.
+        The log or its cell.yaml exists, or the folder does not.
+    ParameterError
+        A period that is not above 0.
 
     Examples
     --------
@@ -59,12 +68,16 @@ class Recorder:
         command_topic: str = "/flange/command",
         sensor_frame: str = "ft_sensor",
         base_frame: str = "base",
+        period_s: float | None = None,
     ) -> None:
-        self.path = Path(path)
-        if self.path.exists():
-            raise UsageError(f"{self.path} exists, and a log is not replaced; name another file.")
+        self.path, self._period_s = Path(path), period_s
+        for file in (self.path, self.cell_path):
+            if file.exists():
+                raise UsageError(f"{file} exists, and a log is not replaced; name another file.")
         if not self.path.parent.is_dir():
             raise UsageError(f"{self.path} needs a folder that exists, and {self.path.parent} does not; make it first.")
+        if period_s is not None:
+            check_above_zero("period_s", period_s)
         if len({wrench_topic, pose_topic, command_topic}) < 3:
             raise UsageError(f"Topics must differ, found {wrench_topic}, {pose_topic}, {command_topic}.")
         self._start_ns = time.time_ns() if start_ns is None else start_ns
@@ -74,6 +87,11 @@ class Recorder:
             "command": _Track(command_topic, base_frame, StampedKind.POSE),
         }
         self._is_open = True
+
+    @property
+    def cell_path(self) -> Path:
+        """The cell.yaml that is written beside the log."""
+        return self.path.with_suffix(".cell.yaml")
 
     def write(
         self,
@@ -122,7 +140,7 @@ class Recorder:
             track.rows.extend(numbers)
 
     def close(self) -> None:
-        """Write the file; closing again does nothing.
+        """Write the log and its cell.yaml; closing again does nothing.
 
         Raises
         ------
@@ -138,9 +156,12 @@ class Recorder:
         channels = [track.channel() for track in self._tracks.values() if track.stamps]
         if not channels:
             raise UsageError(f"Nothing was recorded, so {self.path} is not written.")
-        if self.path.exists():
-            raise UsageError(f"{self.path} was made by somebody else while this log was recorded; nothing is written.")
+        for file in (self.path, self.cell_path):
+            if file.exists():
+                raise UsageError(f"{file} was made by somebody else while this log was recorded; nothing is written.")
         write_channels(channels, self.path)
+        topics = {name: track.topic for name, track in self._tracks.items() if track.stamps}
+        write_atomic(self.cell_path, _cell_text(topics, self._period_s))
 
     def __enter__(self) -> "Recorder":
         return self
@@ -150,6 +171,19 @@ class Recorder:
     ) -> None:
         if error is None or any(track.stamps for track in self._tracks.values()):
             self.close()
+
+
+def _cell_text(topics: Mapping[str, str], period_s: float | None) -> str:
+    """Return what the recorder knows of a log and the log does not say; JSON's quotes mean the same to YAML."""
+    if period_s is None:
+        period = (
+            "# The controller's period in s, if it holds each command until the next one.\n# sample_time_s: 0.001\n"
+        )
+    else:
+        period = f"sample_time_s: {period_s!r}  # the controller holds each command until the next one\n"
+    raw = ", exerted_by: payload, expressed_in: sensor, gravity_compensated: false"
+    entries = [f"{name}: {{topic: {json.dumps(topic)}{raw * (name == 'wrench')}}}\n" for name, topic in topics.items()]
+    return "".join(["format: autotune/cell\nversion: 1\n", period, *entries])
 
 
 class _Track:

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from scipy.signal import butter, sosfilt
 
+from autotune.recording.motions import FreeMotions, smooth_ramp
 from problems.arrays import BoolArray, FloatArray
 from problems.errors import ParameterError
 
@@ -36,33 +37,34 @@ class Script:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Program:
-    """How long and how strongly each phase runs; on a rotational axis in rad and N·m, see `turning`."""
+class Program(FreeMotions):
+    """The program of a log of the simulated cell; on a rotational axis in rad and N·m, see `turning`.
 
+    Poses and sweep are those of a first log, livelier, since this cell is known. A hand leads the payload for
+    `jogging_s` and knocks on it `tap_count` times; contacts are made by the cell's own admittance under F^d.
+    """
+
+    rest_s: float = 0.8
     pose_count: int = 9
-    pose_hold_s: float = 1.0
+    tilts_rad: tuple[float, float] = (0.55, 1.2)
     pose_move_s: float = 0.8
-    largest_tilt_rad: float = 1.2
+    sweep_hz: tuple[float, float] = (0.4, 55.0)
+    sweep_speed_m_s: float = 0.012
     jogging_s: float = 11.0
     jogging_force_n: float = 35.0
     home_n_per_m: float = 1200.0
     return_n_per_m: float = 3000.0
-    sweep_s: float = 12.0
-    sweep_hz: tuple[float, float] = (0.4, 55.0)
-    sweep_speed_m_s: float = 0.012
     tap_count: int = 0
     tap_force_n: float = 60.0
     contact_count: int = 4
     contact_force_n: float = 30.0
     contact_hold_s: float = 1.2
     retract_s: float = 0.9
-    rest_s: float = 0.8
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.pose_count < 1 or self.contact_count < 0:
             raise ParameterError("program", (self.pose_count, self.contact_count), "at least one pose, no fewer than 0")
-        if not 0.0 < self.sweep_hz[0] < self.sweep_hz[1]:
-            raise ParameterError("sweep_hz", self.sweep_hz, "an increasing pair above 0")
 
     @classmethod
     def turning(cls, **changes: Any) -> "Program":
@@ -82,7 +84,7 @@ def build_script(program: Program, sample_time_s: float, rng: np.random.Generato
     """Lay the phases one after the other, with a rest between them."""
     h = sample_time_s
     rest = _quiet(round(program.rest_s / h))
-    parts = [rest, _poses(program, h, rng), rest]
+    parts = [rest, _poses(program, h), rest]
     if program.jogging_s > 0.0:
         parts += [_jogging(program, h, rng), rest]
     if program.sweep_s > 0.0:
@@ -117,25 +119,12 @@ def _replaced(script: Script, **arrays: FloatArray | BoolArray) -> Script:
 
 def _smooth(samples: int) -> FloatArray:
     """Return a minimum-jerk ramp from 0 to 1."""
-    t = np.linspace(0.0, 1.0, samples)
-    return np.asarray(t**3 * (10.0 - 15.0 * t + 6.0 * t * t))
+    return np.array([smooth_ramp(t) for t in np.linspace(0.0, 1.0, samples)])
 
 
-def _poses(program: Program, h: float, rng: np.random.Generator) -> Script:
-    """Tilt the tool to well spread orientations and rest at each; the last move goes back."""
-    moving, holding = round(program.pose_move_s / h), round(program.pose_hold_s / h)
-    directions = 2.399963 * np.arange(program.pose_count)  # the golden angle spreads any number of them
-    tilts = program.largest_tilt_rad * (0.45 + 0.55 * rng.random(program.pose_count))
-    targets = np.column_stack([tilts * np.cos(directions), tilts * np.sin(directions), np.zeros(program.pose_count)])
-    if program.pose_count == 1:
-        targets[:] = 0.0
-    pieces, here = [], np.zeros(3)
-    for target in [*targets, np.zeros(3)]:
-        ramp = _smooth(moving)[:, None]
-        # Through the working orientation, so that every move turns about one fixed axis.
-        pieces += [here * (1.0 - ramp), target * ramp, np.tile(target, (holding, 1))]
-        here = target
-    rotation = np.concatenate(pieces)
+def _poses(program: Program, h: float) -> Script:
+    """Tilt the tool to its poses and rest at each; one pose alone is the working orientation."""
+    rotation = np.array(list(program.rotations(h))) * (program.pose_count > 1)
     return _replaced(_quiet(len(rotation)), rotation_rad=rotation)
 
 
@@ -160,19 +149,8 @@ def _jogging(program: Program, h: float, rng: np.random.Generator) -> Script:
 
 
 def _sweep(program: Program, h: float) -> Script:
-    """Command a logarithmic sweep of constant speed amplitude, tapered to rest at both ends."""
-    samples = round(program.sweep_s / h)
-    t = np.arange(samples) * h
-    low, high = program.sweep_hz
-    rate = np.log(high / low) / program.sweep_s
-    phase = 2.0 * np.pi * low * np.expm1(rate * t) / rate
-    frequency = low * np.exp(rate * t)
-    edge = max(2, samples // 20)
-    window = np.ones(samples)
-    window[:edge], window[-edge:] = _smooth(edge), _smooth(edge)[::-1]
-    # Constant command speed would leave nothing above the robot's bandwidth: let it grow with frequency.
-    speed = program.sweep_speed_m_s * np.sqrt(1.0 + (frequency / 3.0) ** 2)
-    return _replaced(_quiet(samples), command_m=np.asarray(window * speed / (2.0 * np.pi * frequency) * np.sin(phase)))
+    command = np.array(list(program.sweep(h)))
+    return _replaced(_quiet(len(command)), command_m=command)
 
 
 def _tap(program: Program, h: float) -> Script:

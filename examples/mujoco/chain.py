@@ -18,22 +18,7 @@ FORCE_N, PRESSED_S, LONGEST_S = 30.0, 1.2, 8.0
 EASED = at.Problem(requirements=at.Requirements(free_space_admittance=at.AdmittanceTarget(min_m_s_per_n=3e-4)))
 
 
-def first_log(cell: MujocoCell, wall: Wall) -> FirstLog:
-    """Return a program whose approach is slow enough for this wall: as an operator who begins with much damping."""
-    series = 1.0 / (1.0 / cell.stiffness_n_per_m + 1.0 / wall.stiffness_n_per_m)
-    return FirstLog(
-        axis="z",
-        pose_count=6,
-        pose_move_s=1.0,
-        sweep_s=10.0,
-        sweep_speed_m_s=0.01,
-        robot_bandwidth_hz=3.0,
-        contact_hold_s=1.0,
-        contact_force_n=40.0,
-        mass_kg=20.0,
-        damping_n_s_per_m=min(max(1500.0, series / (math.pi * cell.servo_hz)), 8000.0),
-        stop_force_n=400.0,
-    )
+FIRST_LOG = FirstLog(axis="z", pose_count=6, sweep_s=10.0)
 
 
 def record(cell: MujocoCell, wall: Wall, program: FirstLog, path: Path, *, seed: int = 0) -> float:
@@ -41,7 +26,7 @@ def record(cell: MujocoCell, wall: Wall, program: FirstLog, path: Path, *, seed:
     running = Running(cell, wall, seed=seed)
     commands = program.commands(period_s=cell.period_s)
     command, peak = next(commands), 0.0
-    with Recorder(path, start_ns=1_700_000_000_000_000_000) as log:
+    with Recorder(path, start_ns=1_700_000_000_000_000_000, period_s=cell.period_s) as log:
         while True:
             seen = running.read()
             peak = max(peak, seen.contact_n)
@@ -149,9 +134,10 @@ def main(arguments: list[str]) -> int:
     folder.mkdir(parents=True, exist_ok=True)
     cell, wall = MujocoCell(), Wall()
     log, file = folder / "cell.mcap", folder / "controller.yaml"
-    log.unlink(missing_ok=True)
-    record(cell, wall, first_log(cell, wall), log)
-    found = at.identify(log)
+    for old in (log, log.with_suffix(".cell.yaml")):
+        old.unlink(missing_ok=True)
+    record(cell, wall, FIRST_LOG, log)
+    found = at.identify(log, cell=log.with_suffix(".cell.yaml"))
     told = estimates(found)
     for name, truth in truths(cell, wall).items():
         value = told[name]

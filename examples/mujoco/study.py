@@ -21,7 +21,7 @@ import numpy as np
 
 import autotune as at
 from examples.mujoco.cell import Hand, MujocoCell, Wall
-from examples.mujoco.chain import FORCE_N, estimates, first_log, press, record
+from examples.mujoco.chain import FIRST_LOG, FORCE_N, estimates, press, record
 
 FRICTION_N, JOINT_FRICTION_N, DRAG_N_S_PER_M, FILTER_HZ = 3.0, 40.0, (5.0, 600.0), (50.0, 200.0)
 # Of the admittance that a refusal names as attainable, so much is not asked for.
@@ -128,9 +128,9 @@ def identified(drawn: Drawn, folder: Path, seed: int) -> dict[str, Any]:
     """Record where there is no log, and return what was identified: value, deviation, verdict by name, and findings."""
     log, file = folder / "cell.mcap", folder / "identified.yaml"
     if not log.is_file():
-        record(drawn.cell, drawn.wall, first_log(drawn.cell, drawn.wall), log, seed=seed)
+        record(drawn.cell, drawn.wall, FIRST_LOG, log, seed=seed)
     try:
-        found = at.identify(log, allow_partial=True)
+        found = at.identify(log, cell=log.with_suffix(".cell.yaml"), allow_partial=True)
     except at.AutotuneError as error:
         return {"refused": str(error)}
     found.save(file)

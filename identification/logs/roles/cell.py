@@ -361,12 +361,14 @@ class Mounting:
 class Cell:
     """Everything that may be declared of a cell's logs; every entry may be left out.
 
-    `gravity_direction` is in the base frame. A measured `pose` and a `displacement` (a pose relative to one that is not
-    known) exclude each other; `joints` give the pose where there is no other. `table` says how CSV and Parquet files
-    are timed, `tables` the same of single files by their names; `fields` name their columns.
+    `gravity_direction` is in the base frame; `sample_time_s` is the period of the controller, which holds each command
+    until the next one, whether or not the log shows them all. A measured `pose` and a `displacement` (a pose relative
+    to one that is not known) exclude each other; `joints` give the pose where there is no other. `table` says how CSV
+    and Parquet files are timed, `tables` the same of single files by their names; `fields` name their columns.
     """
 
     gravity_direction: tuple[float, float, float] = (0.0, 0.0, -1.0)
+    sample_time_s: float | None = None
     sensor: Mounting = field(default_factory=Mounting)
     wrench: WrenchSource | None = None
     pose: PoseSource | None = None

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from itertools import pairwise
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ from mcap.reader import make_reader
 from scipy.signal import cont2discrete, lfilter
 
 from autotune.recording import FirstLog, FirstLogCommand, PlainAdmittance
-from autotune.recording.first_log import Three
+from autotune.recording.motions import Three
 from problems.errors import ParameterError
 
 H = 2e-3
@@ -49,8 +49,8 @@ def test_the_phases_come_in_order_and_every_step_is_small() -> None:
     assert order == ["rest", "poses", "sweep", "rest", "contacts", "rest", "contacts", "rest"]
     place = np.array([each.displacement_m for each in found])
     turned = np.array([each.rotation_rad for each in found])
-    # The sweep's 5 mm/s grows by 20/3 towards 20 Hz; a minimum-jerk move is at most 1.875 times as fast as its mean.
-    assert np.abs(np.diff(place, axis=0)).max() < 0.005 * math.hypot(1.0, 20.0 / 3.0) * H * 1.1
+    # The sweep's 1 cm/s grows by 20/3 towards 20 Hz; a minimum-jerk move is at most 1.875 times as fast as its mean.
+    assert np.abs(np.diff(place, axis=0)).max() < 0.01 * math.hypot(1.0, 20.0 / 3.0) * H * 1.1
     assert np.abs(np.diff(turned, axis=0)).max() < 1.875 * 1.1 / 0.2 * H * 1.05
     assert not place[:, :2].any()
 
@@ -81,33 +81,116 @@ def test_the_sweep_moves_a_slow_robot_at_one_speed() -> None:
     speed = np.abs(np.diff(flange)) / H
     peaks = [part.max() for part in np.array_split(speed[len(speed) // 10 : -len(speed) // 10], 8)]
     # The hold of 2 ms at 20 Hz takes 0.3 %, peaks between samples 1 %, the edge of a piece a little more.
-    np.testing.assert_allclose(peaks, 0.005, rtol=0.04)
+    np.testing.assert_allclose(peaks, 0.01, rtol=0.04)
 
 
-def test_each_contact_touches_presses_with_the_desired_force_and_backs_off() -> None:
-    program = FirstLog(axis="z", **BRIEF, contact_force_n=25.0)
-    sensed = wall(2e4, 0.01)
-    found = run(program, sensed)
-    force = np.array([WEIGHT[2] - sensed(each)[2] for each in found])
-    pressed = [k for k, each in enumerate(found) if each.phase == "contacts" and force[k] > 0.0]
-    gaps = 1 + sum(later - earlier > 1 for earlier, later in pairwise(pressed))
-    assert gaps == 2
-    # At rest the admittance holds F = F^d: 0.8 s are eight times B_a/K_e.
-    assert force.max() == pytest.approx(25.0, rel=0.02)
-    last = [each.displacement_m[2] for each in found if each.phase == "contacts"][-1]
-    assert last < 0.01 + 25.0 / 2e4 - 0.01 + 1e-3
+class _Robot:
+    """A robot of first order behind a delay that presses a mass on a spring and damper on a spring: scalars, SI."""
+
+    lag_s, delay_s, mass, coupling, damping, drag = 0.035, 6e-3, 16.0, 3e5, 90.0, 10.0
+
+    def __init__(self, wall: float, distance: float = 0.015) -> None:
+        self.wall, self.distance = wall, distance
+        self.sent = [0.0] * round(self.delay_s / H)
+        self.flange = self.place = self.speed = 0.0
+        self.largest_n = 0.0
+
+    def __call__(self, command: FirstLogCommand) -> tuple[float, ...]:
+        self.sent.append(command.displacement_m[2])
+        steps = 40
+        for _ in range(steps):
+            dt = H / steps
+            rate = (self.sent[-round(self.delay_s / H) - 1] - self.flange) / self.lag_s
+            self.flange += dt * rate
+            force = self.coupling * (self.place - self.flange) + self.damping * (self.speed - rate)
+            touched = self.wall * max(0.0, self.place - self.distance)
+            self.speed += dt * (-force - self.drag * self.speed - touched) / self.mass
+            self.place += dt * self.speed
+            self.largest_n = max(self.largest_n, touched)
+        return (*WEIGHT[:2], WEIGHT[2] + force, *WEIGHT[3:])
 
 
-def test_without_a_wall_the_approach_ends_after_its_time() -> None:
-    program = FirstLog(axis="z", **BRIEF | {"contact_count": 1}, approach_s=1.0)
+@pytest.mark.parametrize("stiffness", [1e4, 5e4, 2e5])
+def test_a_contact_presses_with_the_desired_force_and_hardly_more_on_a_payload_without_damping(
+    stiffness: float,
+) -> None:
+    # 1.4 % of the critical damping and hardly any drag: an admittance of 20 kg and 2000 N·s/m is unstable here.
+    program = FirstLog(axis="z", **BRIEF | {"sweep_s": 0.0, "pose_count": 0, "contact_hold_s": 1.5})
+    cell, felt = _Robot(stiffness), []
+
+    def wrench(command: FirstLogCommand) -> tuple[float, ...]:
+        row = cell(command)
+        felt.append(WEIGHT[2] - row[2])
+        return row
+
+    found = run(program, wrench)
+    assert [each.phase for each in found].count("stopped") == 0
+    assert cell.largest_n < 1.5 * program.contact_force_n
+    held = [k for k in range(200, len(felt)) if len({c.displacement_m for c in found[k - 200 : k]}) == 1]
+    pressed = [felt[k] for k in held if felt[k] > 5.0]
+    assert pressed
+    assert min(pressed) > 0.6 * program.contact_force_n
+    assert max(pressed) < 1.3 * program.contact_force_n
+
+
+def test_approaches_get_faster_on_what_is_soft_and_not_on_what_is_stiff() -> None:
+    program = FirstLog(axis="z", **BRIEF | {"sweep_s": 0.0, "pose_count": 0, "contact_count": 3})
+
+    def fastest(stiffness: float) -> list[float]:
+        place = [each.displacement_m[2] for each in run(program, _Robot(stiffness)) if each.phase == "contacts"]
+        steps = np.diff(place) / H
+        edges = np.flatnonzero(np.abs(steps) > 0.5)  # the rests in between are left out
+        assert not edges.size
+        starts = np.flatnonzero((steps[1:] > 1e-4) & (np.abs(steps[:-1]) < 1e-4))
+        return [float(steps[a : a + 400].max()) for a in starts]
+
+    soft, stiff = fastest(1e4), fastest(2e5)
+    assert max(soft) == pytest.approx(program.fastest_approach_m_s, rel=1e-6)
+    assert max(stiff) < 0.6 * program.fastest_approach_m_s
+
+
+def test_without_a_wall_the_approach_ends_after_its_way_and_no_other_follows() -> None:
+    program = FirstLog(axis="z", **BRIEF | {"contact_count": 2}, approach_m=0.01)
     contacts = [each.displacement_m[2] for each in run(program, lambda _: WEIGHT) if each.phase == "contacts"]
-    # 30 N on 2000 N·s/m for 1 + 0.8 s, after M_a/B_a of gathering speed.
-    assert max(contacts) == pytest.approx(0.015 * (1.8 - 0.01), rel=0.01)
+    assert max(contacts) == pytest.approx(0.01, rel=0.05)
+    assert contacts[-1] == pytest.approx(0.0, abs=1e-9)
+    assert len(contacts) < 1.1 * (0.01 / program.approach_speed_m_s + 2.0) / H
+
+
+def test_the_sweep_is_levelled_where_the_payload_resonates() -> None:
+    quality, resonance, mass = 25.0, 2.0 * math.pi * 10.0, 16.0
+    state = [0.0, 0.0, 0.0]
+
+    def wrench(command: FirstLogCommand) -> tuple[float, ...]:
+        here, moved, speed = command.displacement_m[2], *state[1:]
+        for _ in range(20):
+            force = -mass * (resonance**2 * (moved - here) + resonance / quality * speed)
+            speed += H / 20 * force / mass
+            moved += H / 20 * speed
+        state[:] = here, moved, speed
+        return (*WEIGHT[:2], WEIGHT[2] - force, *WEIGHT[3:])
+
+    program = FirstLog(axis="z", **BRIEF | {"pose_count": 0, "contact_count": 0, "sweep_s": 12.0})
+    felt: dict[float, float] = {}
+    for limit in (60.0, 190.0):
+        state[:] = [0.0, 0.0, 0.0]
+        forces: list[float] = []
+
+        def seen(command: FirstLogCommand, forces: list[float] = forces) -> tuple[float, ...]:
+            row = wrench(command)
+            forces.append(abs(row[2] - WEIGHT[2]))
+            return row
+
+        run(replace(program, sweep_force_n=limit), seen)
+        felt[limit] = max(forces)
+    # A resonance swings on while the sweep gets smaller; 11 % beyond here, at a quality of 25.
+    assert felt[60.0] < 1.15 * 60.0
+    assert felt[190.0] > 2.0 * felt[60.0]
 
 
 def test_a_force_beyond_the_limit_holds_the_command_and_ends_the_program() -> None:
-    program = FirstLog(axis="z", **BRIEF, stop_force_n=60.0)
-    found = run(program, lambda c: (60.1 + WEIGHT[0], *WEIGHT[1:]) if c.phase == "sweep" else WEIGHT)
+    program = FirstLog(axis="z", **BRIEF, stop_force_n=61.0, sweep_force_n=50.0)
+    found = run(program, lambda c: (61.1 + WEIGHT[0], *WEIGHT[1:]) if c.phase == "sweep" else WEIGHT)
     stopped = [each for each in found if each.phase == "stopped"]
     assert len(stopped) == round(0.2 / H)
     assert found[-1].phase == "stopped"
@@ -132,6 +215,8 @@ def test_the_plain_admittance_is_the_tustin_form() -> None:
         ({"tilts_rad": (0.5, 2.0)}, "between 0 and π/2"),
         ({"contact_force_n": 0.0}, "a finite number above 0"),
         ({"stop_force_n": 20.0}, "above contact_force_n = 30.0"),
+        ({"stop_force_n": 70.0}, "above sweep_force_n = 80.0"),
+        ({"fastest_approach_m_s": 1e-3}, "not below approach_speed_m_s = 0.003"),
         ({"tap_count": -1}, "not below 0"),
     ],
 )

@@ -9,6 +9,7 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
 from autotune.errors import UsageError
+from autotune.formats.cell import read_cell
 from autotune.recording import Recorder
 from problems.errors import ParameterError
 
@@ -114,3 +115,28 @@ def test_importing_it_loads_no_heavy_library() -> None:
     code = f"import sys, autotune.recording; print([name for name in {heavy!r} if name in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("period_s", [None, 0.002])
+def test_a_cell_yaml_beside_the_log_declares_what_the_recorder_knows(tmp_path: Path, period_s: float | None) -> None:
+    with Recorder(tmp_path / "run.mcap", period_s=period_s, pose_topic='/a "b"') as log:
+        log.write(0.0, wrench=WRENCH, pose=POSE)
+    cell = read_cell(tmp_path / "run.cell.yaml").cell
+    assert cell.sample_time_s == period_s
+    assert cell.wrench is not None
+    assert (cell.wrench.topic, cell.wrench.exerted_by, cell.wrench.gravity_compensated) == (
+        "/ft_sensor/wrench",
+        "payload",
+        False,
+    )
+    assert cell.pose is not None
+    assert cell.pose.topic == '/a "b"'
+    assert cell.command is None  # nothing was recorded of it
+
+
+def test_a_cell_yaml_that_is_there_is_not_replaced(tmp_path: Path) -> None:
+    (tmp_path / "run.cell.yaml").write_text("mine", encoding="utf-8")
+    with pytest.raises(UsageError, match=r"run\.cell\.yaml exists"):
+        Recorder(tmp_path / "run.mcap")
+    with pytest.raises(ParameterError, match="period_s must be a finite number above 0"):
+        Recorder(tmp_path / "other.mcap", period_s=0.0)
