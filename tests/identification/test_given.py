@@ -85,6 +85,15 @@ def test_a_prior_that_contradicts_the_log_is_an_error() -> None:
     assert "the log alone shows" in near.findings[0].message
 
 
+def test_a_period_that_differs_by_the_rounding_of_stamps_contradicts_nothing() -> None:
+    seen = dataclasses.replace(told(), sample_time_s=known(0.0020000000001, 1e-15))
+    near = settle_cell(seen, {"sample_time_s": Given(value=0.002, std=0.0)})
+    assert [finding.code for finding in near.findings] == ["given-used"]
+    assert near.sample_time_s.value == 0.002
+    other = settle_cell(seen, {"sample_time_s": Given(value=0.001, std=0.0)})
+    assert [finding.code for finding in other.findings] == ["given-contradicts"]
+
+
 @pytest.mark.parametrize("name", ["mass", "y.delay_s", "x.mass_kg"])
 def test_an_unknown_name_is_refused_with_those_that_are_known(name: str) -> None:
     with pytest.raises(EstimateError, match=rf"Nothing called {name} can be given.*mass_kg, sample_time_s, x\.coup"):

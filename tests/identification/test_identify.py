@@ -248,7 +248,12 @@ def test_a_flipped_wrench_is_read_as_the_other_bodys(demo_recording: Recording, 
     assert "convention-found" in {finding.code for finding in found.findings}
     # The same numbers with the other sign, exactly.
     assert (found.payload.mass_kg, found.payload.com_m) == (complete.payload.mass_kg, complete.payload.com_m)
-    assert found.axes == complete.axes
+    # Sums of arrays that lie elsewhere in memory round elsewhere, which the descent carries on.
+    for one, other in zip(estimates(found.axes), estimates(complete.axes), strict=True):
+        assert one.status is other.status
+        if one.value is not None and one.std is not None:
+            assert one.value == pytest.approx(other.value, rel=1e-9)
+            assert one.std == pytest.approx(other.std, rel=1e-6)
 
 
 def test_millimetres_are_not_mistaken_for_metres(demo_recording: Recording) -> None:
