@@ -21,6 +21,7 @@ from .trace import TraceContact, identify_trace
 
 # One more contact with a surface differs from those before it by about this share, where they do not show it.
 _USUAL_SPREAD = 0.1
+_FEWEST_LEFT_OUT = 3
 _WEAK_SHARE = 0.5
 _SAME_PLACE_M = 5e-3
 _SAME_STIFFNESS = 1.25
@@ -169,13 +170,31 @@ def pooled(values: Sequence[float], stds: Sequence[float]) -> tuple[float, float
     """Return the mean of contacts, the deviation of one more contact, and the share by which they differ.
 
     The variance between contacts is that of the values, together with one contact that differs by a tenth: two contacts
-    that happen to agree are no proof that the third will. None for one contact.
+    that happen to agree are no proof that the third will. Of three contacts and more the deviation is no smaller than
+    `left_out_error`. The share is None for one contact.
     """
     known, own = np.array(values), np.array(stds)
     mean = float(np.mean(known))
     between = ((_USUAL_SPREAD * mean) ** 2 + float(np.sum((known - mean) ** 2))) / len(known)
     spread = float(np.std(known, ddof=1)) / abs(mean) if len(known) > 1 else None
-    return mean, float(np.sqrt(between + np.mean(own**2) / len(own))), spread
+    std = float(np.sqrt(between + np.mean(own**2) / len(own)))
+    return mean, max(std, left_out_error(values) or 0.0), spread
+
+
+def left_out_error(values: Sequence[float]) -> float | None:
+    """Return the RMS error with which each contact is predicted by the mean of the others, None of fewer than three.
+
+    Parameters
+    ----------
+    values
+        What each contact shows of its surface, in any unit.
+
+    """
+    known = np.array(values)
+    if len(known) < _FEWEST_LEFT_OUT:
+        return None
+    others = (float(np.sum(known)) - known) / (len(known) - 1)
+    return float(np.sqrt(np.mean((known - others) ** 2)))
 
 
 def _surface(name: str, contacts: Sequence[_Contact]) -> EnvironmentEstimate:
@@ -183,8 +202,9 @@ def _surface(name: str, contacts: Sequence[_Contact]) -> EnvironmentEstimate:
     refused = "; ".join(dict.fromkeys(contact.refused for contact in contacts if contact.refused))
     secant, relaxed, spread = unidentifiable(method=_LOADING, note=refused), None, None
     if traces:
-        value, std, spread = pooled([t.loading_n_per_m for t in traces], [t.loading_std_n_per_m for t in traces])
-        secant = judged(value, std, method=_LOADING, note=_spread_note(spread), weak=_WEAK_SHARE)
+        loading = [trace.loading_n_per_m for trace in traces]
+        value, std, spread = pooled(loading, [trace.loading_std_n_per_m for trace in traces])
+        secant = judged(value, std, method=_LOADING, note=_spread_note(loading, spread), weak=_WEAK_SHARE)
         relaxed = _relaxed(traces)
     above = "" if secant.value is None else f"; above the secant, {secant.value:.4g} N/m"
     impulses = [trace.spike.impulse_n_s for trace in traces if trace.spike is not None]
@@ -206,10 +226,14 @@ def _surface(name: str, contacts: Sequence[_Contact]) -> EnvironmentEstimate:
     )
 
 
-def _spread_note(spread: float | None) -> str:
+def _spread_note(values: Sequence[float], spread: float | None) -> str:
     if spread is None:
         return f"one contact: the next one is taken to differ by {100.0 * _USUAL_SPREAD:.0f} %"
-    return f"contacts differ by {100.0 * spread:.0f} %"
+    said, error = f"contacts differ by {100.0 * spread:.0f} %", left_out_error(values)
+    if error is None:
+        return said
+    share = 100.0 * error / abs(float(np.mean(values)))
+    return f"{said}; each of {len(values)} predicted by the others: RMS error {share:.0f} %"
 
 
 def _relaxed(traces: Sequence[TraceContact]) -> Estimate | None:

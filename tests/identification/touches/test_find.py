@@ -14,7 +14,7 @@ from identification.signals.recording import GainsSignal, PoseSignal, Recording,
 from identification.touches.find import find_touches
 from identification.touches.signals import axis_signals
 from identification.touches.signs import check_force_sign
-from identification.touches.surfaces import identify_touches, pooled
+from identification.touches.surfaces import identify_touches, left_out_error, pooled
 from problems.arrays import FloatArray
 
 MASS_KG, DAMPING_N_S_PER_M, DESIRED_N = 10.0, 500.0, 15.0
@@ -289,3 +289,8 @@ def test_the_deviation_holds_what_differs_between_contacts(values: list[float], 
     assert std >= 0.9 * float(np.std(values))
     assert std >= 0.1 * mean / np.sqrt(len(values))
     assert (spread is None) == (len(values) == 1)
+    errors = [value - np.mean([*values[:i], *values[i + 1 :]]) for i, value in enumerate(values) if len(values) > 2]
+    assert left_out_error(values) == (
+        pytest.approx(np.sqrt(np.mean(np.square(errors))), abs=1e-9 * mean) if errors else None
+    )
+    assert std >= (left_out_error(values) or 0.0)
