@@ -10,6 +10,7 @@ from .errors import EstimateError
 from .given import Given
 from .result import (
     AxisEstimate,
+    Covariance,
     EnvironmentEstimate,
     Estimate,
     Finding,
@@ -56,6 +57,7 @@ def identify_partial(
         axis: _axis(
             found.axes[axis].estimate if axis in found.axes else None,
             led.robots.get(axis),
+            led.covariances.get(axis),
             touched.surfaces.get(axis, ()),
         )
         for axis in AXES
@@ -169,11 +171,14 @@ def _coupling_findings(axes: Mapping[str, AxisEstimate]) -> tuple[Finding, ...]:
 
 
 def _axis(
-    found: AxisEstimate | None, led: RobotEstimate | None, surfaces: tuple[EnvironmentEstimate, ...]
+    found: AxisEstimate | None,
+    led: RobotEstimate | None,
+    covariance: Covariance | None,
+    surfaces: tuple[EnvironmentEstimate, ...],
 ) -> AxisEstimate:
     """Join what pose, force and command show of an axis, what the gains show of its robot, and what was touched."""
     unknown = unidentifiable_robot("neither command nor gains identify the robot on this axis")
-    axis = found or without_coupling(unknown, _REMOVED)
+    axis = found or replace(without_coupling(unknown, _REMOVED), covariance=covariance)
     return replace(
         axis,
         # The joint fit knows a surface alone, a touch the surface in series with the coupling.

@@ -32,6 +32,8 @@ _FIRST_BLOW = (
 )
 # A deviation larger than this share of its value says no more than that the value is of this size.
 _LARGEST_SHARE = 1.0
+# Of the lag of the poles.
+_LEAST_LAG = 0.3
 # A moving mass of the surface below this many deviations is none.
 _STDS = 2.0
 # What is left out where the payload is not known.
@@ -317,8 +319,11 @@ class _Known:
 
     def _moved_robot(self, draw: Mapping[str, float]) -> RobotModel:
         own = bandwidth_hz(self.robot)
-        changes: dict[str, Any] = {"delay_s": self.value("T_d", draw)}
+        delay_s = self.value("T_d", draw)
         faster = math.exp(np.clip(draw.get("omega", 0.0), -_LARGEST_SHARE, _LARGEST_SHARE))
+        if not self.has_payload and draw.keys() >= {"omega", "T_d"}:
+            faster, delay_s = _of_lag(self.robot, draw["omega"], draw["T_d"])
+        changes: dict[str, Any] = {"delay_s": delay_s}
         if "zeta" in draw and has_damping_ratio(self.robot):
             ratio = float(self.robot.denominator[1] / (2.0 * math.sqrt(self.robot.denominator[2])))
             moved = shifted("zeta", ratio, draw["zeta"])
@@ -336,6 +341,20 @@ def shifted(symbol: str, value: float, error: float) -> float:
     if value <= 0.0:
         return value
     return value * math.exp(min(max(error / value, -_LARGEST_SHARE), _LARGEST_SHARE))
+
+
+def _of_lag(robot: RobotModel, faster: float, later_s: float) -> tuple[float, float]:
+    """Return factor of ω and delay [s] of a robot whose lag at low frequency is known better than poles and delay.
+
+    To first order the errors of ln ω and T_d change the lag by `later_s` less `faster` times the lag of the poles; that
+    lag the robot gets, and of it the poles at most all.
+    """
+    top, bottom = robot.numerator, robot.denominator
+    of_poles = float(bottom[-2] / bottom[-1] - (top[-2] / top[-1] if len(top) > 1 else 0.0))
+    lag = max(robot.delay_s + of_poles + later_s - faster * of_poles, _LEAST_LAG * of_poles)
+    factor = math.exp(np.clip(faster, -_LARGEST_SHARE, _LARGEST_SHARE))
+    delay_s = lag - of_poles / factor
+    return (factor, delay_s) if delay_s >= 0.0 else (of_poles / lag, 0.0)
 
 
 def _robot(name: str, axis: AxisEstimate) -> RobotModel:
@@ -385,6 +404,9 @@ def _joint(known: _Known) -> tuple[list[str], FloatArray]:
         scale = np.array([1.0 / covariance.values[k] if each == "omega" else 1.0 for each, k in places.items()])
         matrix[np.ix_(rows, rows)] = np.array(covariance.matrix)[np.ix_(own, own)] * np.outer(scale, scale)
     for i, symbol in enumerate(symbols):
+        # Without a payload poles and delay go together by their lag, and each alone is known less than that.
+        if symbol == "T_d" and "T_d" in places and not known.has_payload:
+            continue
         # A deviation that was widened since (contacts that differ, logs that disagree) is the one that counts.
         wider = stds.get(symbol, 0.0) / math.sqrt(matrix[i, i]) if matrix[i, i] > 0.0 else 1.0
         if wider > 1.0:

@@ -297,7 +297,7 @@ def _robot_response(estimate: AxisEstimate, frequency: FloatArray) -> ComplexArr
 
 def _coupling_response(estimate: AxisEstimate, frequency: FloatArray) -> ComplexArray | None:
     """Return F/x of a payload on its spring: −(M_p s² + B_p s)(B_s s + K_s)/(M_p s² + (B_p + B_s)s + K_s)."""
-    if estimate.covariance is None:
+    if estimate.covariance is None or "K_s" not in estimate.covariance.names:
         return None
     values = dict(zip(estimate.covariance.names, estimate.covariance.values, strict=True))
     s = 2j * np.pi * frequency

@@ -9,7 +9,7 @@ from scipy.signal import butter, sosfiltfilt
 from problems.arrays import FloatArray
 
 from ..errors import EstimateError
-from ..result import Estimate, Finding, RobotEstimate, Status
+from ..result import Covariance, Estimate, Finding, RobotEstimate, Status
 from ..signals.recording import AXES, Recording
 from ..verdicts import TWO_SIDED, judged, missing, unidentifiable_vector, vector, weak_at_best
 from .admittance_motion import AdmittanceMotion, admittance_motions
@@ -19,6 +19,8 @@ _GAIN_SHARE = 0.05
 _SIGNIFICANT_STDS = 3.0
 _SMALLEST_LEVER_M = 0.1
 _LOOSEST_SHARE = 0.5
+# Poles and delay that trade against each other are known together where their sum, the lag, is known to this share.
+_LOOSEST_LAG = 0.25
 # What drives the tool slower than this is no property of the robot.
 _SLOW_HZ = 0.3
 _DELAY_FLOOR = 0.1  # of the lag: a delay near zero is known well enough beside what the poles make
@@ -33,12 +35,14 @@ _ASSUMED_OF_KNOWN_LEAD = "holds if no feedback damping ran in the controller"
 class AdmittanceRobots:
     """The robot per axis of S, of those axes that show something, and what to know about it.
 
+    `covariances` holds, by axis, how the errors of poles and delay go together: their sum, the lag, is known better.
     `beside` holds, by straight axis, times from the first common sample [s] and how far the flange is, below 0.3 Hz,
     from what the admittance makes of the robot [m]; nothing where the gains do not explain the motion throughout.
     """
 
     robots: Mapping[str, RobotEstimate]
     findings: tuple[Finding, ...]
+    covariances: Mapping[str, Covariance] = field(default_factory=dict)
     beside: Mapping[str, tuple[FloatArray, FloatArray]] = field(default_factory=dict)
 
 
@@ -76,7 +80,12 @@ def identify_admittance_robots(recording: Recording) -> AdmittanceRobots:
                 "Record the position command, or lead the tool by hand with quick pushes along each axis.",
             )
         )
-    return AdmittanceRobots(robots=robots, findings=tuple(findings), beside=_beside_all(recording, fits))
+    return AdmittanceRobots(
+        robots=robots,
+        findings=tuple(findings),
+        covariances={motion.axis: _covariance(fit) for motion, fit in fits},
+        beside=_beside_all(recording, fits),
+    )
 
 
 def _beside_all(
@@ -109,6 +118,7 @@ def _estimate(fit: AdmittanceRobotFit, motion: AdmittanceMotion) -> RobotEstimat
     method = f"output error behind the admittance of the known gains, residual {100.0 * fit.fit_error:.2g} % of speed"
     lag = f"lag at low frequency {1e3 * fit.lag_s:.0f} ± {1e3 * fit.lag_std_s:.0f} ms, poles and delay together"
     assumed = _ASSUMED if motion.lead_s is None else _ASSUMED_OF_KNOWN_LEAD
+    traded = f"poles and delay trade against each other: {lag}"
     bandwidth = judged(fit.bandwidth_hz, fit.bandwidth_std_hz, method=method, note=assumed, weak=_LOOSEST_SHARE)
     if bandwidth.status is Status.IDENTIFIED:
         bandwidth = replace(bandwidth, status=Status.WEAK)
@@ -122,12 +132,13 @@ def _estimate(fit: AdmittanceRobotFit, motion: AdmittanceMotion) -> RobotEstimat
         floor=_DELAY_FLOOR * fit.lag_s,
     )
     loosest = float(np.max(fit.denominator_std[1:] / fit.model.denominator[1:]))
-    if bandwidth.value is None or loosest > _LOOSEST_SHARE:
-        numerator = denominator = unidentifiable_vector(f"poles and delay trade against each other: {lag}")
+    is_traded = bandwidth.value is None or loosest > _LOOSEST_SHARE
+    if is_traded and fit.lag_std_s > _LOOSEST_LAG * fit.lag_s:
+        numerator = denominator = unidentifiable_vector(traded)
     else:
-        stds = fit.denominator_std
-        numerator = vector(fit.model.numerator, stds[-1:], method=method, status=Status.WEAK)
-        denominator = vector(fit.model.denominator, stds, method=method, status=Status.WEAK)
+        stds, note = fit.denominator_std, traded if is_traded else ""
+        numerator = replace(vector(fit.model.numerator, stds[-1:], method=method, status=Status.WEAK), note=note)
+        denominator = replace(vector(fit.model.denominator, stds, method=method, status=Status.WEAK), note=note)
         if delay.value is None:
             # Poles and delay are one model: without the delay the poles alone would lag less than the robot does.
             value, std = fit.model.delay_s, fit.delay_std_s
@@ -138,6 +149,22 @@ def _estimate(fit: AdmittanceRobotFit, motion: AdmittanceMotion) -> RobotEstimat
         denominator=denominator,
         delay_s=weak_at_best(delay, "no more than a bound of the loop delay"),
         bandwidth_hz=bandwidth,
+    )
+
+
+def _covariance(fit: AdmittanceRobotFit) -> Covariance:
+    """Return the covariance of ω [rad/s] and T_d [s]: ω is off by its own share, and T_d by the lag's error and ω's.
+
+    The lag at low frequency is T_d and what the poles make, in inverse proportion to ω.
+    """
+    omega = float(fit.model.denominator[-1]) ** (1.0 / (len(fit.model.denominator) - 1))
+    of_poles, share = fit.lag_s - fit.model.delay_s, fit.bandwidth_std_hz / fit.bandwidth_hz
+    error = np.array([[omega * share, 0.0], [of_poles * share, fit.lag_std_s]])
+    matrix = error @ error.T
+    return Covariance(
+        names=("omega", "T_d"),
+        values=(omega, fit.model.delay_s),
+        matrix=tuple(tuple(row) for row in (0.5 * (matrix + matrix.T)).tolist()),
     )
 
 

@@ -6,19 +6,29 @@ import numpy as np
 import pytest
 
 import autotune as at
+from autotune.formats.identified import IN_MEMORY, IdentifiedFile
 from autotune.prediction.against_touches import ComparedTouch, Running, other_surface
 from autotune.prediction.certified import predict_certified
 from autotune.prediction.contact import Law, nominal_contact, peak_interval, simulate_on, simulate_others
 from autotune.prediction.plants import Surface, build_plants
 from autotune.prediction.result import predict_contact
 from autotune.prediction.series_plant import series_plant
-from identification.result import Estimate, Status, Touch, TouchCause
+from identification.result import (
+    CouplingEstimate,
+    Covariance,
+    Estimate,
+    RobotEstimate,
+    Status,
+    Touch,
+    TouchCause,
+    VectorEstimate,
+)
 from problems.contact.nonlinearities import Deadband
 from problems.contact.transient import Approach, build_sampled_contact
 from problems.model.controller import AdmittanceController
 from problems.model.robot import RobotModel
 from problems.model.sampled import build_loop, build_sampled_plant, spectral_radius
-from tests.autotune.formats.samples import make_controller
+from tests.autotune.formats.samples import make_controller, make_identified
 from tests.autotune.prediction.pressing import Cell, contact_peak
 
 GAINS = {"mass": 13.0, "damping": 1000.0, "lead": 0.02}
@@ -110,6 +120,39 @@ def test_without_payload_free_motion_has_the_modes_of_law_and_robot_alone(
     slowest = max(admittance, np.exp(-bandwidth_rad_per_s * h))
     # The small mass is a gram.
     assert spectral_radius(build_loop(pair.free, PLAIN)) == pytest.approx(slowest, abs=1e-4)
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.06])
+def test_poles_and_delay_that_trade_keep_the_lag_that_is_known(delay: float) -> None:
+    """A led robot of 2.3 ± 2 Hz whose lag is known to 5 %: every draw has that lag, whatever its poles."""
+    whole = make_identified()
+    lost = Estimate(value=None, std=None, status=Status.UNIDENTIFIABLE)
+    omega, lag = 16.0, delay + 1.5 / 16.0
+    error = np.array([[0.8 * omega, 0.0], [0.8 * 1.5 / omega, 0.05 * lag]])
+    matrix = tuple(tuple(row) for row in (error @ error.T).tolist())
+    robot = RobotEstimate(
+        numerator=VectorEstimate(value=(omega**2,), std=(200.0,), status=Status.WEAK),
+        denominator=VectorEstimate(value=(1.0, 1.5 * omega, omega**2), std=(0.0, 20.0, 200.0), status=Status.WEAK),
+        delay_s=Estimate(value=delay, std=0.08, status=Status.WEAK),
+        bandwidth_hz=lost,
+    )
+    axis = replace(
+        whole.axes["x"],
+        robot=robot,
+        coupling=CouplingEstimate(stiffness_n_per_m=lost, damping_n_s_per_m=lost),
+        covariance=Covariance(names=("omega", "T_d"), values=(omega, delay), matrix=matrix),
+    )
+    found = IdentifiedFile(result=replace(whole, axes={"x": axis}), provenance={}, path=IN_MEMORY, sha256="")
+    plants = build_plants(found, Surface(stiffness=2e4), axis="x").others
+
+    def poles(model: RobotModel) -> float:
+        return float(model.denominator[-2] / model.denominator[-1])
+
+    lags = np.array([each.robot.delay_s + poles(each.robot) for each in plants])
+    assert np.median(lags) == pytest.approx(lag, rel=0.02)
+    assert np.std(lags) == pytest.approx(0.05 * lag, rel=0.15)
+    slowest = max(poles(each.robot) for each in plants)
+    assert min(poles(each.robot) for each in plants) < 0.5 * 1.5 / omega < slowest <= np.max(lags) * (1.0 + 1e-9)
 
 
 def test_a_range_gives_the_extremes_and_a_stiffness_with_its_deviation_counts() -> None:

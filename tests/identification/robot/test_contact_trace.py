@@ -6,13 +6,21 @@ from collections import deque
 import numpy as np
 import pytest
 
-from identification.result import Status
+from autotune.formats.identified import IN_MEMORY, IdentifiedFile
+from autotune.prediction.contact import Law
+from autotune.prediction.plants import Surface, build_plants
+from autotune.prediction.result import predict_contact
+from identification.partial import identify_partial
+from identification.result import Estimate, Status
 from identification.robot.admittance_estimates import identify_admittance_robots
 from identification.signals.recording import GainsSignal, PoseSignal, Recording, WrenchSignal
 from problems.arrays import FloatArray
+from problems.contact.transient import Approach
+from problems.model.controller import AdmittanceController
 
 MASS_KG, DAMPING, LEAD_S, DESIRED_N = 13.0, 1000.0, 0.02, 30.0
 STEP_S, DURATION_S = 1e-3, 1.5
+PERIOD = Estimate(value=STEP_S, std=0.0, status=Status.IDENTIFIED)
 
 
 def pressed(
@@ -114,12 +122,36 @@ def test_one_contact_shows_the_pole_as_far_as_it_determines_it(
     assert abs(lag_ms - 1e3 * (delay_s + poles / pole)) < 2.0 * std_ms + 1.0
 
 
-def test_a_soft_surface_shows_the_bandwidth_and_leaves_poles_and_delay_open() -> None:
-    robot = identify_admittance_robots(traced(*pressed(16.0, 4e3, 200.0, poles=1))).robots["z"]
-    assert robot.numerator.status is Status.UNIDENTIFIABLE
+def test_a_soft_surface_leaves_poles_and_delay_open_and_shows_their_lag() -> None:
+    found = identify_admittance_robots(traced(*pressed(16.0, 4e3, 200.0, poles=1)))
+    robot, known = found.robots["z"], found.covariances["z"]
+    assert robot.numerator.status is Status.WEAK
+    assert "trade against each other" in robot.numerator.note
     assert robot.bandwidth_hz.value is not None
     assert robot.bandwidth_hz.std is not None
     assert abs(robot.bandwidth_hz.value - 16.0 / (2.0 * np.pi)) < 2.0 * robot.bandwidth_hz.std
+    # lag = T_d + c/ω: an error of ω is made up for by one of T_d.
+    assert known.names == ("omega", "T_d")
+    assert robot.denominator.value is not None
+    poles = robot.denominator.value[-2] / robot.denominator.value[-1]
+    slope = np.array([-poles / known.values[0], 1.0])
+    lag_std = float(np.sqrt(slope @ np.array(known.matrix) @ slope))
+    assert abs(known.values[1] + poles - 1.0 / 16.0) < 2.0 * lag_std < 0.5 / 16.0
+    assert lag_std**2 < float(slope**2 @ np.diag(known.matrix))
+
+
+@pytest.mark.parametrize("stiffness", [8e3, 17e3])
+def test_a_robot_of_which_a_soft_surface_shows_the_lag_predicts_the_peak_on_a_harder_one(stiffness: float) -> None:
+    soft = identify_partial(traced(*pressed(16.0, 4e3, 0.0, poles=1)), PERIOD)
+    source = IdentifiedFile(result=soft, provenance={}, path=IN_MEMORY, sha256="")
+    law = AdmittanceController(mass_kg=MASS_KG, damping_n_s_per_m=DAMPING, lead_s=LEAD_S)
+    found = predict_contact(
+        build_plants(source, Surface(stiffness=stiffness)), Law(controller=law), Approach(force_n=DESIRED_N)
+    )
+    peak = float(np.max(pressed(16.0, stiffness, 0.0, poles=1)[1]))
+    low, high = found.interval.sensor
+    assert low < peak < (np.inf if high is None else high)
+    assert found.peak_sensor_force == pytest.approx(peak, rel=0.15)
 
 
 def test_without_a_desired_force_a_second_is_too_short() -> None:
