@@ -4,6 +4,7 @@ VENV ?= .venv
 PYTHON ?=
 DIR ?= autotune-demo
 FUZZ_SECONDS ?= 60
+SITE ?= site
 JOBS ?= auto
 
 BIN := $(VENV)/bin
@@ -13,13 +14,14 @@ DEV := $(VENV)/.installed-dev
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo test test-python-kernels check lint types imports wheel coverage fuzz benchmarks clean
+.PHONY: help demo test test-python-kernels check lint types imports wheel docs coverage fuzz benchmarks clean
 
 help:
 	@echo "make demo        run the whole chain on the log of a simulated cell (DIR=$(DIR))"
 	@echo "make test        run the tests in JOBS=$(JOBS) processes (ARGS=... goes to pytest; HYPOTHESIS_PROFILE=random tries new cases)"
 	@echo "make test-python-kernels  run a few of them with the kernels as plain Python (NUMBA_DISABLE_JIT=1)"
-	@echo "make check       format, lint, types, import contracts, tests and wheel content: what CI runs"
+	@echo "make check       format, lint, types, import contracts, tests, wheel content and documentation: what CI runs"
+	@echo "make docs        build the documentation's site in SITE=$(SITE)"
 	@echo "make coverage    run the tests and tell which lines they miss"
 	@echo "make fuzz        alter messages at random for a minute (FUZZ_SECONDS=$(FUZZ_SECONDS)) and compare the reader with rosbags"
 	@echo "make benchmarks  measure how long things take"
@@ -38,7 +40,7 @@ test-python-kernels: $(DEV)
 	@echo "== kernels as plain Python"
 	@NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -q $(PLAIN)
 
-check: lint types imports test wheel
+check: lint types imports test wheel docs
 
 lint: $(DEV)
 	@echo "== format and lint"
@@ -57,6 +59,11 @@ wheel: $(DEV)
 	@echo "== wheel content"
 	@$(BIN)/python tools/check_wheel.py
 
+docs: $(DEV)
+	@echo "== documentation"
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --site-dir "$(SITE)"
+	@echo "$(SITE)/index.html; with search: $(BIN)/python -m http.server --directory \"$(SITE)\""
+
 coverage: $(DEV)
 	@$(BIN)/python -m pytest --cov --cov-report=term-missing:skip-covered $(ARGS)
 
@@ -71,7 +78,7 @@ benchmarks: $(DEV)
 	done
 
 clean:
-	rm -rf .venv autotune-demo build dist *.egg-info .coverage htmlcov .hypothesis
+	rm -rf .venv autotune-demo build dist site *.egg-info .coverage htmlcov .hypothesis
 	rm -rf .import_linter_cache .mypy_cache .pytest_cache .ruff_cache
 	find autotune identification problems tests examples benchmarks tools -name __pycache__ -type d -prune -exec rm -rf {} +
 

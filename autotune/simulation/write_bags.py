@@ -15,12 +15,12 @@ _COLUMNS = "t,fx,fy,fz,tx,ty,tz,x,y,z,qx,qy,qz,qw"
 
 
 def write_ros1_bag(recording: Recording, path: Path, *, rows: int) -> None:
-    """Write the first `rows` messages of wrench and pose as a ROS 1 bag."""
+    """Write the first `rows` messages of wrench, pose and command as a ROS 1 bag."""
     store = get_typestore(Stores.ROS1_NOETIC)
     writer = BagWriter(path)
     writer.set_compression(BagWriter.CompressionFormat.LZ4)
     with writer:
-        for signal in (recording.wrench, recording.pose):
+        for signal in filter(None, (recording.wrench, recording.pose, recording.command)):
             name = _type_of(signal)
             link = writer.add_connection(signal.topic, name, typestore=store)
             for stamp, message in _messages(store.types, signal, rows, ros1=True):
@@ -28,10 +28,10 @@ def write_ros1_bag(recording: Recording, path: Path, *, rows: int) -> None:
 
 
 def write_rosbag2(recording: Recording, folder: Path, *, rows: int) -> None:
-    """Write the first `rows` messages of wrench and pose as a rosbag2 folder that SQLite stores."""
+    """Write the first `rows` messages of wrench, pose and command as a rosbag2 folder that SQLite stores."""
     store = get_typestore(Stores.ROS2_HUMBLE)
     with FolderWriter(folder, version=8, storage_plugin=StoragePlugin.SQLITE3) as writer:
-        for signal in (recording.wrench, recording.pose):
+        for signal in filter(None, (recording.wrench, recording.pose, recording.command)):
             name = _type_of(signal)
             link = writer.add_connection(signal.topic, name, typestore=store)
             for stamp, message in _messages(store.types, signal, rows, ros1=False):
