@@ -1,4 +1,4 @@
-"""What the documentation's site adds to its pages while it is built: the help of every command, links into the source."""
+"""What the site of the pages adds while it is built: the help of every command, links into the source."""
 
 import os
 import re

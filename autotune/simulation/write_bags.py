@@ -20,7 +20,7 @@ def write_ros1_bag(recording: Recording, path: Path, *, rows: int) -> None:
     writer = BagWriter(path)
     writer.set_compression(BagWriter.CompressionFormat.LZ4)
     with writer:
-        for signal in filter(None, (recording.wrench, recording.pose, recording.command)):
+        for signal in _signals(recording):
             name = _type_of(signal)
             link = writer.add_connection(signal.topic, name, typestore=store)
             for stamp, message in _messages(store.types, signal, rows, ros1=True):
@@ -31,7 +31,7 @@ def write_rosbag2(recording: Recording, folder: Path, *, rows: int) -> None:
     """Write the first `rows` messages of wrench, pose and command as a rosbag2 folder that SQLite stores."""
     store = get_typestore(Stores.ROS2_HUMBLE)
     with FolderWriter(folder, version=8, storage_plugin=StoragePlugin.SQLITE3) as writer:
-        for signal in filter(None, (recording.wrench, recording.pose, recording.command)):
+        for signal in _signals(recording):
             name = _type_of(signal)
             link = writer.add_connection(signal.topic, name, typestore=store)
             for stamp, message in _messages(store.types, signal, rows, ros1=False):
@@ -46,6 +46,10 @@ def write_csv(recording: Recording, path: Path, *, rows: int) -> None:
     time_s = (wrench.stamp_ns[:count] - wrench.stamp_ns[0])[:, None] * 1e-9
     table = np.hstack([time_s, *(each[:count] for each in columns)])
     np.savetxt(path, table, fmt="%.10g", delimiter=",", header=_COLUMNS, comments="")
+
+
+def _signals(recording: Recording) -> list[WrenchSignal | PoseSignal]:
+    return [signal for signal in (recording.wrench, recording.pose, recording.command) if signal is not None]
 
 
 def _type_of(signal: WrenchSignal | PoseSignal) -> str:
