@@ -56,7 +56,7 @@ _MOST: Mapping[str, float] = FrozenDict(
 )
 # From a stiffness in N/mm or kN/m that is written as N/m the payload hangs far down.
 _GRAVITY, _IMPOSSIBLE_SAG_M, _DOUBTFUL_SAG_M = 9.81, 0.1, 0.02
-_DOMAIN_NAMES: Mapping[str, str] = FrozenDict(
+DOMAIN_NAMES: Mapping[str, str] = FrozenDict(
     {
         "mass": "payload_mass_kg",
         "environment_stiffness": "environment_stiffness_n_per_m",
@@ -70,6 +70,7 @@ _DOMAIN_NAMES: Mapping[str, str] = FrozenDict(
         "wrench_corner": "wrench_time_constant_s",
     }
 )
+"""What a name of a plant that a person writes is called in files and in sets of plants."""
 _UNITS: Mapping[str, str] = FrozenDict(
     {
         "mass": "kg",
@@ -246,7 +247,7 @@ class Plant(Shown):
 
     def domain(self) -> dict[str, Interval]:
         """Return the set that a controller must be safe for, by the names of `problem.yaml`."""
-        found = {_DOMAIN_NAMES[name]: each for name, each in self._intervals().items()}
+        found = {DOMAIN_NAMES[name]: each for name, each in self._intervals().items()}
         always = ("payload_mass_kg", "environment_stiffness_n_per_m")
         return {name: each for name, each in found.items() if name in always or each[0] < each[1]}
 
@@ -295,8 +296,8 @@ def exact_within(exact: Sequence[str], ranges: Mapping[str, Interval]) -> tuple[
 
     `ranges` are those of the design, by the names of `problem.yaml`; a plain number there is exact as well.
     """
-    asked = {name: ranges[key] for name, key in _DOMAIN_NAMES.items() if key in ranges}
-    names = [name for name in (*_DOMAIN_NAMES, *exact) if name in exact or name in asked]
+    asked = {name: ranges[key] for name, key in DOMAIN_NAMES.items() if key in ranges}
+    names = [name for name in (*DOMAIN_NAMES, *exact) if name in exact or name in asked]
     return tuple(name for name in dict.fromkeys(names) if name not in asked or asked[name][0] == asked[name][1])
 
 

@@ -21,6 +21,7 @@ from problems.model.controller import check_feedback_damping
 
 from .canonical import Place, spell
 from .limits import LimitsSpec
+from .plant import DOMAIN_NAMES
 from .quantity import as_interval, as_numbers
 from .records import ROTATIONAL_KEYS, rename_axis_keys
 from .schema import check_document, load_schema
@@ -39,6 +40,11 @@ _MOST_OF_AN_APPROACH = {"force_n": 1e4, "speed_m_s": 5.0, "torque_n_m": 2e3, "sp
 # other one is the cell's.
 _THRESHOLD = "collision_threshold_n"
 _STIFFNESS = "environment_stiffness_n_per_m"
+# What a plant that a person writes, and gains, call the same; a corner is in another unit than a time constant.
+_PLAIN_NAMES: Mapping[str, Mapping[str, str]] = {
+    "bounds": {"lead": "lead_s", "feedback_damping": "feedback_damping_s"},
+    "uncertain": {plain: name for plain, name in DOMAIN_NAMES.items() if plain != "wrench_corner"},
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,6 +85,7 @@ class ProblemSpec:
     threshold of the collision response, which is chosen after the gains (there is none without); `compliance` makes K_e
     a variable, which is the cell's.
     `objective` may be given by its registered name.
+    Names in `bounds` and `uncertain` are those of problem.yaml, or of gains and of `Plant`, as `lead` and `drag`.
     `uncertain` maps further parameters of the plant to a range, to "identified" (the confidence set of the identified
     file) or to "nominal" (as if it were known). `limits` are those that the runtime enforces.
     `options` holds those ranges that were said outside of the file (`with_options`), `with_unit` names those whose unit
@@ -108,7 +115,12 @@ class ProblemSpec:
                 object.__setattr__(self, name, _range(name, getattr(self, name)))
         known = {"bounds": (*VARIABLES, *FURTHER_VARIABLES), "free": FURTHER_VARIABLES, "uncertain": FURTHER_UNCERTAIN}
         for field_name, names in known.items():
-            for name, given in getattr(self, field_name).items():
+            given_as, plain = getattr(self, field_name), _PLAIN_NAMES.get(field_name, {})
+            said = {plain.get(name, name): given for name, given in given_as.items()}
+            if len(said) < len(given_as):
+                raise ParameterError(field_name, ", ".join(given_as), "given with each parameter once")
+            object.__setattr__(self, field_name, said)
+            for name, given in said.items():
                 if name not in names:
                     raise ParameterError(field_name, name, f"given for {', '.join(names)} only")
                 if field_name != "uncertain" or not (isinstance(given, str) and given in get_args(Origin)):

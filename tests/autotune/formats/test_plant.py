@@ -328,3 +328,15 @@ def test_half_a_payload_is_said_to_be_ignored() -> None:
 def test_coefficients_and_the_filter_of_the_wrench_are_exact_too() -> None:
     source = plant(robot=Robot(numerator=(20.0,), denominator=(1.0, 20.0)), wrench_corner=50.0)
     assert {"robot.numerator", "robot.denominator", "wrench_corner"} <= {*source.exact()}
+
+
+def test_names_of_a_plant_and_of_gains_will_do() -> None:
+    plain: dict[str, Any] = {"drag": (300.0, 400.0), "robot.delay": (2e-3, 3e-3), "coupling_stiffness": "identified"}
+    spec = ProblemSpec(bounds={"lead": (0.0, 0.02)}, uncertain=plain)
+    assert spec.bounds == {"lead_s": (0.0, 0.02)}
+    assert list(spec.uncertain) == ["drag_n_s_per_m", "delay_s", "coupling_stiffness_n_per_m"]
+    with pytest.raises(ParameterError, match="each parameter once"):
+        ProblemSpec(uncertain={"drag": (1.0, 2.0), "drag_n_s_per_m": (1.0, 2.0)})
+    for name in ("wrench_corner", "mass"):
+        with pytest.raises(ParameterError, match="uncertain must be given for"):
+            ProblemSpec(uncertain={name: (1.0, 2.0)})
