@@ -14,6 +14,8 @@ from autotune.formats.identified import read_identified, write_identified
 from autotune.formats.problem import ProblemSpec
 from autotune.formats.yaml12 import load_yaml
 from autotune.pipeline import identify_log
+from autotune.prediction.contact import Law
+from autotune.prediction.law import PresentGains
 from autotune.results import Identification
 from autotune.simulation.phases import Program
 from autotune.simulation.simulate import simulate_cell
@@ -23,6 +25,7 @@ from autotune.tuning.optimize import Optimized, optimize
 from autotune.validation.report import ValidationReport
 from autotune.validation.validate import validate_controller
 from identification.result import Estimate
+from problems.contact.nonlinearities import Deadband, DeadbandType
 from problems.frozen import FrozenDict
 from problems.progress import Progress, no_progress
 
@@ -184,6 +187,7 @@ def run_demo(
         read_identified(files.identified),
         spec,
         seed=seed,
+        present=_present(simulated),
         progress=lambda share: report(_SHARES[3] * share),
     )
     write_controller(files.controller, optimized.controller)
@@ -204,6 +208,12 @@ def run_demo(
         files=files,
         made=made,
     )
+
+
+def _present(cell: SimulatedCell) -> PresentGains:
+    """Return the gains with which the log of a simulated cell was recorded."""
+    law = Law(controller=cell.controller, deadband=Deadband(width_n=cell.deadband_n, kind=DeadbandType.THRESHOLD))
+    return PresentGains(laws={cell.approach_axis: law}, label="the gains of the simulated cell")
 
 
 def compare(cell: SimulatedCell, found: Identification) -> tuple[Comparison, ...]:

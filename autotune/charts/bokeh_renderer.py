@@ -116,6 +116,8 @@ def _dress(plot: Any, panel: Panel) -> None:
         axis.axis_label_text_font_style = "normal"
         axis.axis_label_text_color = axis.major_label_text_color = ink
         axis.axis_line_color = axis.major_tick_line_color = axis.minor_tick_line_color = frame
+        if scale.counts:
+            axis.ticker = BasicTicker(min_interval=1.0, num_minor_ticks=0)
         if scale.spacing == "log":
             axis.formatter = CustomJSTickFormatter(code=_PLAIN)
             axis.major_label_policy = NoOverlap(min_distance=6)

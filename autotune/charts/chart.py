@@ -219,11 +219,15 @@ Element = Line | Band | Points | Bars | Stretch | Limit | Heat | Region | Area
 
 @dataclass(frozen=True, kw_only=True)
 class Scale:
-    """One side of a panel: what it shows with its unit, its spacing, and its ends where they are not the data's."""
+    """One side of a panel: what it shows with its unit, its spacing, and its ends where they are not the data's.
+
+    One that `counts` has ticks at whole numbers alone.
+    """
 
     label: str
     spacing: Spacing = "linear"
     limits: tuple[float, float] | None = None
+    counts: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -241,6 +241,8 @@ def _set_scale(axes: Axes, which: str, scale: Scale) -> None:
     getattr(axes, f"set_{which}scale")(scale.spacing)
     if scale.limits is not None:
         getattr(axes, f"set_{which}lim")(*scale.limits)
+    if scale.counts:
+        getattr(axes, f"{which}axis").set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
 
 
 def _tick_text(value: float, _place: int | None) -> str:

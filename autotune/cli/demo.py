@@ -77,7 +77,12 @@ def _page(found: "DemoResult") -> "Page":
     steps = {name: search.steps for name, search in found.optimized.searches.items()}
     parts = (
         (files.log, build_identify_page(identified.result, identified.provenance, identified.evidence, summaries)),
-        (files.controller, build_optimize_page(found.optimized.controller, found.checksum, steps=steps)),
+        (
+            files.controller,
+            build_optimize_page(
+                found.optimized.controller, found.checksum, steps=steps, before_after=found.optimized.before_after
+            ),
+        ),
     )
     return join_pages("The demo: from a log to a controller", [(path.name, page) for path, page in parts])
 
@@ -102,6 +107,7 @@ def _tree(found: "DemoResult") -> dict[str, Any]:
         ],
         "controller": controller_tree(found.optimized.controller),
         "active": active_tree(found.optimized),
+        "before_after": {name: each.to_dict() for name, each in found.optimized.before_after.items()},
         "checks": checks_tree(found.report),
         "checksum": found.checksum,
         "files": {name: str(getattr(found.files, name)) for name in ("log", "identified", "controller", "twin")},
@@ -113,8 +119,9 @@ def _print(found: "DemoResult", page: Path | None) -> None:
     from autotune.formats.units import axis_units
     from autotune.text import scenario_text
 
-    from ._optimized import active_lines, default_lines
+    from ._optimized import active_lines, default_lines, print_before_after
 
+    print_before_after(found.optimized.before_after)
     _heading("Identified from the log, beside the truth of the simulation")
     rows: list[tuple[str, ...]] = [("parameter", "identified", "± std", "truth", "error", "unit", "verdict")]
     rows += map(_comparison, found.comparisons)

@@ -194,11 +194,12 @@ class _Seen:
 
     def refused_page(self, error: Exception) -> "Page":
         """Build the page of what was refused: the file, or after it was verified the log."""
-        from autotune.report.refused_page import NOT_COMPARED, refuse, refused_controller_page
+        from autotune.report.refused_page import VALID_NOT_COMPARED, refuse, refused_controller_page
 
         if self.report is None:
             return refused_controller_page(error, self.path)
-        return refuse(NOT_COMPARED, error, self.page())
+        # A log is only read once every claim of the file was verified.
+        return refuse(VALID_NOT_COMPARED, error, self.page(), tone="warn")
 
     def print(self, page: Path | None) -> None:
         """Print what was verified, and where the page is."""

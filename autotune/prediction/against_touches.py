@@ -121,7 +121,7 @@ class TouchComparison(Shown):
             alternative=f"Measured and predicted peaks of {len(number)} contacts: {self._headline()}",
             panels=(
                 Panel(
-                    x=Scale(label="contact", limits=(0.5, len(number) + 0.5)),
+                    x=Scale(label="contact", limits=(0.5, len(number) + 0.5), counts=True),
                     y=Scale(label=f"peak at the sensor [{unit}]"),
                     elements=(
                         *bars,

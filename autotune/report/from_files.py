@@ -8,12 +8,14 @@ from typing import Any
 from autotune.errors import CertificateError, UsageError
 from autotune.formats.cell import CellFile, read_cell
 from autotune.formats.controller import ControllerFile, read_controller
+from autotune.formats.controller_record import Controller
 from autotune.formats.identified import IdentifiedFile, read_identified
 from autotune.formats.schedule import read_schedule
 from autotune.formats.schema import check_document, check_format
 from autotune.formats.yaml12 import kind_of_file, load_document
 from autotune.pipeline import IdentifyOptions, identify_log
-from autotune.prediction.law import PresentGains
+from autotune.prediction.before_after import compare_before_after
+from autotune.prediction.law import PresentGains, law_of_gains
 from autotune.processes import count_processors
 from autotune.validation.report import ValidationReport
 from autotune.validation.verify import verify
@@ -93,7 +95,9 @@ def report_files(
                 page = _identified_page(plants[path], given[path])
             elif kind == "controller":
                 read = read_controller(path)
-                page, verified = _controller_page(read, before, samples, lambda done: report(part * done))
+                digest = read.controller.provenance.get("identified", {}).get("sha256")
+                source = next((each for each in plants.values() if each.sha256 == digest), None)
+                page, verified = _controller_page(read, before, source, samples, lambda done: report(part * done))
                 reports.append(verified)
             else:
                 page = _table_page(path, kind)
@@ -173,9 +177,9 @@ def _cell_of(plant: IdentifiedFile) -> CellFile | None:
 
 
 def _controller_page(
-    file: ControllerFile, old: PresentGains | None, samples: int, report: Progress
+    file: ControllerFile, old: PresentGains | None, plant: IdentifiedFile | None, samples: int, report: Progress
 ) -> tuple[Page, ValidationReport]:
-    """Return what `optimize` and `validate` would show, from the file alone."""
+    """Return what `optimize` and `validate` would show, from the file alone, or with the plant that it is from."""
     part = 0.5 if samples else 1.0
 
     def advance(done: float) -> None:
@@ -189,7 +193,20 @@ def _controller_page(
         sections = (verdict_section(file.checksum, validated),)
         title = "A controller that does not keep what it promises"
         return Page(title=title, lead=lead(validated), tone="bad", sections=sections), checks
-    page = build_optimize_page(file.controller, file.checksum, old=old)
-    first, *axes, certificate = page.sections
-    parts = (first, verdict_section("", validated), *axes, *simulated_section(validated), certificate)
+    replayed = (
+        {} if plant is None else compare_before_after(plant, file.controller, present=_gains_before(file.controller))
+    )
+    page = build_optimize_page(file.controller, file.checksum, old=old, before_after=replayed)
+    first, *others = page.sections
+    shown = [each for each in others if not each.is_folded]
+    folded = [each for each in others if each.is_folded]
+    parts = (first, verdict_section("", validated), *shown, *simulated_section(validated), *folded)
     return replace(page, lead=f"{lead(validated)} {page.lead}", sections=parts), checks
+
+
+def _gains_before(controller: Controller) -> PresentGains | None:
+    """Return the gains in numbers that a controller was compared with when it was made, None where there were none."""
+    said = controller.provenance.get("options", {}).get("compare") or {}
+    if "gains" not in said:
+        return None
+    return PresentGains(laws={axis: law_of_gains(each) for axis, each in said["gains"].items()}, label=said["from"])

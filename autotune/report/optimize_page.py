@@ -60,7 +60,9 @@ def build_optimize_page(
     sections = [
         Section(
             key="before-after",
-            title="Before and after",
+            title="Before and after"
+            if old is not None or any(each.surfaces for each in replayed.values())
+            else "The contact",
             blocks=tuple(block for design in designs for block in _first_blocks(design, old, replayed)),
         ),
         Section(

@@ -15,7 +15,7 @@ from identification.logs.read import read_recording
 from identification.signals.recording import Recording
 
 from .identify_page import health_blocks, summaries_of
-from .page import Block, Fact, Facts, Note, Page, Section, build_table
+from .page import Block, Fact, Facts, Note, Page, Section, Tone, build_table
 from .sensor_charts import logged_charts
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 NOT_IDENTIFIED = "NOT identified"
 NOT_VALID = "NOT valid"
 NO_CONTROLLER = "NO controller"
-NOT_COMPARED = "NOT compared"
+VALID_NOT_COMPARED = "valid, NOT compared"
 NOT_PREDICTED = "NOT predicted"
 NOT_SHOWN = "NOT shown"
 
@@ -37,20 +37,22 @@ def refuse(
     *,
     facts: Sequence[Fact] = (),
     blocks: Sequence[Block] = (),
+    tone: Tone = "bad",
 ) -> Page:
     """Return a page that begins with `verdict` in large type and the sentence of `error`, then what `page` shows.
 
-    `facts` are beside the verdict, `blocks` below the sentence.
+    `facts` are beside the verdict, `blocks` below the sentence; `tone` says how grave it is.
     """
     sentence = " ".join(str(error).split())
-    large = Fact(label="outcome", value=verdict, tone="bad", is_large=True)
-    whole = (Facts(facts=(large, *facts)), Note(text=sentence, kind="error", tone="bad"), *blocks)
+    large = Fact(label="outcome", value=verdict, tone=tone, is_large=True)
+    kind = "error" if tone == "bad" else "not done"
+    whole = (Facts(facts=(large, *facts)), Note(text=sentence, kind=kind, tone=tone), *blocks)
     section = Section(key="refusal", title="Outcome", blocks=whole)
     rest = () if page is None else page.sections
     return Page(
         title=verdict if page is None else page.title,
         lead=f"{verdict}: {sentence}",
-        tone="bad",
+        tone=tone,
         sections=(section, *rest),
         footer="" if page is None else page.footer,
     )

@@ -62,7 +62,7 @@ def _charts(tree: Mapping[str, Any]) -> Iterator[Chart]:
             caption="; ".join(f"{number}: {name}" for number, name, _ in seen),
             panels=(
                 Panel(
-                    x=Scale(label="class, in the order of the table", limits=(0.5, len(classes) + 0.5)),
+                    x=Scale(label="class, in the order of the table", limits=(0.5, len(classes) + 0.5), counts=True),
                     y=Scale(label=f"peak [{units.force}]"),
                     elements=tuple(points),
                 ),

@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.figure import Figure
 
+from autotune.charts import bokeh_renderer, matplotlib_renderer
 from autotune.charts.bokeh_renderer import draw_live
 from autotune.charts.chart import (
     Band,
@@ -236,3 +237,17 @@ def test_a_hole_of_a_map_is_in_its_legend(last: float, expected: list[str]) -> N
     panel = Panel(x=Scale(label="x"), y=Scale(label="y"), elements=(heat,))
     figure = draw(Chart(key="map", title="Map", alternative="", panels=(panel,)))
     assert [each.get_text() for legend in figure.legends for each in legend.get_texts()] == expected
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 7])
+def test_numbers_of_classes_have_no_ticks_between_them(count: int) -> None:
+    numbers = np.arange(1.0, count + 1.0)
+    side = Scale(label="class", limits=(0.5, count + 0.5), counts=True)
+    panel = Panel(x=side, y=Scale(label="peak [N]"), elements=(Points(x=numbers, y=numbers),))
+    axes = Figure().subplots()
+    matplotlib_renderer.draw_panel(axes, panel)
+    shown = [tick for tick in axes.get_xticks() if 0.5 <= tick <= count + 0.5]
+    assert shown
+    assert all(float(tick).is_integer() for tick in shown)
+    ticker = bokeh_renderer.draw_panel(panel, False).xaxis[0].ticker
+    assert ticker.min_interval == 1.0
