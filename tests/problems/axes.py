@@ -7,14 +7,17 @@ import numpy as np
 from hypothesis import settings
 from hypothesis import strategies as st
 
+from problems.contact.transient import Approach, SampledContact, build_sampled_contact
 from problems.design.problem import DesignProblem
 from problems.design.uncertainty import PlantSet
 from problems.model.controller import AdmittanceController, Compensation, Discretization
 from problems.model.plant import Coupling, Environment, PayloadDynamics, Plant
 from problems.model.robot import RobotModel
+from problems.model.sampled import build_sampled_plant
 
 PERIOD_S = 8e-4
 DELAY_S = 2.4e-3
+PRESS = Approach(force_n=30.0)
 
 # A law is checked on the same cases everywhere: a failure on one machine is a failure on all of them.
 LAW = settings(deadline=None, max_examples=30)
@@ -22,6 +25,11 @@ LAW = settings(deadline=None, max_examples=30)
 
 def one_pole(delay_s: float = DELAY_S, bandwidth_rad_per_s: float = 20.0) -> RobotModel:
     return RobotModel.from_bandwidth(bandwidth_rad_per_s=bandwidth_rad_per_s, delay_s=delay_s)
+
+
+def pair_of(plant: Plant) -> SampledContact:
+    """Return a plant in contact and in free space, sampled with the paper's period."""
+    return build_sampled_contact(build_sampled_plant(plant, PERIOD_S))
 
 
 def paper_plant(

@@ -10,9 +10,8 @@ from problems.contact.transient import Approach, ContactTransient, build_sampled
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Plant
 from problems.model.sampled import build_sampled_plant
-from tests.problems.axes import PERIOD_S, admittance, paper_plant
+from tests.problems.axes import PERIOD_S, PRESS, admittance, paper_plant
 
-PRESS = Approach(force_n=30.0)
 FIRM = admittance(damping=3000.0, lead=0.02)
 COMPENSATING = replace(FIRM, feedback_damping_s=5e-3, compensation_mass_kg=8.0)
 # The robot with the 6.3 kg payload; its drag is not printed, and below 243 N·s/m it stays under the threshold.

@@ -22,10 +22,19 @@ from problems.contact.events import (
 from problems.contact.kernel import switch_within
 from problems.contact.kernel_types import HeldInputs, Inputs, Wall
 from problems.contact.peaks import largest_force, largest_in_sample
-from problems.contact.transient import SampledContact, build_sampled_contact
 from problems.model.plant import Plant, build_plant_matrices
-from problems.model.sampled import build_sampled_plant
-from tests.problems.axes import LAW, PERIOD_S, any_plants, between, environments, one_pole, or_zero, paper_plant, plants
+from tests.problems.axes import (
+    LAW,
+    PERIOD_S,
+    any_plants,
+    between,
+    environments,
+    one_pole,
+    or_zero,
+    pair_of,
+    paper_plant,
+    plants,
+)
 
 
 @LAW
@@ -324,10 +333,6 @@ def bounce(plant: Plant, speed_m_s: float, samples: int) -> tuple[FloatArray, in
         moving = plant.payload.mass_kg * (state[n - 1] / PERIOD_S) ** 2 + mass * (fast / PERIOD_S) ** 2
         energies.append(0.5 * (moving + spring))
     return np.array(energies), flights
-
-
-def pair_of(plant: Plant) -> SampledContact:
-    return build_sampled_contact(build_sampled_plant(plant, PERIOD_S))
 
 
 @pytest.mark.parametrize(("stiffness", "flights"), [(5e5, 5), (1e8, 5)])

@@ -9,26 +9,22 @@ from problems.arrays import FloatArray
 from problems.contact.event_free_steps import SETTLED
 from problems.contact.kernel import _settled, contact_forces, run_contact, steady_start
 from problems.contact.kernel_types import FOUND, Forces, Start, Traces
-from problems.contact.transient import Approach, SampledContact, build_sampled_contact
+from problems.contact.transient import Approach, SampledContact
 from problems.model.controller import AdmittanceController, controller_blocks, needed_states
 from problems.model.plant import Plant
-from problems.model.sampled import build_loop, build_sampled_plant
+from problems.model.sampled import build_loop
 from tests.problems.axes import (
     LAW,
     PERIOD_S,
+    PRESS,
     admittance,
     any_controllers,
     any_plants,
     environments,
     one_pole,
+    pair_of,
     paper_plant,
 )
-
-PRESS = Approach(force_n=30.0)
-
-
-def pair_of(plant: Plant) -> SampledContact:
-    return build_sampled_contact(build_sampled_plant(plant, PERIOD_S))
 
 
 def begin(

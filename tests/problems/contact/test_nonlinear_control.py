@@ -18,11 +18,10 @@ from problems.contact.nonlinearities import (
 )
 from problems.contact.transient import Approach
 from problems.model.controller import AdmittanceController
-from tests.problems.axes import LAW, PERIOD_S, admittance, one_pole, paper_plant
+from tests.problems.axes import LAW, PERIOD_S, PRESS, admittance, one_pole, paper_plant
 from tests.problems.nonlinear_runs import (
     COMPENSATING,
     FIRM,
-    PRESS,
     PRINTED,
     SUBTRACTIVE,
     THRESHOLD,

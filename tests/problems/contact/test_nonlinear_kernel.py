@@ -13,8 +13,8 @@ from problems.model.controller import AdmittanceController
 from problems.model.plant import Plant
 from problems.model.robot import RobotModel
 from problems.model.sampled import build_loop, build_sampled_plant
-from tests.problems.axes import PERIOD_S, admittance, one_pole, paper_plant
-from tests.problems.nonlinear_runs import COMPENSATING, FIRM, PRESS, exactly, simulate, worst
+from tests.problems.axes import PERIOD_S, PRESS, admittance, one_pole, paper_plant
+from tests.problems.nonlinear_runs import COMPENSATING, FIRM, exactly, simulate, worst
 
 TWO_POLES = RobotModel(numerator=np.array([900.0]), denominator=np.array([1.0, 48.0, 900.0]), delay_s=2.4e-3)
 

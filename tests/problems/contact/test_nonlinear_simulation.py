@@ -10,8 +10,8 @@ from problems.contact.transient import Approach
 from problems.errors import ParameterError
 from problems.model.plant import Environment, Plant
 from problems.stability.margins import UnstableLoopError
-from tests.problems.axes import PERIOD_S, admittance, one_pole, paper_plant
-from tests.problems.nonlinear_runs import FIRM, PRESS, PRINTED, SUBTRACTIVE, THRESHOLD, light_plant, simulate
+from tests.problems.axes import PERIOD_S, PRESS, admittance, one_pole, paper_plant
+from tests.problems.nonlinear_runs import FIRM, PRINTED, SUBTRACTIVE, THRESHOLD, light_plant, simulate
 
 HAND = Approach(force_n=4.0, driven_by="hand")
 FAST = Approach(speed_m_s=0.1)

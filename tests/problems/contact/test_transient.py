@@ -10,17 +10,18 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 
 from problems.contact.kernel import contact_forces, steady_start
-from problems.contact.transient import Approach, SampledContact, build_sampled_contact, simulate_contact
+from problems.contact.transient import Approach, SampledContact, simulate_contact
 from problems.errors import ParameterError
 from problems.model.controller import AdmittanceController, controller_blocks, needed_states
 from problems.model.plant import Plant
-from problems.model.sampled import build_loop, build_sampled_plant, spectral_radius
+from problems.model.sampled import build_loop, spectral_radius
 from problems.stability.margins import UnstableLoopError
 from tests.problems.axes import (
     BOUNCING,
     DAMPED,
     LAW,
     PERIOD_S,
+    PRESS,
     QUIET,
     STRUCTURES,
     admittance,
@@ -29,16 +30,11 @@ from tests.problems.axes import (
     environments,
     heavy_wall,
     one_pole,
+    pair_of,
     paper_plant,
 )
 from tests.problems.model.test_sampled import in_other_units
 from tests.problems.reference import SteadyApproach, steady_approach
-
-PRESS = Approach(force_n=30.0)
-
-
-def pair_of(plant: Plant) -> SampledContact:
-    return build_sampled_contact(build_sampled_plant(plant, PERIOD_S))
 
 
 def is_stable(pair: SampledContact, controller: AdmittanceController) -> bool:

@@ -13,6 +13,7 @@ from tests.problems.axes import (
     BOUNCING,
     DAMPED,
     PERIOD_S,
+    PRESS,
     QUIET,
     STRUCTURES,
     admittance,
@@ -23,7 +24,6 @@ from tests.problems.axes import (
 from tests.problems.collision import Collision, collide
 from tests.problems.reference import steady_approach
 
-PRESS = Approach(force_n=30.0)
 SLOWER_CLOCK_S = 8e-3
 
 
