@@ -146,42 +146,73 @@ def _surface_rows(name: str, surface: EnvironmentEstimate) -> Iterator[Parameter
         yield ParameterRow(name=f"{label}: peak", value=peaks, unit=units.force)
 
 
-TOUCH_COLUMNS = (
-    "touch",
-    "cause",
-    "from [s]",
-    "speed",
-    "largest",
-    "sensor's peak",
-    "unit",
-    "held",
-    "bounces",
-    "surface",
+_MOST_ABOVE = 1.005
+_ABOVE = (
+    "largest is the largest sample; sensor's peak is what the peak of the force itself may be, between the samples and "
+    "without the sensor's noise, which lifts the largest of many samples above it"
 )
 
 
+def touch_columns(timeline: Timeline) -> tuple[str, ...]:
+    """Return the columns of the touches of a log, with the units of the axes that were touched."""
+    kinds = dict.fromkeys(axis_units(touch.axis) for touch in timeline.touches)
+    force, speed = (" or ".join(units) for units in ([k.force for k in kinds], [f"m{k.speed}" for k in kinds]))
+    return (
+        "touch",
+        "cause",
+        "from [s]",
+        f"speed [{speed}]",
+        f"largest [{force}]",
+        f"sensor's peak [{force}]",
+        f"held [{force}]",
+        "bounces",
+        "surface",
+    )
+
+
 def touch_rows(timeline: Timeline) -> list[tuple[str, ...]]:
-    """Return a row of `TOUCH_COLUMNS` for each touch of a log, speeds in mm/s or mrad/s."""
+    """Return a row of `touch_columns` for each touch of a log and each of its later blows."""
     rows: list[tuple[str, ...]] = []
     for touch in timeline.touches:
-        units = axis_units(touch.axis)
         start = touch.peak_s if touch.onset_s is None else touch.onset_s
-        low, high = touch.peak_interval or (touch.peak_force, touch.peak_force)
+        name, surface = f"{'+' if touch.sign > 0 else '-'}{touch.axis}", touch.surface or "-"
         rows.append(
             (
-                f"{'+' if touch.sign > 0 else '-'}{touch.axis}",
+                name,
                 f"{touch.cause.value}{', led' if touch.is_led else ''}{', withdrawn' if touch.is_withdrawn else ''}",
                 f"{start:.2f}",
                 "-" if touch.approach_speed is None else f"{1e3 * touch.approach_speed:.1f}",
-                f"{touch.peak_force:.1f}",
-                f"{low:.1f} and more" if high is None else f"{low:.1f} to {high:.1f}",
-                units.force,
+                *_peak_texts(touch.peak_force, touch.peak_interval),
                 "-" if touch.held_force is None else f"{touch.held_force:.1f}",
                 f"{len(touch.bounces_s)}",
-                touch.surface or "-",
+                surface,
             )
         )
+        rows += [
+            (
+                name,
+                f"later blow {i + 1}",
+                f"{blow.onset_s:.2f}",
+                f"{1e3 * blow.approach_speed:.1f}",
+                *_peak_texts(blow.peak_force, blow.peak_interval),
+                "-",
+                "-",
+                surface,
+            )
+            for i, blow in enumerate(touch.later_blows)
+        ]
     return rows
+
+
+def _peak_texts(largest: float, interval: tuple[float, float | None] | None) -> tuple[str, str]:
+    low, high = interval or (largest, largest)
+    return f"{largest:.1f}", f"{low:.1f} and more" if high is None else f"{low:.1f} to {high:.1f}"
+
+
+def touch_note(timeline: Timeline) -> str:
+    """Return why the largest sample of a touch lies above what its peak may be, "" where none does."""
+    ends = [(touch.peak_force, touch.peak_interval[1]) for touch in timeline.touches if touch.peak_interval is not None]
+    return _ABOVE if any(high is not None and largest > _MOST_ABOVE * high for largest, high in ends) else ""
 
 
 def _filter_rows(wrench_filter: WrenchFilterEstimate) -> Iterator[ParameterRow]:

@@ -70,11 +70,26 @@ class TouchCause(StrEnum):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Blow:
+    """A blow of a payload that comes back to what it touched: its time [s], largest sample and approach speed.
+
+    Units and `peak_interval` are those of `Touch`.
+    """
+
+    onset_s: float
+    peak_s: float
+    peak_force: float
+    approach_speed: float
+    peak_interval: tuple[float, float | None]
+
+
+@dataclass(frozen=True, kw_only=True)
 class Touch:
     """One touch of a log on one axis of S: N, m, kg along it, N·m, rad, kg·m² about it; None where it is not shown.
 
     Times are in s after the start of the log: `onset_s` of the first blow, `peak_s`, `hold_s` from when to when the
-    payload rested, `release_s`, and `bounces_s` when it left the surface before. `sign` is +1 where the payload presses
+    payload rested, `release_s`, and `bounces_s` when it left the surface before. `later_blows` are those of them behind
+    which it comes back with a fifth of the peak and more. `sign` is +1 where the payload presses
     towards +axis. `peak_force` is the largest sample, `peak_interval` what the peak of the sensor's force may be,
     without its noise and between the samples (without an upper end where it is too narrow for them), and
     `rise_samples` how many of them the force took from a tenth of the peak to the peak. `approach_speed` is that of the
@@ -93,6 +108,7 @@ class Touch:
     release_s: float | None = None
     hold_s: tuple[float, float] | None = None
     bounces_s: tuple[float, ...] = ()
+    later_blows: tuple[Blow, ...] = ()
     peak_interval: tuple[float, float | None] | None = None
     rise_samples: Annotated[int | None, _NOT_NEGATIVE] = None
     approach_speed: float | None = None

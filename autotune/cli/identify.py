@@ -144,7 +144,7 @@ class _Seen:
 
 def print_identified(result: "Identified", out: Path) -> None:
     """Print the parameters as a table, the findings below."""
-    from autotune.text import TOUCH_COLUMNS, held_out_lines, parameter_rows, touch_rows
+    from autotune.text import held_out_lines, parameter_rows, touch_columns, touch_note, touch_rows
 
     rows = [
         ("parameter", "value", "± std", "unit", "verdict"),
@@ -156,7 +156,9 @@ def print_identified(result: "Identified", out: Path) -> None:
             print_message(line)
     for timeline in result.timelines:
         if timeline.touches:
-            print_table([TOUCH_COLUMNS, *touch_rows(timeline)], left=(0, 1, 6, 9), point=(2, 3, 4, 7))
+            print_table([touch_columns(timeline), *touch_rows(timeline)], left=(0, 1, 8), point=(2, 3, 4, 6))
+            if note := touch_note(timeline):
+                print_message(note)
         print_message(_timeline_line(timeline))
     for finding in result.findings:
         print_message(f"{finding.message} {finding.advice}", verdict=f"{finding.severity}: ")

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from autotune.charts.chart import Chart
 from autotune.formats.units import axis_units
-from autotune.text import TOUCH_COLUMNS, ParameterRow, held_out_lines, parameter_rows, touch_rows
+from autotune.text import ParameterRow, held_out_lines, parameter_rows, touch_columns, touch_note, touch_rows
 from identification.errors import LogError
 from identification.evidence import AxisEvidence, Evidence
 from identification.fit_quality import FitQuality
@@ -93,7 +93,26 @@ def _lead(result: Identified, rows: Sequence[ParameterRow]) -> str:
         if names
     )
     axes = ", ".join(result.axes) or "none"
-    return f"Axes: {axes}. Parameters: {counts}."
+    return f"{_lacking(result)}Axes: {axes}. Parameters: {counts}."
+
+
+def _lacking(result: Identified) -> str:
+    """Return what a controller needs that no axis shows, as a sentence; nothing where an axis has it all."""
+    found = {
+        "the payload's mass": result.payload.mass_kg.value is not None,
+        "the coupling K_s": any(axis.coupling.stiffness_n_per_m.value is not None for axis in result.axes.values()),
+        "the robot r(s)": any(axis.robot.numerator.value is not None for axis in result.axes.values()),
+        "a surface": any(
+            surface.stiffness_n_per_m.value is not None or surface.secant_stiffness_n_per_m.value is not None
+            for axis in result.axes.values()
+            for surface in axis.environments
+        ),
+    }
+    missing = [name for name, is_found in found.items() if not is_found]
+    if not missing:
+        return ""
+    listed = missing[0] if len(missing) == 1 else f"{', '.join(missing[:-1])} and {missing[-1]}"
+    return f"Not found: {listed}. "
 
 
 def _worst_tone(result: Identified, rows: Sequence[ParameterRow]) -> Tone:
@@ -190,8 +209,10 @@ def _log_section(result: Identified, evidence: Sequence[Evidence], summaries: Se
     blocks += [_phase_table(result)] if any(timeline.phases for timeline in result.timelines) else []
     for timeline in result.timelines:
         if timeline.touches:
-            caption = f"Touches{f' of {timeline.log}' if timeline.log else ''} [mm/s, N; about an axis mrad/s, N·m]"
-            blocks.append(build_table(caption, TOUCH_COLUMNS, touch_rows(timeline), numbers=(2, 3, 4, 5, 7, 8)))
+            caption = f"Touches{f' of {timeline.log}' if timeline.log else ''}"
+            blocks.append(build_table(caption, touch_columns(timeline), touch_rows(timeline), numbers=range(2, 8)))
+            if note := touch_note(timeline):
+                blocks.append(Note(text=note, kind="info"))
     return Section(key="log", title="The log", blocks=tuple(blocks))
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from problems.arrays import BoolArray, FloatArray
 
-from ..result import Touch, TouchCause
+from ..result import Blow, Touch, TouchCause
 from ..signals.aligned import Span, spans_of
 from ..signals.contact_rule import CONTACT
 from ..signals.segments import without_pauses, without_short
@@ -39,6 +39,7 @@ _AGAINST_SHARE = 0.25
 LONGEST_SWING_S = 0.1
 _SMALLEST_PEAK_SHARE = 1.5
 _LEFT_SHARE, _HELD_SHARE = 0.1, 0.5
+_BLOW_SHARE, _RETURN_SAMPLES = 0.2, 3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -166,12 +167,12 @@ def _parts(span: Span, speed: FloatArray, period_s: float) -> Iterator[tuple[Spa
             yield Span(start=span.start + part.start, stop=span.start + part.stop), is_still
 
 
-def approach_speed(axis: AxisSignals, onset: int, sign: int) -> float | None:
-    """Return how fast the flange goes towards what it touches, by least squares over 0.1 s before the onset [m/s].
+def approach_speed(axis: AxisSignals, onset: int, sign: int, over_s: float = _APPROACH_S) -> float | None:
+    """Return how fast the flange goes towards what it touches, by least squares over `over_s` before the onset [m/s].
 
     A trace that begins with the contact shows it in its first 20 ms; None where the log shows neither.
     """
-    start = int(np.searchsorted(axis.time_s, axis.time_s[onset] - _APPROACH_S))
+    start = int(np.searchsorted(axis.time_s, axis.time_s[onset] - over_s))
     window = slice(start, onset + 1)
     if axis.time_s[onset] - axis.time_s[start] < _SHORTEST_APPROACH_S:
         window = slice(start, max(start + 4, int(np.searchsorted(axis.time_s, axis.time_s[start] + 0.02)) + 1))
@@ -294,6 +295,9 @@ def describe_touch(
         release_s=None if last else float(axis.time_s[span.stop]),
         hold_s=None if hold is None else (float(axis.time_s[hold.start]), float(axis.time_s[hold.stop - 1])),
         bounces_s=tuple(float(axis.time_s[span.start + gap.start]) for gap in spans_of(apart)),
+        later_blows=tuple(_later_blows(axis, sign, span, [gap.stop for gap in spans_of(apart)], peak))
+        if cause is TouchCause.WALL
+        else (),
         peak_interval=(low, high),
         rise_samples=rise,
         approach_speed=approach_speed(axis, span.start, sign),
@@ -307,6 +311,28 @@ def describe_touch(
         desired_force=at(axis.desired_n),
     )
     return FoundTouch(touch=touch, span=span, peak=peak)
+
+
+def _later_blows(axis: AxisSignals, sign: int, span: Span, returns: Sequence[int], peak: int) -> Iterator[Blow]:
+    """Yield the blows with which a payload comes back at `returns`, samples of the span: those as large as to count."""
+    pressing = -sign * axis.force_n
+    over_s = max(_SHORTEST_APPROACH_S, _RETURN_SAMPLES * axis.period_s)
+    for begin, end in zip(returns, [*returns[1:], len(span)][: len(returns)], strict=True):
+        onset, stop = span.start + begin, span.start + end
+        if onset >= stop or onset <= peak < stop:
+            continue
+        top = onset + int(np.argmax(pressing[onset:stop]))
+        speed = approach_speed(axis, onset, sign, over_s)
+        if speed is None or speed < SMALLEST_SPEED_M_S or pressing[top] < _BLOW_SHARE * pressing[peak]:
+            continue
+        low, high, _ = touch_peak(axis, pressing, onset, top)
+        yield Blow(
+            onset_s=float(axis.time_s[onset]),
+            peak_s=float(axis.time_s[top]),
+            peak_force=float(pressing[top]),
+            approach_speed=speed,
+            peak_interval=(low, high),
+        )
 
 
 def touch_peak(axis: AxisSignals, pressing: FloatArray, onset: int, peak: int) -> tuple[float, float | None, int]:

@@ -21,6 +21,7 @@ from identification.fit_quality import FitQuality, HeldOutPeak
 from identification.measured_response import FrequencyResponse, MeasuredResponse
 from identification.result import (
     AxisEstimate,
+    Blow,
     ContactPhase,
     CouplingEstimate,
     Covariance,
@@ -391,6 +392,17 @@ def timelines() -> st.SearchStrategy[Timeline]:
         onset_s=maybe,
         hold_s=st.none() | st.tuples(FLOATS, FLOATS),
         bounces_s=st.lists(FLOATS, max_size=3).map(tuple),
+        later_blows=st.lists(
+            st.builds(
+                Blow,
+                onset_s=FLOATS,
+                peak_s=FLOATS,
+                peak_force=FLOATS,
+                approach_speed=FLOATS,
+                peak_interval=st.tuples(FLOATS, st.none() | FLOATS),
+            ),
+            max_size=2,
+        ).map(tuple),
         peak_interval=st.none() | st.tuples(FLOATS, st.none() | FLOATS),
         rise_samples=st.none() | st.integers(0, 100),
         approach_speed=maybe,

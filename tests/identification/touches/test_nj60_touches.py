@@ -20,7 +20,8 @@ WALL, OPEN = TouchCause.WALL, TouchCause.UNDETERMINED
 class Seen:
     """A touch as read off a plot: when it begins, along which axis it presses, how hard, and what it was.
 
-    `bounces` is how often it visibly leaves the surface, None where that cannot be counted.
+    `bounces` is how often it visibly leaves the surface, None where that cannot be counted; `later` are the blows with
+    which it comes back at 5 mm/s and more: when [s], how fast [m/s] and the peak [N].
     """
 
     onset_s: float
@@ -29,11 +30,32 @@ class Seen:
     cause: TouchCause
     speed_m_s: float | None = None
     bounces: int | None = None
+    later: tuple[tuple[float, float, float], ...] = ()
 
 
 SEEN = {
-    "hard_low_1.bag": (Seen(onset_s=8.62, axis="+z", peak_n=92.0, cause=WALL, speed_m_s=0.028, bounces=4),),
-    "hard_low_2.bag": (Seen(onset_s=7.84, axis="+z", peak_n=83.0, cause=WALL, speed_m_s=0.028, bounces=4),),
+    "hard_low_1.bag": (
+        Seen(
+            onset_s=8.62,
+            axis="+z",
+            peak_n=92.0,
+            cause=WALL,
+            speed_m_s=0.028,
+            bounces=4,
+            later=((8.80, 0.0135, 63.4), (8.94, 0.006, 38.0)),
+        ),
+    ),
+    "hard_low_2.bag": (
+        Seen(
+            onset_s=7.84,
+            axis="+z",
+            peak_n=83.0,
+            cause=WALL,
+            speed_m_s=0.028,
+            bounces=4,
+            later=((8.01, 0.0135, 76.0), (8.17, 0.008, 40.0)),
+        ),
+    ),
     "soft_low_1.bag": (Seen(onset_s=6.83, axis="+z", peak_n=40.0, cause=WALL, speed_m_s=0.028, bounces=0),),
     "man_00.bag": (Seen(onset_s=2.46, axis="+z", peak_n=36.5, cause=WALL, speed_m_s=0.068),),
     "man_00_contact.bag": (Seen(onset_s=0.03, axis="+z", peak_n=36.5, cause=WALL, speed_m_s=0.069),),
@@ -111,6 +133,12 @@ def test_every_touch_that_a_person_sees_is_found(touched: dict[str, Touched], na
             assert touch.approach_speed == pytest.approx(seen.speed_m_s, rel=0.15)
         if seen.bounces is not None:
             assert len(touch.bounces_s) == pytest.approx(seen.bounces, abs=2)
+        fast = [blow for blow in touch.later_blows if blow.approach_speed >= 5e-3]
+        for (onset_s, speed_m_s, peak_n), blow in zip(seen.later, fast, strict=False):
+            assert blow.onset_s == pytest.approx(onset_s, abs=0.02)
+            assert blow.approach_speed == pytest.approx(speed_m_s, rel=0.2)
+            assert blow.peak_force == pytest.approx(peak_n, rel=0.02)
+        assert len(fast) == len(seen.later) or not seen.later
     # What nobody would point at in the plot is small.
     assert all(touch.peak_force < 5.0 for touch in found)
 
