@@ -16,6 +16,7 @@ Examples:
   autotune export controller.yaml --target json -o controller.json
   autotune export controller.yaml --target c -o cell.c --public-key pub.pem
   autotune export controller.yaml --target ros2_control --ros2-version jazzy -o admittance.yaml
+  autotune export controller.yaml --target ros2_package -o my_admittance
 """
 
 
@@ -54,11 +55,11 @@ def _groups() -> dict[str, list[str]]:
     "-o",
     "--output",
     "out",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=click.Path(path_type=Path),
     required=True,
     metavar="OUT",
-    help="The file to write (of c: NAME.c, with NAME.h beside it). An earlier export to the same target is replaced, "
-    "once the new one is whole; any other file is left alone.",
+    help="The file to write (of c: NAME.c, with NAME.h beside it; of ros2_package a folder). An earlier export to the "
+    "same target is replaced, once the new one is whole; anything else is left alone.",
 )
 @click.option(
     "--public-key", type=FilePath(*KEYS), help="Demand the signature CONTROLLER.sig, by the key of this file."

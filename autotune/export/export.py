@@ -11,6 +11,7 @@ from autotune.formats.controller import ControllerFile, read_controller
 from autotune.runtime.load import check_digits, check_expected, verify_signature
 from autotune.validation.validate import validate_controller
 
+from .package_folder import check_folder, write_folder
 from .target import ExportRequest, ExportTarget, Rendered
 from .targets import TARGETS
 
@@ -75,7 +76,7 @@ def export_controller(
     target
         The name of the target, a key of `TARGETS`.
     out
-        The file to write; each file is replaced in one step, and none before all texts are made.
+        The file or folder to write; each is replaced in one step, and none before all texts are made.
     options
         Options of the target by name (`TargetOption.name`); by default those of the target.
     trust
@@ -100,14 +101,18 @@ def export_controller(
     _check_options(kind, given)
     files = kind.files(Path(out))
     source = read_controller(path)
-    replaced = check_files(kind, files, path)
+    replaced = check_files(kind, files, path) if not kind.is_folder else _check_folder(Path(out), path)
     signed_by = (trust or Trust()).verify(source)
     if kind.runs_same_law:
         check_law(source, progress)
     request = ExportRequest(source=source, out=Path(out), options=given, signed_by=signed_by, progress=progress)
     rendered = kind.render(request)
-    for file, text in zip(files, rendered.texts, strict=True):
-        write_atomic(file, text)
+    if kind.is_folder:
+        names = (file.relative_to(out).as_posix() for file in files)
+        write_folder(Path(out), dict(zip(names, rendered.texts, strict=True)))
+    else:
+        for file, text in zip(files, rendered.texts, strict=True):
+            write_atomic(file, text)
     return Exported(target=kind, source=source, rendered=rendered, replaced=replaced)
 
 
@@ -116,6 +121,11 @@ def check_files(target: ExportTarget, files: tuple[Path, ...], source: Path | st
     for file in files:
         check_target(file, [source], kind=f"export to {target.name}", is_own=target.is_own)
     return tuple(file for file in files if file.is_file() and file.stat().st_size > 0)
+
+
+def _check_folder(out: Path, source: Path | str) -> tuple[Path, ...]:
+    """Return the folder of an earlier export that will be replaced; raises UsageError where another one is."""
+    return (out,) if check_folder(out, source) else ()
 
 
 def _check_options(target: ExportTarget, given: Mapping[str, Any]) -> None:

@@ -91,7 +91,7 @@ class ExportTarget:
     InfeasibleError or UsageError. `is_own` recognises an earlier export to this target, the only file that is replaced.
     `files` returns the files to write from the one that `-o` names. With `runs_same_law` the file's own law is
     checked before; a target that runs another law certifies it itself. `sample_time_s` is the period of a program that
-    has one of its own.
+    has one of its own. With `is_folder` all `files` lie in a folder that `-o` names, which is written as one.
     """
 
     name: str
@@ -102,3 +102,4 @@ class ExportTarget:
     files: Callable[[Path], tuple[Path, ...]] = lambda out: (out,)
     runs_same_law: bool = True
     sample_time_s: float | None = None
+    is_folder: bool = False

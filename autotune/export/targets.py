@@ -10,6 +10,7 @@ from .fzi_cartesian import FZI_CARTESIAN
 from .lbr_fri_ros2 import LBR_FRI_ROS2
 from .own_formats import CELL, JSON, C
 from .ros2_control import ROS2_CONTROL
+from .ros2_package import ROS2_PACKAGE
 from .ros2_params import ROS2_PARAMS
 from .target import ExportTarget, TargetOption
 from .urscript import URSCRIPT
@@ -28,6 +29,7 @@ TARGETS: Mapping[str, ExportTarget] = FrozenDict(
             CRISP,
             CARTESIAN_VIC,
             ROS2_PARAMS,
+            ROS2_PACKAGE,
         )
     }
 )

@@ -169,7 +169,7 @@ def write_atomic(path: Path | str, content: str | bytes) -> None:
 
 
 def write_folder_atomic(path: Path | str, files: Mapping[str, str]) -> None:
-    """Write texts by file name into the folder `path`, in place of the folder that was there.
+    """Write texts by file name, which may name folders too, into the folder `path`, in place of what was there.
 
     They go to a temporary folder beside it, are flushed to the disk, and trade places with what was there in one
     step where the system can; elsewhere what was there is moved aside before, deleted after, and comes back if the
@@ -185,6 +185,7 @@ def write_folder_atomic(path: Path | str, files: Mapping[str, str]) -> None:
         try:
             temporary.mkdir()
             for name, text in files.items():
+                (temporary / name).parent.mkdir(parents=True, exist_ok=True)
                 _replace(temporary / name, text.encode())
             if not (target.exists() and exchange(temporary, target)):
                 _move_aside(target, temporary, former)
