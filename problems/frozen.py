@@ -52,8 +52,13 @@ class Rule(dict[str, Any]):
     """Words of JSON Schema that the schema of a file adds to the type of an entry, in `Annotated`.
 
     `turning` holds those that are others about rx, ry, rz, None where these have no such entry; `record` names a record
-    that reads otherwise here. What a whole record is asked is its class variable `RULE`.
+    that reads otherwise here. What a whole record is asked is its class variable `RULE`; a field with `NO_ENTRY` is in
+    no file.
     """
 
     def __hash__(self) -> int:  # type: ignore[override] # the types of a union are hashed
         return hash(tuple(sorted(self)))
+
+
+NO_ENTRY = Rule(entry=False)
+"""Of a field that no file has an entry for."""

@@ -1,4 +1,4 @@
-"""Write the schemas of controller.yaml and identified.yaml from their records, and docs/reference.md from all schemas.
+"""Write the schemas that records make (`make_schema`), and docs/reference.md from all schemas.
 
 The page lists every entry of every file; `--check` only says whether both are up to date.
 """
@@ -13,7 +13,6 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
 SCHEMAS, PAGE = ROOT / "autotune" / "formats" / "schemas", ROOT / "docs" / "reference.md"
-CONTROLLER, IDENTIFIED = SCHEMAS / "controller.schema.json", SCHEMAS / "identified.schema.json"
 ORDER = ("controller", "identified", "plant", "problem", "cell", "plan", "pareto", "schedule")
 HEAD = """# Every entry of every file
 
@@ -194,12 +193,12 @@ def main(argv: list[str] | None = None) -> int:
     options = parser.parse_args(argv)
     # The project of this folder, installed or not.
     sys.path.insert(0, str(ROOT))
-    from tools.make_schema import controller_text, identified_text
+    from tools.make_schema import texts
 
     late = False
     # The page last: it is made from what the others write.
-    for path, make in ((CONTROLLER, controller_text), (IDENTIFIED, identified_text), (PAGE, page)):
-        wanted = make()
+    for path, made in (*((SCHEMAS / f"{name}.schema.json", text) for name, text in texts().items()), (PAGE, None)):
+        wanted = page() if made is None else made
         if not options.check:
             path.write_text(wanted, encoding="utf-8")
         elif not path.is_file() or path.read_text(encoding="utf-8") != wanted:

@@ -1,4 +1,4 @@
-"""Make the JSON Schemas of `controller.yaml` and `identified.yaml` from their records: types and what a `Rule` adds.
+"""Make the JSON Schemas of controller.yaml, identified.yaml and cell.yaml from their records: types and `Rule`s.
 
 What has no default is required, and null is allowed where nothing else says that there is none. A number that is named
 like a parameter of the plant has the bounds of `PARAMETER_BOUNDS` unless it has a rule of its own.
@@ -10,19 +10,21 @@ import types
 from collections.abc import Mapping
 from enum import Enum
 from functools import reduce
+from pathlib import Path
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
-from autotune.formats import controller, identified
+from autotune.formats import cell, controller, identified
 from autotune.formats.certificate_record import PARAMETER_BOUNDS
 from autotune.formats.controller_record import Controller
 from autotune.formats.records import ROTATIONAL_KEYS
 from autotune.formats.schema import VERSION
 from autotune.formats.units import ROTATIONAL_AXES
+from identification.logs.roles.cell import Cell
 from identification.result import Identified
-from problems.frozen import Rule
+from problems.frozen import NO_ENTRY, Rule
 
 Node = dict[str, Any]
-_TYPES = {float: "number", int: "integer", bool: "boolean", str: "string", types.NoneType: "null"}
+_TYPES = {float: "number", int: "integer", bool: "boolean", str: "string", Path: "string", types.NoneType: "null"}
 _RECORD, _WIDTH = "record", 110
 
 
@@ -38,6 +40,11 @@ def identified_schema() -> Node:
     return _file(
         Identified, identified.FORMAT, "Plant parameters identified from logs", {"provenance": {"type": "object"}}
     )
+
+
+def cell_schema() -> Node:
+    """Return the schema of `cell.yaml`."""
+    return _file(Cell, cell.FORMAT, "What the logs of a cell cannot say of themselves; every entry is optional", {})
 
 
 def _file(record: type, name: str, title: str, last: Node) -> Node:
@@ -77,7 +84,7 @@ def _node(hint: Any, name: str = "", *, turning: bool) -> Node | None:
     origin, arguments = get_origin(hint), get_args(hint)
     if origin is Annotated:
         rules = arguments[1:]
-        if turning and any(rule.get("turning", rule) is None for rule in rules):
+        if NO_ENTRY in rules or (turning and any(rule.get("turning", rule) is None for rule in rules)):
             return None
         return reduce(_merged, (_words(rule, turning=turning) for rule in rules), _inner(arguments[0], turning=turning))
     if origin in (types.UnionType, Union):
@@ -174,14 +181,10 @@ def _with_references(node: Any, definitions: dict[str, Node]) -> Any:
     return {"$ref": f"#/$defs/{name}"}
 
 
-def controller_text() -> str:
-    """Return the file of `controller.yaml`."""
-    return _written(controller_schema(), "") + "\n"
-
-
-def identified_text() -> str:
-    """Return the file of `identified.yaml`."""
-    return _written(identified_schema(), "") + "\n"
+def texts() -> dict[str, str]:
+    """Return the files by the names of what they describe."""
+    made = {"controller": controller_schema(), "identified": identified_schema(), "cell": cell_schema()}
+    return {name: _written(each, "") + "\n" for name, each in made.items()}
 
 
 def _written(node: Any, indent: str) -> str:

@@ -20,6 +20,7 @@ from .schema import Violation, check_format, violations
 from .yaml12 import Document, load_document, parse_document
 
 _NAME = "cell"
+FORMAT = f"autotune/{_NAME}"
 _BARE = re.compile(r"[A-Za-z_][\w./·-]*")
 
 

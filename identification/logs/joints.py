@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from problems.arrays import BoolArray, FloatArray
+from problems.errors import require_extra
 
 from ..errors import LogError, listed
 from ..result import Finding
@@ -17,7 +18,7 @@ from ..signals.recording import PoseSignal, Recording
 from .messages.decode import Series, Wanted
 from .opened import OpenedLogs
 from .recording import build_frames, interpret_pose, nameless_series
-from .roles.cell import ANGLE_RAD, Cell, Clock, JointsSource, PoseSource, require_urdf_reader
+from .roles.cell import ANGLE_RAD, Cell, Clock, JointsSource, PoseSource
 from .roles.choose import Choice, choose_joints
 from .roles.registry import JOINT_STATE, Role
 
@@ -77,7 +78,7 @@ def read_chain(path: Path, tip: str, base: str | None = None) -> Chain:
 
     Raises LogError where the file is no URDF or has no such chain, MissingExtraError without pytransform3d.
     """
-    require_urdf_reader()
+    require_extra("A URDF", "pytransform3d", "urdf")
     from pytransform3d.urdf import UrdfException, parse_urdf  # noqa: PLC0415 - an extra, and slow to import
 
     text = _read(path)

@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -19,13 +20,14 @@ def test_the_page_is_up_to_date(repository: Path) -> None:
     assert main(["--check"]) == 0
 
 
-@pytest.mark.parametrize("name", ["controller", "identified"])
+@pytest.mark.parametrize("name", ["controller", "identified", "cell"])
 def test_a_record_that_the_schema_does_not_follow_is_found_out(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    stale = tmp_path / f"{name}.schema.json"
-    stale.write_text("{}", encoding="utf-8")
-    monkeypatch.setattr(make_reference, name.upper(), stale)
+    shutil.copytree(make_reference.SCHEMAS, tmp_path, dirs_exist_ok=True)
+    (tmp_path / f"{name}.schema.json").write_text("{}", encoding="utf-8")
+    monkeypatch.setattr(make_reference, "SCHEMAS", tmp_path)
+    monkeypatch.setattr(make_reference, "page", (make_reference.PAGE).read_text)
     assert main(["--check"]) == 1
     assert f"{name}.schema.json is out of date" in capsys.readouterr().err
 

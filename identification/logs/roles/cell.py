@@ -2,16 +2,17 @@
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
+from typing import Annotated, ClassVar, get_args, get_type_hints
 
 import numpy as np
 
 from problems.contact.nonlinearities import DeadbandType
 from problems.errors import ParameterError, require_extra
-from problems.frozen import freeze
+from problems.frozen import NO_ENTRY, Rule, freeze
 
 from ...signals.recording import AXES
 from ..tables.layout import TableLayout
@@ -31,14 +32,33 @@ TORQUE_N_M: Mapping[str, float] = {
 LENGTH_M: Mapping[str, float] = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254}
 ANGLE_RAD: Mapping[str, float] = {"rad": 1.0, "deg": 0.017453292519943295}
 _SLICE = re.compile(r"(.*)\[(\d{1,4}):(\d{1,4})\]")
-Paths = tuple[str | None, ...]
+_Text = Annotated[str, Rule(minLength=1)]
+_A_PATH = Rule(description="a path such as effort[0], or null for an axis that is not logged", minLength=1)
+Paths = tuple[Annotated[str | None, _A_PATH], ...]
 """Paths of the numbers of a vector in a message; None for an axis that the log does not have."""
+_THREE, _SIX, _SOME = Rule(minItems=1, maxItems=3), Rule(minItems=1, maxItems=6), Rule(minItems=1)
+_OF_FILES = Rule(description="the same for single files, by their names")
+_OF_3, _OF_6 = Rule(minItems=3, maxItems=3), Rule(minItems=6, maxItems=6)
+_Above0 = Annotated[float, Rule(exclusiveMinimum=0)]
+_Sign = Annotated[float, Rule(description="1 or -1", enum=[1, -1])]
+_Force = Annotated[str, Rule(enum=[*FORCE_N])]
+_Torque = Annotated[str, Rule(enum=[*TORQUE_N_M])]
+_Length = Annotated[str, Rule(enum=[*LENGTH_M])]
+_Angle = Annotated[str, Rule(enum=[*ANGLE_RAD])]
 
 
-def check_unit(name: str, unit: str, known: Mapping[str, float]) -> None:
+def check_unit(name: str, unit: str, known: Collection[str]) -> None:
     """Raise ParameterError for a unit that is not known."""
     if unit not in known:
         raise ParameterError(name, unit, f"one of {', '.join(known)}")
+
+
+class _Units:
+    """Units of a channel, each of those that its type names."""
+
+    def __post_init__(self) -> None:
+        for name, hint in get_type_hints(type(self), include_extras=True).items():
+            check_unit(name, getattr(self, name), get_args(hint)[1]["enum"])
 
 
 def _expand(vectors: object, **widths: int) -> None:
@@ -84,8 +104,8 @@ class Source:
     added to the stamps to bring them to the wrench's clock.
     """
 
-    topic: str | None = None
-    frame: str | None = None
+    topic: _Text | None = None
+    frame: _Text | None = None
     header: str | None = None
     clock: Clock | None = None
     clock_offset_s: float = 0.0
@@ -95,23 +115,19 @@ class Source:
 class WrenchFields:
     """Paths of force and torque, three each."""
 
-    force: Paths
-    torque: Paths = (None, None, None)
+    force: Annotated[Paths, _THREE]
+    torque: Annotated[Paths, _THREE] = (None, None, None)
 
     def __post_init__(self) -> None:
         _expand(self, force=3, torque=3)
 
 
 @dataclass(frozen=True, kw_only=True)
-class WrenchUnits:
+class WrenchUnits(_Units):
     """Units of a wrench."""
 
-    force: str = "N"
-    torque: str = "N·m"
-
-    def __post_init__(self) -> None:
-        check_unit("force", self.force, FORCE_N)
-        check_unit("torque", self.torque, TORQUE_N_M)
+    force: _Force = "N"
+    torque: _Torque = "N·m"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,16 +135,16 @@ class DeclaredDeadband:
     """A deadband applied before recording; a width is None where it is not known."""
 
     type: DeadbandType
-    force_n: float | None = None
-    torque_n_m: float | None = None
+    force_n: _Above0 | None = None
+    torque_n_m: _Above0 | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
 class Saturation:
     """The sensor's range: the largest magnitude per axis that it measures."""
 
-    force_n: tuple[float, float, float] | None = None
-    torque_n_m: tuple[float, float, float] | None = None
+    force_n: tuple[_Above0, _Above0, _Above0] | None = None
+    torque_n_m: tuple[_Above0, _Above0, _Above0] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -141,11 +157,11 @@ class WrenchSource(Source):
 
     fields: WrenchFields | None = None
     units: WrenchUnits = field(default_factory=WrenchUnits)
-    signs: tuple[float, ...] = (1.0,) * 6
+    signs: Annotated[tuple[_Sign, ...], _OF_6] = (1.0,) * 6
     expressed_in: Frame | None = None
     exerted_by: ExertedBy | None = None
     gravity_compensated: bool | None = None
-    left_out: tuple[str, ...] = ()
+    left_out: Annotated[tuple[Annotated[str, Rule(enum=[*AXES])], ...], Rule(maxItems=6, uniqueItems=True)] = ()
     deadband: DeclaredDeadband | None = None
     saturation: Saturation = field(default_factory=Saturation)
 
@@ -159,6 +175,8 @@ class WrenchSource(Source):
 class DesiredForceSource(WrenchSource):
     """F^d: where it is logged, or its constant value in `units`, a torque too where there is one."""
 
+    left_out: Annotated[tuple[str, ...], NO_ENTRY] = ()
+    saturation: Annotated[Saturation, NO_ENTRY] = field(default_factory=Saturation)
     force: tuple[float, float, float] | None = None
     torque: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
@@ -180,8 +198,10 @@ class PoseFields:
     Without position all that is known of a pose is its orientation.
     """
 
-    position: Paths = ()
-    orientation: Paths = ()
+    RULE: ClassVar = Rule(minProperties=1)
+
+    position: Annotated[Paths, _THREE] = ()
+    orientation: Annotated[tuple[_Text, ...], Rule(minItems=1, maxItems=16)] = ()
 
     def __post_init__(self) -> None:
         _expand(self, position=3 if self.position else 0, orientation=0)
@@ -192,15 +212,11 @@ class PoseFields:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PoseUnits:
+class PoseUnits(_Units):
     """Units of a pose; `angle` is that of Euler angles and rotation vectors."""
 
-    position: str = "m"
-    angle: str = "rad"
-
-    def __post_init__(self) -> None:
-        check_unit("position", self.position, LENGTH_M)
-        check_unit("angle", self.angle, ANGLE_RAD)
+    position: _Length = "m"
+    angle: _Angle = "rad"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -210,12 +226,12 @@ class PoseSource(Source):
     `signs` are those of the position.
     """
 
-    parent: str | None = None
-    child: str | None = None
+    parent: _Text | None = None
+    child: _Text | None = None
     fields: PoseFields | None = None
     units: PoseUnits = field(default_factory=PoseUnits)
-    signs: tuple[float, ...] = (1.0,) * 3
-    orientation_as: str = "quaternion_xyzw"
+    signs: Annotated[tuple[_Sign, ...], _OF_3] = (1.0,) * 3
+    orientation_as: _Text = "quaternion_xyzw"
 
     def __post_init__(self) -> None:
         width = orientation_width(self.orientation_as)
@@ -245,23 +261,19 @@ def _of_pose_matrix(fields: PoseFields, kind: str) -> PoseFields:
 class TwistFields:
     """Paths of linear and angular velocity, three each."""
 
-    linear: Paths
-    angular: Paths = (None, None, None)
+    linear: Annotated[Paths, _THREE]
+    angular: Annotated[Paths, _THREE] = (None, None, None)
 
     def __post_init__(self) -> None:
         _expand(self, linear=3, angular=3)
 
 
 @dataclass(frozen=True, kw_only=True)
-class TwistUnits:
+class TwistUnits(_Units):
     """Units of a twist, per second: of the lengths and of the angles."""
 
-    linear: str = "m"
-    angular: str = "rad"
-
-    def __post_init__(self) -> None:
-        check_unit("linear", self.linear, LENGTH_M)
-        check_unit("angular", self.angular, ANGLE_RAD)
+    linear: _Length = "m"
+    angular: _Angle = "rad"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -270,7 +282,7 @@ class TwistSource(Source):
 
     fields: TwistFields | None = None
     units: TwistUnits = field(default_factory=TwistUnits)
-    signs: tuple[float, ...] = (1.0,) * 6
+    signs: Annotated[tuple[_Sign, ...], _OF_6] = (1.0,) * 6
     expressed_in: Frame = Frame.BASE
 
 
@@ -278,8 +290,8 @@ class TwistSource(Source):
 class GainsFields:
     """Paths of M_a and B_a, six each."""
 
-    mass: Paths
-    damping: Paths
+    mass: Annotated[Paths, _SIX]
+    damping: Annotated[Paths, _SIX]
 
     def __post_init__(self) -> None:
         _expand(self, mass=6, damping=6)
@@ -294,9 +306,9 @@ class GainsSource(Source):
     """
 
     fields: GainsFields | None = None
-    mass: tuple[float, ...] | None = None
-    damping: tuple[float, ...] | None = None
-    lead: tuple[float, ...] | None = None
+    mass: Annotated[tuple[_Above0, ...] | None, _OF_6] = None
+    damping: Annotated[tuple[_Above0, ...] | None, _OF_6] = None
+    lead: Annotated[tuple[Annotated[float, Rule(minimum=0)], ...] | None, _OF_6] = None
     deadband: DeclaredDeadband | None = None
 
     @property
@@ -321,13 +333,14 @@ class JointsSource(Source):
     of the commanded joints.
     """
 
-    urdf: Path
-    tip: str
-    base: str | None = None
-    positions: tuple[str, ...] = ()
-    angle: str = "rad"
-    command_topic: str | None = None
-    command_positions: tuple[str, ...] = ()
+    frame: Annotated[str | None, NO_ENTRY] = None
+    urdf: Annotated[Path, Rule(minLength=1)]
+    tip: _Text
+    base: _Text | None = None
+    positions: Annotated[tuple[_Text, ...], _SOME] = ()
+    angle: _Angle = "rad"
+    command_topic: _Text | None = None
+    command_positions: Annotated[tuple[_Text, ...], _SOME] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "urdf", Path(self.urdf))
@@ -339,9 +352,9 @@ class JointsSource(Source):
 class Mounting:
     """How the sensor sits on the flange: flange from sensor, written as `orientation_as`; () for no turn."""
 
-    orientation: tuple[float, ...] = ()
-    orientation_as: str = "quaternion_xyzw"
-    angle: str = "rad"
+    orientation: Annotated[tuple[float, ...], Rule(minItems=3, maxItems=9)] = ()
+    orientation_as: _Text = "quaternion_xyzw"
+    angle: _Angle = "rad"
 
     def __post_init__(self) -> None:
         width = orientation_width(self.orientation_as)
@@ -368,7 +381,7 @@ class Cell:
     """
 
     gravity_direction: tuple[float, float, float] = (0.0, 0.0, -1.0)
-    sample_time_s: float | None = None
+    sample_time_s: _Above0 | None = None
     sensor: Mounting = field(default_factory=Mounting)
     wrench: WrenchSource | None = None
     pose: PoseSource | None = None
@@ -379,7 +392,7 @@ class Cell:
     gains: GainsSource | None = None
     desired_force: DesiredForceSource | None = None
     table: TableLayout | None = None
-    tables: Mapping[str, TableLayout] = field(default_factory=dict)
+    tables: Annotated[Mapping[str, TableLayout], _OF_FILES] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         freeze(self, "tables")
@@ -424,7 +437,7 @@ class Cell:
         """
         if urdf is None and tip is None:
             return self
-        require_urdf_reader()
+        require_extra("A URDF", "pytransform3d", "urdf")
         if self.joints is None and (urdf is None or tip is None):
             missing = "urdf" if urdf is None else "tip"
             raise ParameterError(missing, "nothing", "named too: a pose from joints needs a URDF and its tip")
@@ -432,8 +445,3 @@ class Cell:
             return replace(self, joints=JointsSource(urdf=Path(str(urdf)), tip=str(tip)))
         known = self.joints
         return replace(self, joints=replace(known, urdf=Path(urdf or known.urdf), tip=tip or known.tip))
-
-
-def require_urdf_reader() -> None:
-    """Raise MissingExtraError where no URDF can be read."""
-    require_extra("A URDF", "pytransform3d", "urdf")

@@ -1,8 +1,10 @@
 """How the columns of a table are to be read."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 from problems.errors import ParameterError
+from problems.frozen import NO_ENTRY, Rule
 
 EXPONENT: dict[str, int] = {"s": 9, "ms": 6, "us": 3, "ns": 0}
 """Power of ten that makes nanoseconds of a unit of time."""
@@ -21,17 +23,17 @@ class TableLayout:
     is the mean of a rest in a pose of its own, and no time is asked. Raises ParameterError.
     """
 
-    columns: tuple[str, ...] = ()
-    time: str | None = None
-    time_unit: str = "s"
-    rows: str = "samples"
-    sample_rate_hz: float | None = None
-    delimiter: str | None = None
-    decimal: str | None = None
-    comment: str = ""
-    skip_rows: int = 0
-    header_rows: int | None = None
-    encoding: str | None = None
+    columns: Annotated[tuple[str, ...], NO_ENTRY] = ()
+    time: Annotated[str | None, Rule(minLength=1)] = None
+    time_unit: Annotated[str, Rule(enum=[*EXPONENT])] = "s"
+    rows: Annotated[str, Rule(enum=["samples", "poses"])] = "samples"
+    sample_rate_hz: Annotated[float | None, Rule(exclusiveMinimum=0)] = None
+    delimiter: Annotated[str | None, Rule(minLength=1, maxLength=1)] = None
+    decimal: Annotated[str | None, Rule(enum=[".", ","])] = None
+    comment: Annotated[str, Rule(maxLength=8)] = ""
+    skip_rows: Annotated[int, Rule(minimum=0)] = 0
+    header_rows: Annotated[int | None, Rule(minimum=0)] = None
+    encoding: Annotated[str | None, Rule(minLength=1)] = None
 
     @property
     def are_poses(self) -> bool:
