@@ -10,6 +10,7 @@ from ..errors import EstimateError, LogError, UntimedError
 from ..result import Finding
 from ..signals.recording import WEIGHT_NEEDS_ORIENTATION
 from .checks.clocks import ChannelClock, clock_findings, compare_clocks, measure_clock
+from .checks.robot_state import without_zero_torques
 from .checks.samples import role_faults
 from .containers.channel import Channel, ChannelInfo
 from .messages.decode import Series, Wanted
@@ -239,7 +240,9 @@ def _channel_findings(info: ChannelInfo, series: Series, start_ns: int, *, salva
     if not roles or not series.log_ns.size or series.stamp_ns is None:
         return
     if series.fields:
-        yield from role_faults(roles[0], [series], [series.stamp_ns], None, start_ns, keeps_holes=salvage)
+        kept, about_torques = without_zero_torques([series]) if roles[0] is Role.WRENCH else ([series], ())
+        yield from about_torques
+        yield from role_faults(roles[0], kept, [series.stamp_ns], None, start_ns, keeps_holes=salvage)
 
 
 def _declared_findings(logs: OpenedLogs, choices: Mapping[Role, Choice], cell: Cell, *, salvage: bool) -> list[Finding]:

@@ -5,14 +5,13 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-import numpy as np
-
 from ..errors import LogError
 from ..result import Finding
 from ..signals.recording import Recording, join_recordings
 from ..signals.repairs import without_pose_spikes
 from .checks.clocks import ChannelTimes, check_clocks
 from .checks.payload import check_payload
+from .checks.robot_state import drop_idle_command, drop_zero_torques
 from .checks.samples import joined
 from .joints import joint_findings, poses_of_joints, resolve_joints
 from .messages.decode import Series
@@ -22,7 +21,7 @@ from .recording import build_recording, chosen_clocks, refuse, role_stamps, samp
 from .roles.cell import Cell, Clock
 from .roles.choose import Choice, choose_all, open_questions, spelled_as_in, with_meanings
 from .roles.orientation import make_continuous
-from .roles.registry import ROBOT_STATES, ROLES, Role
+from .roles.registry import ROLES, Role
 from .span import WHOLE, LogSpan, cut_roles
 
 Part = dict[Role, Series]
@@ -99,7 +98,7 @@ def _read(
         _check_fields(choices.values(), logs)
         parts = _parts(logs.read_roles(tuple(choices.values())), choices, logs)
         poses_of_joints(parts, choices, cell, chain)
-        idle = _drop_idle_command(parts)
+        idle = (*drop_idle_command(parts), *drop_zero_torques(parts))
         clocks, about_clocks = chosen_clocks(parts, cell)
         parts, about_span = cut_roles(parts, [role_stamps(part, clocks, cell) for part in parts], span, logs.name)
         times = _times(parts, clocks)
@@ -145,28 +144,6 @@ def _parts(read: Sequence[dict[Role, Series]], choices: Mapping[Role, Choice], l
                     "found no message of it in one; leave that file out."
                 )
     return parts
-
-
-def _drop_idle_command(parts: Sequence[Part]) -> tuple[Finding, ...]:
-    """Take a command out that a robot's state holds though nobody commands poses: it rests, or repeats the measured."""
-    if Role.COMMAND not in parts[0] or parts[0][Role.COMMAND].channel.type_name not in ROBOT_STATES:
-        return ()
-    command, pose = (joined([part[role].values for part in parts]) for role in (Role.COMMAND, Role.POSE))
-    is_same = bool(np.array_equal(command, pose, equal_nan=True))
-    if not is_same and bool(np.any(command != command[:1])):
-        return ()
-    topic = parts[0][Role.COMMAND].channel.topic
-    for part in parts:
-        del part[Role.COMMAND]
-    why = "repeats the measured pose" if is_same else "stays the same"
-    return (
-        Finding.warning(
-            "idle-command",
-            f"The desired pose of {topic} {why} in all {len(command)} samples, so it is not what moved the robot; it "
-            "is left out.",
-            "Record the command that the robot followed, and name it with --command-topic.",
-        ),
-    )
 
 
 def _continuous(recording: Recording) -> Recording:

@@ -198,6 +198,27 @@ def test_a_desired_pose_that_moves_nothing_is_no_command(rests: bool, tmp_path: 
     assert ("stays the same" if rests else "repeats the measured pose") in finding.message
 
 
+@pytest.mark.parametrize("part", [slice(3, 6), slice(0, 3)], ids=["torques", "forces"])
+def test_torques_that_a_state_never_fills_are_left_out_and_forces_are_refused(
+    part: slice, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    unfilled = ON_SURROUNDINGS_N.copy()
+    unfilled[:, part] = 0.0
+    monkeypatch.setattr(f"{__name__}.ON_SURROUNDINGS_N", unfilled)
+    bag = old_bag(tmp_path / "run.bag")
+    seen = [(finding.code, finding.severity) for finding in inspect_log(bag).findings]
+    if part == slice(0, 3):
+        with pytest.raises(LogError, match="force x, force y, force z axes of topic /franka_states are 0"):
+            read_recording(bag)
+        assert ("stuck-axis", "error") in seen
+        return
+    recording = read_recording(bag)
+    assert recording.wrench.measured_axes == ("x", "y", "z")
+    assert [each.severity for each in recording.findings if each.code == "zero-torques"] == ["warning"]
+    assert ("zero-torques", "warning") in seen
+    assert not [code for code, severity in seen if severity == "error"]
+
+
 def test_inspect_names_what_a_state_can_serve_as(tmp_path: Path) -> None:
     summary = inspect_log(old_bag(tmp_path / "run.bag"))
     assert summary.channels[0].roles == (Role.WRENCH, Role.POSE, Role.COMMAND)
