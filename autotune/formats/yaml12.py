@@ -45,6 +45,8 @@ _WORDS: dict[str, object] = {"": None, "~": None} | {
 }
 _WHOLE_NUMBERS = ("signs",)
 """Lists in which no number has decimals, so that a comma between two of them can mean one thing only."""
+_COUNTS = {"mass": 6, "damping": 6, "lead": 6, "force": 3, "torque": 3, "gravity_direction": 3}
+"""Lists of so many numbers: without any space a list of that count cannot be one of decimals with commas."""
 _COMMA_LEFT, _COMMA_RIGHT = re.compile(r"[-+]?[0-9]+"), re.compile(r"[0-9]+([eE][-+]?[0-9]+)?")
 
 
@@ -210,20 +212,28 @@ class _Reader:
     def sequence(self, events: Iterator[Event], place: Place, *, is_flow: bool) -> list[Any]:
         items: list[Any] = []
         before: ScalarEvent | None = None
+        doubtful: list[tuple[ScalarEvent, ScalarEvent]] = []
+        tight = 0
         for event in events:
             if isinstance(event, SequenceEndEvent):
                 break
             scalar = event if isinstance(event, ScalarEvent) else None
-            if is_flow and before is not None and scalar is not None and _is_decimal_comma(before, scalar):
-                one, two = before.value, scalar.value
-                if place[-1:] != _WHOLE_NUMBERS:
-                    self.refuse(
-                        event,
-                        f"{one},{two} may be a decimal comma; write {one}.{two} for one number, {one}, {two} for two.",
-                    )
+            if is_flow and before is not None and scalar is not None and _is_tight(before, scalar):
+                tight += 1
+                doubtful += [(before, scalar)] if _is_decimal_comma(before, scalar) else []
             items.append(self.value(event, events, (*place, len(items))))
             before = scalar
+        is_counted = tight == len(items) - 1 and len(items) == _COUNTS.get(str(place[-1]) if place else "")
+        if doubtful and place[-1:] != _WHOLE_NUMBERS and not is_counted:
+            self.refuse_comma(*doubtful[0])
         return items
+
+    def refuse_comma(self, before: ScalarEvent, event: ScalarEvent) -> NoReturn:
+        one, two = before.value, event.value
+        self.refuse(
+            event,
+            f"{one},{two} may be a decimal comma; write {one}.{two} for one number, {one}, {two} for two.",
+        )
 
     def scalar(self, event: ScalarEvent) -> Any:
         text: str = event.value
@@ -253,10 +263,13 @@ class _Reader:
         return number
 
 
+def _is_tight(before: ScalarEvent, event: ScalarEvent) -> bool:
+    return bool(event.start_mark.index - before.end_mark.index == 1)
+
+
 def _is_decimal_comma(before: ScalarEvent, event: ScalarEvent) -> bool:
     return (
-        event.start_mark.index - before.end_mark.index == 1
-        and before.style is event.style is None
+        before.style is event.style is None
         and _COMMA_LEFT.fullmatch(before.value) is not None
         and _COMMA_RIGHT.fullmatch(event.value) is not None
     )

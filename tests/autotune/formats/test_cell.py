@@ -91,6 +91,20 @@ def test_every_entry_arrives_where_it_belongs() -> None:
     assert (cell.table.time, cell.table.time_unit, cell.table.delimiter, cell.table.decimal) == ("t", "ms", ";", ",")
 
 
+def test_lists_of_a_known_count_need_no_spaces(tmp_path: Path) -> None:
+    path = tmp_path / "cell.yaml"
+    path.write_text(
+        HEAD + "gravity_direction: [0,0,-1]\ngains: {mass: [20,20,20,1,1,1], damping: [900,900,900,9,9,9]}\n"
+        "desired_force: {force: [0,0,30]}\n"
+    )
+    cell = read_cell(path).cell
+    assert cell.gravity_direction == (0.0, 0.0, -1.0)
+    assert cell.gains is not None
+    assert cell.gains.mass == (20.0, 20.0, 20.0, 1.0, 1.0, 1.0)
+    assert cell.desired_force is not None
+    assert cell.desired_force.force == (0.0, 0.0, 30.0)
+
+
 @pytest.mark.parametrize(
     ("text", "line", "told"),
     [
@@ -102,7 +116,9 @@ def test_every_entry_arrives_where_it_belongs() -> None:
         ("wrench: {signs: [1, 1, 1, 1, 1, 2]}", 3, r"wrench.signs[5] must be one of 1, -1, found 2."),
         ("wrench: {signs: [1, 1, 1]}", 3, "at least 6 entries long"),
         ("wrench: {signs: [1,1,-1]}", 3, "at least 6 entries long"),
-        ("gravity_direction: [0,0,-1]", 3, "0,0 may be a decimal comma; write 0.0 for one number, 0, 0 for two."),
+        ("gravity_direction: [0,0, -1]", 3, "0,0 may be a decimal comma; write 0.0 for one number, 0, 0 for two."),
+        ("gains: {mass: [20,5,20], damping: [1,1,1]}", 3, "20,5 may be a decimal comma"),
+        ("noise: [0,5]", 3, "0,5 may be a decimal comma"),
         ("wrench: {left_out: [w]}", 3, "one of x, y, z, rx, ry, rz"),
         ('wrench: {fields: {force: ["effort[0:2]"]}}', 3, "wrench.fields.force must be 3 paths"),
         ("pose: {fields: {orientation: [a, b, c]}}", 3, "pose.orientation_as must be of 3 numbers"),
