@@ -30,6 +30,7 @@ _EPILOG = """\b
 Examples:
   autotune identify run7.mcap -o identified.yaml --report run7.html
   autotune identify run7.mcap --wrench-topic /ft/raw --command-topic /servo/target
+  autotune identify run7.mcap --annotate run7.annotated.mcap
   autotune identify part1.bag part2.bag --cell cell.yaml
   autotune identify monday.mcap friday.mcap --given mass_kg=16.2±0.1
 """
@@ -61,6 +62,12 @@ _GROUPS = {
     help="A known parameter, e.g. mass_kg=16.2±0.1 or x.delay_s=2.4e-3+-1e-4; exact without ±.",
 )
 @report_option
+@click.option(
+    "--annotate",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="OUT.mcap",
+    help="Also write phases, contacts and forces as messages for Foxglove and PlotJuggler, and a layout.",
+)
 @output_options
 def command(
     output: Output,
@@ -70,6 +77,7 @@ def command(
     cell_path: Path | None,
     given: tuple[str, ...],
     report: Path | None,
+    annotate: Path | None,
     **reading: Any,
 ) -> None:
     """Estimate payload, sensor, robot, coupling and environment from LOG, each with its uncertainty and a verdict.
@@ -79,6 +87,7 @@ def command(
     to 12 tilted poses at rest, a commanded sweep in free space, and contacts. Exit code 3: a log cannot be used. 4: a
     parameter is unidentifiable, or logs disagree; without --allow-partial nothing is written then.
     """
+    from autotune.annotations import check_annotations, layout_path, write_annotations
     from autotune.formats.atomic import check_target
     from autotune.formats.cell import read_cell
     from autotune.formats.identified import identified_tree, write_identified
@@ -89,6 +98,8 @@ def command(
     sources = [*logs, *([] if cell_path is None else [cell_path])]
     check_target(out, sources, kind="identified")
     check_report(report, [*sources, out])
+    if annotate is not None:
+        check_annotations(annotate, [*sources, out])
     options = IdentifyOptions(**reading)
     seen = _Seen(logs=logs, options=options)
     with report_refusal(output, report, sources, seen.refused_page):
@@ -101,17 +112,21 @@ def command(
                 defers_refusal=True,
                 processes=count_processors(),
                 progress=advance,
-                with_evidence=report is not None,
+                with_evidence=report is not None or annotate is not None,
             )
         if not options.allow_partial:
             found.require()
         with output.replacing(out, "identified"):
             write_identified(out, found.result, found.provenance)
+    if annotate is not None:
+        write_annotations(annotate, found)
     tree = {**identified_tree(found.result, found.provenance), **write_report(output, report, seen.page)}
 
     def text() -> None:
         print_identified(found.result, out)
         print_report_path(report)
+        if annotate is not None:
+            print_message(f"annotations: {annotate}, layout of Foxglove {layout_path(annotate)}")
 
     output.result(tree, text)
 

@@ -1,4 +1,4 @@
-"""Write stamped wrenches and poses as a ROS 2 MCAP through the official writer library."""
+"""Write stamped wrenches, poses and texts as a ROS 2 MCAP through the official writer library."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -30,6 +30,20 @@ _POSE_STAMPED = _HEADER.format(body="geometry_msgs/Pose pose") + (
     f"{_SEPARATOR}\nMSG: geometry_msgs/Point\n{_VECTOR}"
     f"{_SEPARATOR}\nMSG: geometry_msgs/Quaternion\n{_VECTOR}float64 w\n"
 )
+_STRING = "string data\n"
+_LOG = """builtin_interfaces/Time stamp
+uint8 level
+string name
+string msg
+string file
+string function
+uint32 line
+================================================================================
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+"""
+_LOG_INFO = 20
 
 
 class StampedKind(Enum):
@@ -42,6 +56,11 @@ class StampedKind(Enum):
     def type_name(self) -> str:
         """The message's type, as in `geometry_msgs/msg/WrenchStamped`."""
         return f"geometry_msgs/msg/{self.value[0].capitalize()}Stamped"
+
+    @property
+    def definition(self) -> str:
+        """The definition of the message."""
+        return self.value[1]
 
     @property
     def width(self) -> int:
@@ -74,8 +93,43 @@ class StampedChannel:
         return {"header": header, self.kind.value[0]: self.kind.body(self.row(i))}
 
 
+class TextKind(Enum):
+    """What a channel of texts holds: type of the message and its definition."""
+
+    STRING = ("std_msgs/msg/String", _STRING)
+    LOG = ("rcl_interfaces/msg/Log", _LOG)
+
+    @property
+    def type_name(self) -> str:
+        """The message's type."""
+        return self.value[0]
+
+    @property
+    def definition(self) -> str:
+        """The definition of the message."""
+        return self.value[1]
+
+
+@dataclass(frozen=True, kw_only=True)
+class TextChannel:
+    """One topic of texts, each from its stamp [ns] on; the stamps rise."""
+
+    topic: str
+    kind: TextKind
+    stamps_ns: Sequence[int]
+    texts: Sequence[str]
+
+    def message(self, i: int) -> dict[str, Any]:
+        """Return the i-th message; a line of a log has its stamp and bears the name of this program."""
+        if self.kind is TextKind.STRING:
+            return {"data": self.texts[i]}
+        stamp = {"sec": self.stamps_ns[i] // 10**9, "nanosec": self.stamps_ns[i] % 10**9}
+        where = {"file": "", "function": "", "line": 0}
+        return {"stamp": stamp, "level": _LOG_INFO, "name": "autotune", "msg": self.texts[i], **where}
+
+
 def write_channels(
-    channels: Sequence[StampedChannel], path: Path, *, progress: Callable[[int], None] | None = None
+    channels: Sequence[StampedChannel | TextChannel], path: Path, *, progress: Callable[[int], None] | None = None
 ) -> None:
     """Write channels as zstd-compressed CDR in the order of their stamps, whole or not at all.
 
@@ -91,12 +145,14 @@ def write_channels(
         partial.unlink(missing_ok=True)
 
 
-def _write(stream: IO[bytes], channels: Sequence[StampedChannel], progress: Callable[[int], None] | None) -> None:
+def _write(
+    stream: IO[bytes], channels: Sequence[StampedChannel | TextChannel], progress: Callable[[int], None] | None
+) -> None:
     from mcap_ros2.writer import Writer  # noqa: PLC0415 - not while the loop runs
 
     writer = Writer(stream)
-    kinds = dict.fromkeys(channel.kind for channel in channels)
-    registered = {kind: writer.register_msgdef(kind.type_name, kind.value[1]) for kind in kinds}
+    kinds: dict[StampedKind | TextKind, None] = dict.fromkeys(channel.kind for channel in channels)
+    registered = {kind: writer.register_msgdef(kind.type_name, kind.definition) for kind in kinds}
     order = sorted((stamp, c, i) for c, channel in enumerate(channels) for i, stamp in enumerate(channel.stamps_ns))
     since = 0
     for sequence, (stamp, c, i) in enumerate(order):

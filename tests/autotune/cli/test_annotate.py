@@ -1,0 +1,71 @@
+"""Messages for Foxglove and PlotJuggler, read back by another library and held against the log itself."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_typestore
+
+from tests.conftest import RunCli
+
+
+def _messages(path: Path) -> dict[str, list[tuple[int, Any]]]:
+    """Return stamps [ns] and messages by topic."""
+    found: dict[str, list[tuple[int, Any]]] = {}
+    with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+        for link, stamp, raw in reader.messages():
+            found.setdefault(link.topic, []).append((stamp, reader.deserialize(raw, link.msgtype)))
+    return found
+
+
+def test_the_log_and_its_annotations_have_the_same_times_and_forces(
+    run_cli: RunCli, good_log: Path, tmp_path: Path
+) -> None:
+    done = run_cli("identify", good_log, "--annotate", "seen.mcap", "--json")
+    assert done.returncode == 0, done.stderr
+    timeline = json.loads(done.stdout)["timelines"][0]
+    messages, logged = _messages(tmp_path / "seen.mcap"), _messages(good_log)
+    assert set(messages) == {f"/autotune/{name}" for name in ("wrench", "predicted_wrench", "phase", "contacts")}
+    raw = logged["/ft_sensor/wrench"]
+    measured = messages["/autotune/wrench"]
+    assert [stamp for stamp, _ in measured] == [stamp for stamp, _ in raw]
+    # At the first rest nothing but the weight pulls: without it the noise is left.
+    first_rest = np.array([message.wrench.force.x for _, message in measured[:500]])
+    assert abs(np.mean(first_rest)) < 0.1
+    assert abs(np.mean([message.wrench.force.x for _, message in raw[:500]])) > 1.0
+    # The model predicts the force from the command to the sensor's noise of 0.14 N.
+    force = {stamp: message.wrench.force.x for stamp, message in measured}
+    left = [force[stamp] - message.wrench.force.x for stamp, message in messages["/autotune/predicted_wrench"]]
+    assert len(left) > 1000
+    assert np.std(left) == pytest.approx(0.14, rel=0.1)
+    start = raw[0][0]
+    phases = [((stamp - start) / 1e9, message.data) for stamp, message in messages["/autotune/phase"]]
+    assert [text.split()[0] for _, text in phases] == [phase["kind"] for phase in timeline["phases"]]
+    np.testing.assert_allclose(
+        [time for time, _ in phases], [each["start_s"] for each in timeline["phases"]], atol=1e-6
+    )
+    walls = [message.msg for _, message in messages["/autotune/contacts"]]
+    assert [wall.split(",")[0].split()[:3] for wall in walls] == [["wall", "along", "+x"]] * 2
+    layout = json.loads((tmp_path / "seen.foxglove.json").read_text(encoding="utf-8"))
+    paths = [path["value"] for panel in layout["configById"].values() for path in panel.get("paths", [])]
+    assert {"/" + "/".join(path.split(".")[0].split("/")[1:]) for path in paths} <= set(messages)
+
+
+def test_only_annotations_are_replaced(run_cli: RunCli, good_log: Path, tmp_path: Path) -> None:
+    own = tmp_path / "own.mcap"
+    own.write_bytes(good_log.read_bytes())
+    for target, told in (
+        ("own.mcap", "own.mcap exists"),
+        ("seen.bag", "must end in .mcap"),
+        ("no/seen.mcap", "folder"),
+    ):
+        done = run_cli("identify", good_log, "--annotate", target)
+        assert (done.returncode, done.stdout) == (2, "")
+        assert told in done.stderr
+        assert not (tmp_path / "identified.yaml").exists()
+    assert own.read_bytes() == good_log.read_bytes()
+    for _ in range(2):
+        assert run_cli("identify", good_log, "--annotate", "seen.mcap", "--quiet").returncode == 0
