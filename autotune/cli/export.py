@@ -48,6 +48,7 @@ def _groups() -> dict[str, list[str]]:
 @click.option(
     "--target",
     type=click.Choice(list(TARGETS)),
+    metavar="TARGET",
     required=True,
     help=" ".join(f"{target.name}: {target.summary}" for target in TARGETS.values()),
 )
