@@ -77,8 +77,8 @@ def _channels(found: Identification, index: int) -> Iterator[StampedChannel | Te
     start_s, _ = found.provenance.get("recordings", [found.provenance["time_span_s"]])[index]
     end = "" if index == 0 else f"_{index + 1}"
 
-    def stamps(times_s: FloatArray) -> list[int]:
-        return [round(start_s * 1e9) + each for each in np.rint(times_s * 1e9).astype(np.int64).tolist()]
+    def stamps(times_s: Iterable[float]) -> list[int]:
+        return [round(start_s * 1e9) + round(1e9 * time) for time in times_s]
 
     def wrenches(topic: str, rows: FloatArray) -> StampedChannel:
         known = np.flatnonzero(np.all(np.isfinite(rows), axis=1))
@@ -86,7 +86,7 @@ def _channels(found: Identification, index: int) -> Iterator[StampedChannel | Te
             topic=topic + end,
             frame_id=_FRAME,
             kind=StampedKind.WRENCH,
-            stamps_ns=stamps(known * evidence.period_s),
+            stamps_ns=stamps((known * evidence.period_s).tolist()),
             row=lambda i: rows[known[i]].tolist(),
         )
 
@@ -103,7 +103,7 @@ def _channels(found: Identification, index: int) -> Iterator[StampedChannel | Te
     for topic, kind, said in ((PHASE, TextKind.STRING, texts), (CONTACTS, TextKind.LOG, sorted(touches))):
         if said:
             times, lines = zip(*said, strict=True)
-            yield TextChannel(topic=topic + end, kind=kind, stamps_ns=stamps(np.array(times)), texts=lines)
+            yield TextChannel(topic=topic + end, kind=kind, stamps_ns=stamps(times), texts=lines)
 
 
 def _measured(evidence: Evidence) -> FloatArray:

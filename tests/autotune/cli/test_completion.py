@@ -15,7 +15,7 @@ import pytest
 from autotune.cli._options import LOGS, SETTINGS, FilePath
 from autotune.cli.main import COMMANDS, main
 
-WRITTEN = {"out", "data", "report", "start_path", "plot"}
+WRITTEN = {"annotate", "out", "data", "report", "start_path", "plot"}
 
 
 @pytest.fixture
