@@ -9,8 +9,7 @@ import numpy as np
 from problems.compiled import inlined, unlocked
 
 from ...signals.recording import StampArray
-from .byte_order import u16, u32, u64
-from .channel import ByteArray
+from .channel import ByteArray, u16, u32, u64
 
 FINE, NO_FIT, SHORT_MESSAGE, BAD_TIME, FULL = range(5)
 MESSAGE_HEAD_BYTES = 22

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from problems.compiled import compiled
 
 from ...signals.recording import StampArray
-from .byte_order import u32
-from .channel import CHUNK_LIMIT_BYTES, ByteArray, Damage
+from .channel import CHUNK_LIMIT_BYTES, ByteArray, Damage, u32
 
 _FEED_BYTES = 2**16
 _INDEX_ENTRY = np.dtype([("s", "<u4"), ("ns", "<u4"), ("offset", "<u4")])

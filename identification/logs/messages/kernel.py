@@ -11,8 +11,7 @@ from problems.arrays import FloatArray
 from problems.compiled import inlined, unlocked
 
 from ...signals.recording import StampArray
-from ..containers.byte_order import big32, little32, little64
-from ..containers.channel import ByteArray
+from ..containers.channel import ByteArray, big32, little32, little64
 
 BOOL, INT8, UINT8, INT16, UINT16, INT32, UINT32, INT64, UINT64, FLOAT32, FLOAT64 = range(11)
 KINDS = {
