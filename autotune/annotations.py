@@ -72,13 +72,12 @@ def write_annotations(path: Path, found: Identification) -> None:
 
 
 def _channels(found: Identification, index: int) -> Iterator[StampedChannel | TextChannel]:
-    """Yield the channels of one recording; a further recording's topics end with its number."""
+    """Yield the channels of a recording; a further recording's topics end with its number."""
     evidence = found.evidence[index]
-    start_s, _ = found.provenance.get("recordings", [found.provenance["time_span_s"]])[index]
     end = "" if index == 0 else f"_{index + 1}"
 
     def stamps(times_s: Iterable[float]) -> list[int]:
-        return [round(start_s * 1e9) + round(1e9 * time) for time in times_s]
+        return [evidence.start_ns + round(1e9 * time) for time in times_s]
 
     def wrenches(topic: str, rows: FloatArray) -> StampedChannel:
         known = np.flatnonzero(np.all(np.isfinite(rows), axis=1))

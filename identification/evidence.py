@@ -23,11 +23,13 @@ class Evidence:
     """The wrench in the sensor frame S, as logged and without weight and bias, and the axes.
 
     Force (n, 3) in N, torque (n, 3) about the sensor's origin in N·m. Sample k was taken k `period_s` after the start
-    of the log; what a hole swallowed is NaN. `log` names the recording, `reading` is what was found when it was read.
-    `gain_error_share` is the share by which the force's scale may be wrong, as the rests show it. Of a log whose weight
-    was removed before recording there is the wrench as logged alone: what would be without weight and bias is None.
+    of the log, the first moment `start_ns` that wrench and pose share, from which all its times count; what a hole
+    swallowed is NaN. `log` names the recording, `reading` is what was found when it was read. `gain_error_share` is the
+    share by which the force's scale may be wrong, as the rests show it. Of a log whose weight was removed before
+    recording there is the wrench as logged alone: what would be without weight and bias is None.
     """
 
+    start_ns: int
     period_s: float
     raw_S_n: FloatArray
     compensated_S_n: FloatArray | None

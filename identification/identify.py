@@ -201,6 +201,7 @@ def _wrench_as_logged(recording: Recording) -> Evidence | None:
     if len(stamps) < 2 or not wrench.measured_axes or recording.keeps_holes:
         return None
     return Evidence(
+        start_ns=int(stamps[0]),
         period_s=float(stamps[-1] - stamps[0]) * 1e-9 / (len(stamps) - 1),
         raw_S_n=wrench.force_n[inside],
         compensated_S_n=None,
@@ -213,6 +214,7 @@ def _wrench_as_logged(recording: Recording) -> Evidence | None:
 def _evidence(cell: CellSignals, gravity: GravityFit, results: Mapping[str, AxisResult]) -> Evidence:
     """Gather what the pictures of this log show."""
     return Evidence(
+        start_ns=cell.log.start_ns,
         period_s=cell.log.period_s,
         raw_S_n=cell.log.force_S_n,
         compensated_S_n=cell.force_S_n,

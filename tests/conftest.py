@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
 # As the command line does: the matrices are small, and threads that wait for each other cost tenfold.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -22,8 +22,10 @@ for _name in ("NO_COLOR", "FORCE_COLOR", "CLICOLOR", "CLICOLOR_FORCE", "COLUMNS"
     os.environ.pop(_name, None)
 
 # A test that passed passes again; HYPOTHESIS_PROFILE=random looks for cases that nobody has seen.
-settings.register_profile("same", derandomize=True)
-settings.register_profile("random", derandomize=False)
+# That it is slow says how busy the machine is.
+_BUSY = [HealthCheck.too_slow]
+settings.register_profile("same", derandomize=True, suppress_health_check=_BUSY)
+settings.register_profile("random", derandomize=False, suppress_health_check=_BUSY)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "same"))
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -1,6 +1,7 @@
 """Messages for Foxglove and PlotJuggler, read back by another library and held against the log itself."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,10 @@ import pytest
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
+from autotune.simulation.simulate import simulate_cell
+from autotune.simulation.truth import SimulatedCell
+from autotune.simulation.write import write_mcap
+from tests.autotune.cli.conftest import SHORT
 from tests.conftest import RunCli
 
 
@@ -52,6 +57,29 @@ def test_the_log_and_its_annotations_have_the_same_times_and_forces(
     layout = json.loads((tmp_path / "seen.foxglove.json").read_text(encoding="utf-8"))
     paths = [path["value"] for panel in layout["configById"].values() for path in panel.get("paths", [])]
     assert {"/" + "/".join(path.split(".")[0].split("/")[1:]) for path in paths} <= set(messages)
+
+
+def test_times_are_those_of_the_log_where_the_pose_begins_later(run_cli: RunCli, tmp_path: Path) -> None:
+    recording = simulate_cell(SimulatedCell(), SHORT, seed=2).recording
+    late = 1000  # samples, 0.8 s
+    pose = recording.pose
+    later = replace(
+        pose,
+        stamp_ns=pose.stamp_ns[late:],
+        position_m=pose.position_m[late:],
+        quaternion_xyzw=pose.quaternion_xyzw[late:],
+    )
+    write_mcap(replace(recording, pose=later), tmp_path / "late.mcap")
+    assert run_cli("identify", "late.mcap", "--annotate", "seen.mcap").returncode == 0
+    messages = _messages(tmp_path / "seen.mcap")
+    raw = {stamp: message.wrench.force.x for stamp, message in _messages(tmp_path / "late.mcap")["/ft_sensor/wrench"]}
+    # Where a contact presses hardest in the log itself, the annotated force does too.
+    (first, _), *_ = messages["/autotune/contacts"]
+    span = range(first - 200_000_000, first + 200_000_000)
+    logged = min((stamp for stamp in raw if stamp in span), key=lambda stamp: raw[stamp])
+    seen = {stamp: message.wrench.force.x for stamp, message in messages["/autotune/wrench"] if stamp in span}
+    assert abs(min(seen, key=lambda stamp: seen[stamp]) - logged) <= 800_000
+    assert messages["/autotune/wrench"][0][0] == later.stamp_ns[0]
 
 
 def test_only_annotations_are_replaced(run_cli: RunCli, good_log: Path, tmp_path: Path) -> None:

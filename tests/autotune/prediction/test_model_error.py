@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from autotune.prediction.contact import PeakInterval
-from autotune.prediction.model_error import model_error
+from autotune.prediction.model_error import ModelError, model_error
 from autotune.prediction.result import interval_notes
 from identification.fit_quality import HeldOutPeak
 
@@ -25,6 +25,12 @@ def test_without_contacts_it_is_that_of_two_other_surfaces() -> None:
     # The factors are equally likely: their logarithms follow Student's t.
     logs = np.log(found.factors(2001)) / found.share
     assert np.quantile(logs, [0.25, 0.5, 0.9]) == pytest.approx(stats.t(2).ppf([0.25, 0.5, 0.9]), abs=0.02)
+
+
+def test_no_factor_is_beyond_e_squared() -> None:
+    # Student's t with 2 degrees of freedom has no deviation: its ends would be factors of 10^13.
+    factors = ModelError(share=1.0, dof=2).factors(1000)
+    assert (factors[0], factors[-1]) == pytest.approx((math.exp(-2.0), math.exp(2.0)))
 
 
 @given(st.lists(st.floats(0.97, 1.03), min_size=3, max_size=30))

@@ -16,7 +16,7 @@ from autotune.formats.controller_record import Controller
 from autotune.formats.schedule import write_schedule
 from autotune.prediction.law import PresentGains
 from autotune.report.axis_design import axis_designs, contact_of, modulus_of, over_stiffness
-from autotune.report.controller_charts import nyquist_chart
+from autotune.report.controller_charts import admittance_chart, nyquist_chart
 from autotune.report.controller_tables import compared_blocks
 from autotune.report.from_files import report_files
 from autotune.report.optimize_page import build_front_page, build_optimize_page
@@ -164,6 +164,15 @@ def test_an_unstable_loop_has_no_numbers_to_draw() -> None:
     assert contact_of(design, wild, design.predicted.scenarios[0].scenario()) is None
     chart = nyquist_chart(design, wild)
     assert not any("before" in label for label in lines_of(chart, 0))
+
+
+def test_two_controllers_are_named_in_the_picture_of_free_motion_and_one_is_not() -> None:
+    (design,) = axis_designs(fast_optimized().controller)
+    for old, names in (
+        (None, {""}),
+        (AdmittanceController(mass_kg=20.0, damping_n_s_per_m=3000.0), {"before", "after"}),
+    ):
+        assert set(lines_of(admittance_chart(design, old), 0)) - {"asked"} == names
 
 
 def test_the_page_says_what_was_asked_what_it_costs_and_how_the_search_came_there() -> None:
