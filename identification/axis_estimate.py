@@ -11,7 +11,15 @@ from problems.progress import ProgressSlice
 
 from .axes.straight import AXIS_NAMES, AxisMotion, commanded_motion, free_motions, unguided_spans
 from .axes.turning import AxisTurn, rests_after
-from .axis_findings import contact_findings, first_rests, force_beside, latency_findings, mass_findings, misfit_findings
+from .axis_findings import (
+    contact_findings,
+    first_rests,
+    force_beside,
+    latency_findings,
+    mass_findings,
+    misfit_findings,
+    payload_findings,
+)
 from .axis_response import measure_axis, response_findings
 from .errors import EstimateError
 from .evidence import AxisEvidence
@@ -175,7 +183,7 @@ def fit_axis(
         return AxisResult(estimate=estimate, findings=(*findings, *contradictions), contacts=contacts, fit=None)
     left_n = force_beside(axis, cell.motion.still, holds)
     findings += contact_findings(axis.name, first_rests(cell.motion.still, data.holds), fit, left_n)
-    findings += [*latency_findings(axis.name, fit), *misfit_findings(axis.name, fit)]
+    findings += [*latency_findings(axis.name, fit), *misfit_findings(axis.name, fit), *payload_findings(axis.name, fit)]
     # With a robot but without a held command, what is logged is smooth between its samples.
     is_logged = cell.recording.command is not None and robot.denominator.value is not None
     why = COARSE_COMMAND if is_logged else NO_COMMAND
@@ -315,6 +323,8 @@ def _estimate(
             )
             for each in fit.held_out
         ),
+        second_mode=result.second_mode,
+        coupling_friction_n=result.coupling_friction_n,
     )
 
 

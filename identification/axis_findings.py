@@ -125,3 +125,41 @@ def misfit_findings(axis: str, fit: JointFit) -> list[Finding]:
             "drift.",
         )
     ]
+
+
+_NOT_DESIGNED_FOR = (
+    "A controller is designed for one mass on one spring: fasten what moves, or let `validate --identified` compute "
+    "|1 + L| on the measured response, which holds it."
+)
+
+
+def payload_findings(axis: str, fit: JointFit) -> list[Finding]:
+    """Return what the payload has beside one mass on one spring, of which the coupling is free."""
+    findings = []
+    if fit.part is not None:
+        (share, share_std), (at, at_std), (ratio, _) = (
+            fit.part.mass_share,
+            fit.part.frequency_hz,
+            fit.part.damping_ratio,
+        )
+        findings.append(
+            Finding.warning(
+                "second-mode",
+                f"Axis {axis}: a part of {100.0 * share:.2g} ± {100.0 * share_std:.1g} % of the payload's mass swings "
+                f"on it at {at:.3g} ± {at_std:.2g} Hz (damping ratio {ratio:.2g}). K_s, B_s and B_p are those beside "
+                "it, and their deviations hold how well it is known.",
+                _NOT_DESIGNED_FOR,
+            )
+        )
+    if fit.friction_n is not None:
+        friction, std = fit.friction_n
+        unit = "N·m" if axis.startswith("r") else "N"
+        findings.append(
+            Finding.warning(
+                "coupling-friction",
+                f"Axis {axis}: the coupling rubs with {friction:.3g} ± {std:.1g} {unit}. K_s, B_s and B_p are "
+                "those beside it, and their deviations hold what it moves, since its law is not known.",
+                _NOT_DESIGNED_FOR,
+            )
+        )
+    return findings

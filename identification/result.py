@@ -258,8 +258,7 @@ class Covariance:
     """How the errors of one axis go together: `matrix` (p, p) in SI, in the order of `names`.
 
     Names are K_s, B_s, B_p, M_p, then of the robot omega (rad/s), zeta, T_d, then K_e, B_e, M_e after the name of the
-    surface and a point, as in `x1.K_e`. `values` (p,) is where the likelihood is highest, also of what is no value to
-    trust when taken alone.
+    surface and a point, as in `x1.K_e`. `values` (p,) is where the likelihood is highest, trusted alone or not.
     """
 
     names: Annotated[tuple[_Name, ...], _SOME]
@@ -279,12 +278,21 @@ class Covariance:
 
 
 @dataclass(frozen=True, kw_only=True)
+class SecondModeEstimate:
+    """A part of the payload that swings on the rest."""
+
+    mass_share: _AtLeast0
+    frequency_hz: _Above0
+    damping_ratio: _AtLeast0
+
+
+@dataclass(frozen=True, kw_only=True)
 class AxisEstimate:
     """Everything that one axis of the control frame needs.
 
     `drag_n_s_per_m` is B_p; `mass_kg` is M_p as motion along this axis shows it; `fits` has an entry for every log that
-    shows something of the axis, `held_out` for every contact that was predicted without itself; `frequency_response` is
-    what free motion shows without a model.
+    shows something of the axis, `held_out` for every contact predicted without itself; `frequency_response` is what
+    free motion shows without a model; None of a second mode or of dry friction says that none shows.
     """
 
     coupling: CouplingEstimate
@@ -296,6 +304,8 @@ class AxisEstimate:
     fits: tuple[FitQuality, ...] = ()
     held_out: tuple[HeldOutPeak, ...] = ()
     frequency_response: FrequencyResponse | None = None
+    second_mode: SecondModeEstimate | None = None
+    coupling_friction_n: _AtLeast0 | None = None
 
     def plant_estimates(self) -> dict[str, Estimate]:
         """Return what is identified of the plant beside K_e and M_p, by `problems.model.plant_parameters`."""

@@ -110,6 +110,7 @@ def fit_about_axis(fit: JointFit, turn: AxisTurn) -> JointFit:
         covariance=fit.covariance * np.outer(scale, scale) + np.outer(common, common),
         ci95={name: (LEVER_M**2 * low, LEVER_M**2 * high) for name, (low, high) in fit.ci95.items()},
         surfaces=surfaces,
+        friction_n=None if fit.friction_n is None else (LEVER_M * fit.friction_n[0], LEVER_M * fit.friction_n[1]),
         spans=tuple(
             replace(span, measured=LEVER_M * span.measured, predicted=LEVER_M * span.predicted) for span in fit.spans
         ),

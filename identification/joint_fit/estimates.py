@@ -7,7 +7,15 @@ import numpy as np
 
 from problems.arrays import FloatArray
 
-from ..result import CouplingEstimate, Covariance, EnvironmentEstimate, Estimate, RobotEstimate, Status
+from ..result import (
+    CouplingEstimate,
+    Covariance,
+    EnvironmentEstimate,
+    Estimate,
+    RobotEstimate,
+    SecondModeEstimate,
+    Status,
+)
 from ..robot.position_loop import find_bandwidth_hz
 from ..verdicts import IDENTIFIED_SHARE, TWO_SIDED, judged, judged_damping, vector, weak_at_best
 from .model import COUPLING_NAMES, SURFACE_NAMES, robot_model
@@ -17,6 +25,8 @@ from .result import JointFit, JointSurface
 DAMPING_FLOOR = 0.1
 MASS_FLOOR = 0.1
 _DELAY_SAMPLES = 0.2
+# Of a second mode and of friction no controller is made: what shows half of them is worth telling.
+_LOOSEST, _RATIO_FLOOR = 0.5, 0.03
 SYMBOLS = {
     **dict(zip(COUPLING_NAMES, ("K_s", "B_s", "B_p", "M_p"), strict=True)),
     "robot_frequency_rad_per_s": "omega",
@@ -75,6 +85,25 @@ class JointEstimates:
             return None
         mine = slice(len(COUPLING_NAMES), names.index("delay_s") + 1)
         return describe_robot(self.fit.values[mine], self.fit.covariance[mine, mine], self.period_s, self.method)
+
+    @property
+    def second_mode(self) -> SecondModeEstimate | None:
+        """Return the part that swings on the payload, None where the log does not show one."""
+        part = self.fit.part
+        if part is None:
+            return None
+        return SecondModeEstimate(
+            mass_share=judged(*part.mass_share, method=self.method, weak=_LOOSEST),
+            frequency_hz=judged(*part.frequency_hz, method=self.method, weak=_LOOSEST),
+            damping_ratio=judged(*part.damping_ratio, method=self.method, weak=_LOOSEST, floor=_RATIO_FLOOR),
+        )
+
+    @property
+    def coupling_friction_n(self) -> Estimate | None:
+        """Return the dry friction in the coupling, None where the log does not show it."""
+        if self.fit.friction_n is None:
+            return None
+        return judged(*self.fit.friction_n, method=self.method, weak=_LOOSEST)
 
     @property
     def environments(self) -> tuple[EnvironmentEstimate, ...]:

@@ -11,6 +11,7 @@ from problems.progress import ProgressSlice
 from ..errors import EstimateError
 from .covariance import deepest_stiffness, deepest_surfaces
 from .data import JointData
+from .extension import extend_payload, with_extension
 from .free_motion import (
     STEPS_FIRST,
     STEPS_LATER,
@@ -105,7 +106,7 @@ def _identify(data: JointData, begin: _Beginning, progress: ProgressSlice) -> Jo
             "without a hand on the payload, with the command that the robot receives. If the log has one: a filter in "
             "the sensor or its driver, or a robot that is not one of one or two poles, does this too."
         )
-    return fit
+    return with_extension(fit, extend_payload(problem, point, latency))
 
 
 def _require_mass(problem: Problem, mass_kg: float) -> None:

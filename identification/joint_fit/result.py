@@ -41,6 +41,15 @@ class JointSurface:
 
 
 @dataclass(frozen=True, kw_only=True)
+class PayloadPart:
+    """A part of the payload that swings on the rest: share of mass, frequency, damping ratio with their deviations."""
+
+    mass_share: tuple[float, float]
+    frequency_hz: tuple[float, float]
+    damping_ratio: tuple[float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
 class FittedSpan:
     """One span that the fit used: `measured` and `predicted` force (n,) from sample `start` on, in N or N·m.
 
@@ -74,7 +83,8 @@ class JointFit:
 
     `ci95` holds intervals where plus and minus two deviations would be wrong (a damping or mass near 0); `latency` is
     the wrench's against pose and command. `is_weighed` where ringing alone gave the coupling, with the mass from
-    gravity. `spans` are what was fitted, span by span.
+    gravity. `spans` are what was fitted, span by span. `part` swings on the payload and `friction_n`, value and
+    deviation, is in the coupling, where the log shows them; spans and quality are those of one payload on one spring.
     """
 
     names: tuple[str, ...]
@@ -88,6 +98,8 @@ class JointFit:
     is_weighed: bool = False
     spans: tuple[FittedSpan, ...] = ()
     held_out: tuple[HeldOutContact, ...] = ()
+    part: PayloadPart | None = None
+    friction_n: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         freeze(self, "ci95")
@@ -177,21 +189,26 @@ def without_aliases(values: FloatArray, covariance: FloatArray, period_s: float)
     return out
 
 
+def secant_of(values: FloatArray, covariance: FloatArray, first: int) -> tuple[float, float]:
+    """Return K_s and K_e in series with the deviation out of the covariance (p, p), K_e being parameter `first`."""
+    k_s, k_e = float(values[0]), float(values[first])
+    secant, slope = k_s * k_e / (k_s + k_e), np.zeros(len(values))
+    slope[0], slope[first] = (secant / k_s) ** 2, (secant / k_e) ** 2
+    return secant, float(np.sqrt(slope @ covariance @ slope))
+
+
 def _surface(
     index: int, problem: Problem, point: Point, covariance: FloatArray, found: Sequence[FoundContact]
 ) -> JointSurface:
     first = problem.layout.surface(index).start
-    k_s, k_e = float(point.values[0]), float(point.values[first])
-    secant = k_s * k_e / (k_s + k_e)
-    slope = np.zeros(len(point.values))
-    slope[0], slope[first] = (secant / k_s) ** 2, (secant / k_e) ** 2
+    secant, secant_std = secant_of(point.values, covariance, first)
     touched = [s for s in problem.segments if s.is_contact]
     mine = [c.start for s, c in zip(touched, found, strict=True) if s.surface == index]
     return JointSurface(
         sign=mine[0].segment.sign,
         first_parameter=first,
         secant_n_per_m=secant,
-        secant_std_n_per_m=float(np.sqrt(slope @ covariance @ slope)),
+        secant_std_n_per_m=secant_std,
         onsets=tuple(c.onset for c in mine),
         peak_force_n=tuple(c.peak_force_n for c in mine),
     )

@@ -7,7 +7,15 @@ import numpy as np
 
 from ..joint_fit.estimates import DAMPING_FLOOR, MASS_FLOOR, describe_robot, robot_bandwidth
 from ..measured_response import join_responses
-from ..result import AxisEstimate, CouplingEstimate, Covariance, EnvironmentEstimate, Estimate, RobotEstimate
+from ..result import (
+    AxisEstimate,
+    CouplingEstimate,
+    Covariance,
+    EnvironmentEstimate,
+    Estimate,
+    RobotEstimate,
+    SecondModeEstimate,
+)
 from ..verdicts import judged, judged_damping
 from .values import ORDER, Merge, Normal, is_beyond_chance, is_stated, merge_normals, with_priors, with_verdict
 
@@ -72,6 +80,8 @@ class AxisRecord:
                 for each in axis.held_out
             ),
             frequency_response=join_responses([axis.frequency_response for axis in there]),
+            second_mode=_sharpest_mode(there),
+            coupling_friction_n=_sharpest([axis.coupling_friction_n for axis in there]),
         )
 
     @property
@@ -347,3 +357,16 @@ def _in_order(names: Sequence[str]) -> list[str]:
 def _label(axis: str, symbol: str) -> str:
     surface, _, kind = symbol.rpartition(".")
     return f"{_LABELS[kind]} of {f'surface {surface}' if surface else f'axis {axis}'}"
+
+
+def _sharpest(estimates: Sequence[Estimate | None]) -> Estimate | None:
+    """Return the estimate with the least deviation, None where no log has one."""
+    known = [each for each in estimates if each is not None]
+    return min(known, key=lambda e: np.inf if e.std is None else e.std, default=None)
+
+
+def _sharpest_mode(axes: Sequence[AxisEstimate]) -> SecondModeEstimate | None:
+    """Return the second mode whose frequency is known best."""
+    known = {id(mode.frequency_hz): mode for axis in axes if (mode := axis.second_mode) is not None}
+    best = _sharpest([mode.frequency_hz for mode in known.values()])
+    return None if best is None else known[id(best)]

@@ -1,0 +1,134 @@
+"""Force of a payload in free motion of which a part swings on the rest, and whose coupling has dry friction.
+
+    M (1 − μ) dv_p/dt = −F − B_p v_p + F_2,   M μ dv_2/dt = −F_2,   F_2 = M μ (ω² (x_2 − x_p) + 2 ζ ω (v_2 − v_p)),
+    F = K_s (x_p − x) + B_s (v_p − v) + F_c sign(v_p − v),
+
+M as gravity shows it, x the flange's path between the ticks as in `model.payload_step`. Friction is stepped in time as
+Moreau (1999, Numerical aspects of the sweeping process) does: over a sample it takes the value, F_c at most, that
+brings the coupling to rest at its end. Time is counted in samples.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import expm
+
+from problems.arrays import FloatArray
+from problems.compiled import compiled
+
+from .path import FlangePath
+
+_TAYLOR = 4
+_FACTORIALS = np.array([1.0, 1.0, 2.0, 6.0])
+# Own parameters of a span: the payload's offset and speed at first and the force's offset, then those of the part.
+OWN, OWN_WITH_PART = 3, 5
+
+
+@dataclass(frozen=True, kw_only=True)
+class Extension:
+    """What a payload has beside one mass on one spring: a part with a share of its mass, and F_c [N].
+
+    The part swings freely at `frequency_hz`, 0 without one.
+    """
+
+    mass_share: float = 0.0
+    frequency_hz: float = 0.0
+    damping_ratio: float = 0.0
+    friction_n: float = 0.0
+
+    @property
+    def own_count(self) -> int:
+        """Return how many parameters of its own a span has."""
+        return OWN_WITH_PART if self.frequency_hz > 0.0 else OWN
+
+
+@compiled
+def run_extended(
+    phi: FloatArray, pushed: FloatArray, rubbed: FloatArray, arriving: FloatArray, limit: float, start: FloatArray
+) -> FloatArray:
+    """Return state and friction of every sample (n, m + 1): p_(k+1) = phi p_k + `pushed`_k + `rubbed` f_k.
+
+    `pushed` is (n, m), `rubbed` (m,), `arriving` (n,) the flange's speed before the next tick, `start` p_0 (m,).
+    """
+    count, size = pushed.shape
+    out, now, following = np.empty((count, size + 1)), start.copy(), start.copy()
+    for k in range(count):
+        for i in range(size):
+            out[k, i] = now[i]
+            total = pushed[k, i]
+            for j in range(size):
+                total += phi[i, j] * now[j]
+            following[i] = total
+        friction = min(max(-(following[1] - arriving[k]) / rubbed[1], -limit), limit)
+        out[k, size] = friction
+        for i in range(size):
+            now[i] = following[i] + rubbed[i] * friction
+    return out
+
+
+def extended_step(
+    coupling: Sequence[float] | FloatArray,
+    extension: Extension,
+    robot: FloatArray | None,
+    fraction: float,
+    period_s: float,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return phi (m, m), gamma (m, k) and what a friction of 1 N does (m,), over one sample, exactly.
+
+    `coupling` is K_s, B_s, B_p, M_p (4,); `robot` and `fraction` are those of a `FlangePath`; gamma acts on its drive.
+    """
+    units = np.array([1.0, period_s, period_s, period_s**2])
+    k_s, b_s, b_p, whole_mass = (np.asarray(coupling) / units).tolist()
+    mass = whole_mass * (1.0 - extension.mass_share)
+    order, size = 0 if robot is None else len(robot), 4 if extension.frequency_hz > 0.0 else 2
+    held, rest = size + order, size + order + (1 if order else 0)
+    a = np.zeros((rest + _TAYLOR + 1, rest + _TAYLOR + 1))
+    a[0, 1] = 1.0
+    a[1, :2] = -k_s / mass, -(b_s + b_p) / mass
+    if size == 4:
+        omega = 2.0 * np.pi * extension.frequency_hz * period_s
+        spring = np.array([omega**2, 2.0 * extension.damping_ratio * omega, -(omega**2)])
+        pulled = np.append(spring, -spring[1])
+        a[2, 3] = 1.0
+        a[3, :4] = pulled
+        a[1, :4] -= extension.mass_share / (1.0 - extension.mass_share) * pulled
+    a[1, rest : rest + 2] = k_s / mass, b_s / mass
+    a[rest : rest + 3, rest + 1 : rest + 4] = np.eye(3)
+    a[1, -1] = -1.0 / mass
+    if robot is None:
+        whole = expm(a)[:size]
+        return whole[:, :size].copy(), whole[:, rest:-1] * _FACTORIALS, whole[:, -1].copy()
+    a[size:held, size : held + 1] = robot
+    a[1, size] += k_s / mass
+    a[1, size : held + 1] += b_s / mass * robot[0]
+    first, second = expm(a * fraction), expm(a * (1.0 - fraction))
+    carry = second[:size].copy()
+    carry[:, held] = 0.0
+    whole = carry @ first
+    columns = whole[:, size:held], whole[:, held], second[:size, held], whole[:, rest:-1] * _FACTORIALS
+    return whole[:, :size].copy(), np.column_stack(columns), whole[:, -1].copy()
+
+
+def extended_force(
+    coupling: FloatArray, extension: Extension, own: FloatArray, path: FlangePath, used: slice, period_s: float
+) -> FloatArray:
+    """Return F (n,) [N] of a span in free motion.
+
+    `own` (`extension.own_count`,) is the payload's offset and speed against the flange at first, counted in N of the
+    coupling, the force's offset [N], and the part's offset and speed against the payload in the same way.
+    """
+    cut, robot = path.cut(used), None if path.robot is None else np.asarray(path.robot.real)
+    phi, gamma, rubbed = extended_step(coupling, extension, robot, float(path.hold.fraction.real), period_s)
+    k_s, b_s, origin = float(coupling[0]), float(coupling[1]) / period_s, cut.ends[0, 0]
+    pushed = cut.drive @ gamma.T - origin * gamma[:, -_TAYLOR]
+    start = np.zeros(len(phi))
+    start[:2] = own[0] / k_s, cut.ends[0, 1] + own[1] / k_s
+    if len(phi) == 4:
+        start[2:] = start[:2] + own[OWN:] / k_s
+    states = run_extended(phi, pushed, rubbed, np.ascontiguousarray(cut.ends[:, 3]), extension.friction_n, start)
+    friction = states[:, -1]
+    # At a tick the mean of what acts before and after it.
+    at_tick = 0.5 * (friction + np.concatenate([friction[:1], friction[:-1]]))
+    force = k_s * (states[:, 0] - cut.ends[:, 0] + origin) + b_s * (states[:, 1] - cut.ends[:, 1])
+    return np.asarray(force + at_tick + own[2])

@@ -1,0 +1,217 @@
+"""Whether a payload has a part that swings, or its coupling dry friction, and what that changes of the joint fit."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from problems.arrays import FloatArray
+
+from ..verdicts import TWO_SIDED
+from .extended_fit import (
+    MOST_RATIO,
+    MOST_SHARE,
+    Candidate,
+    ExtendedProblem,
+    Kind,
+    beginning,
+    descended,
+    gained,
+    linearised,
+    scorer,
+    with_more,
+    with_own_noise,
+)
+from .latency import WrenchLatency
+from .model import COUPLING_NAMES, robot_model
+from .noise import Whitener
+from .result import JointFit, JointSurface, PayloadPart, secant_of
+from .solve import Point, Problem
+
+_FREQUENCIES, _LOWEST_HZ, _HIGHEST_HZ, _HIGHEST_SHARE = 24, 6.0, 120.0, 0.4
+_STARTS_HZ = (15.0, 22.0, 30.0, 38.0, 46.0, 55.0, 70.0)
+_START_SHARE, _START_RATIO, _START_FRICTION_N, _NUDGE, _NUDGE_N = 0.08, 0.03, 0.3, 1e-3, 0.02
+_STEPS, _TRIED = 15, 2
+# −2 log L: a first look, what is kept open, and what is told.
+_WORTH_A_LOOK, _OPEN, _TOLD = 8.0, 30.0, 60.0
+# Of what a part moves, this is how well the move is known; with friction, whose law is not known, all of it.
+_MOVED_SHARE, _MOVED_BY_FRICTION = 0.4, 1.0
+# How well share, frequency, damping ratio and F_c are known at best: as far off they were in simulated cells, the path
+# between the samples and the law of friction not being those of the fit.
+_SHARE_KNOWN, _FREQUENCY_KNOWN, _RATIO_KNOWN, _FRICTION_KNOWN = 0.25, 0.03, 0.02, 0.2
+_AT_BOUND = 0.98
+# A surface that follows the coupling keeps a tenth of its values at least.
+_LEAST_LEFT = 0.1
+_LATENCY_STDS, _LEAST_LATENCY, _FILTER_SHARE = 3.0, 0.1, 0.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class Extended:
+    """By how much a wider payload moves coupling and robot, (a,), and what their covariance (a, a) gains [SI].
+
+    `move` is 0 where nothing is told; `part` and `friction_n`, value and deviation, are what is, and `latency` is the
+    wrench's beside them.
+    """
+
+    move: FloatArray
+    covariance: FloatArray
+    latency: WrenchLatency
+    part: PayloadPart | None = None
+    friction_n: tuple[float, float] | None = None
+
+
+def extend_payload(problem: Problem, point: Point, latency: WrenchLatency) -> Extended | None:
+    """Return what a part that swings, and dry friction in the coupling, change of a joint fit; None where nothing.
+
+    Each is fitted to free motion beside everything else. Told is what −2 log L prefers by 60 under the noise that it
+    leaves, and only a part of less than three tenths of the mass and 15 % of critical damping, since a wider one may be
+    anything. From 30 on, and where the part is none, the values stay, and hold the move in their deviations.
+    """
+    period = problem.signals.period_s
+    lag_s = _FILTER_SHARE * latency.seconds if latency.is_filter else _LATENCY_STDS * latency.std_s
+    of = ExtendedProblem(problem=problem, point=point, latency_std_samples=max(lag_s / period, _LEAST_LATENCY))
+    begun = here = beginning(of)
+    moves = list[FloatArray]()
+    rubbing = _friction(of, here)
+    if rubbing is not None:
+        moves.append(_MOVED_BY_FRICTION * _moved(of, rubbing, begun))
+        here = rubbing
+    swinging, gain = _part(of, here)
+    if swinging is not None:
+        is_part = gain >= _TOLD and not _is_at_bound(of, swinging)
+        share = _MOVED_SHARE if is_part and rubbing is None else 1.0
+        moves.append(share * _moved(of, swinging, here))
+        here = swinging if is_part else here
+    if not moves:
+        return None
+    return _extended(of, here, moves, latency)
+
+
+def _friction(of: ExtendedProblem, at: Candidate) -> Candidate | None:
+    """Return the fit with dry friction, None where that is not clearly better."""
+    kind, score = Kind(friction=True), scorer(of, at)
+    if score(with_more(of, at, kind, (0.0,)), with_more(of, at, kind, (_NUDGE_N,)))[0] < _WORTH_A_LOOK:
+        return None
+    found = with_own_noise(of, descended(of, with_more(of, at, kind, (_START_FRICTION_N,)), _STEPS))
+    return found if gained(of, found, at) >= _TOLD else None
+
+
+def _part(of: ExtendedProblem, at: Candidate) -> tuple[Candidate | None, float]:
+    """Return the best fit with a part and by how much it is better, None where that is not worth a look.
+
+    Both under the noise that one mass leaves, coloured by what it does not explain, and under white noise; each begins
+    at several frequencies. One inside its bounds goes before one at them.
+    """
+    kind, score = replace(at.kind, part=True), scorer(of, at)
+
+    def begun(share: float, frequency_hz: float) -> Candidate:
+        return with_more(of, at, kind, (share, float(np.log(frequency_hz)), _START_RATIO))
+
+    highest = min(_HIGHEST_HZ, _HIGHEST_SHARE / of.problem.signals.period_s)
+    looks = [
+        (*score(begun(0.0, f), begun(_NUDGE, f)), float(f)) for f in np.geomspace(_LOWEST_HZ, highest, _FREQUENCIES)
+    ]
+    looks.sort(reverse=True)
+    # Beside friction what is left is no noise, and a first order says little.
+    if looks[0][0] < _WORTH_A_LOOK and not at.kind.friction:
+        return None, 0.0
+    starts = [begun(float(np.clip(_NUDGE * step, 0.01, 0.15)), f) for _, step, f in looks[:_TRIED]]
+    starts += [begun(_START_SHARE, f) for f in _STARTS_HZ if f < highest]
+    rms = float(np.std(np.concatenate(of.errors(at.theta, at.own, at.kind))))
+    found = []
+    for noise in (at.noise, Whitener(coefficients=np.ones(1), rms=rms)):
+        ends = [descended(of, replace(start, noise=noise), _STEPS) for start in starts]
+        best = with_own_noise(of, min(ends, key=lambda end: end.cost))
+        found.append((gained(of, best, at), best))
+    inside = [each for each in found if each[0] >= _TOLD and not _is_at_bound(of, each[1])]
+    gain, best = max(inside or found, key=lambda each: each[0])
+    return (best, gain) if gain >= _OPEN else (None, gain)
+
+
+def _is_at_bound(of: ExtendedProblem, candidate: Candidate) -> bool:
+    """Whether what swings is so heavy, or damped so much, that it is no part."""
+    found = of.extension(candidate.theta, candidate.kind)
+    return found.mass_share > _AT_BOUND * MOST_SHARE or found.damping_ratio > _AT_BOUND * MOST_RATIO
+
+
+def _moved(of: ExtendedProblem, to: Candidate, since: Candidate) -> FloatArray:
+    """Return by how much the shared parameters (a,) move from one fit to another [SI]."""
+    return of.values(to.theta) - of.values(since.theta)
+
+
+def _extended(of: ExtendedProblem, here: Candidate, moves: list[FloatArray], latency: WrenchLatency) -> Extended:
+    matrix = linearised(of, here).matrix
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    spread = np.linalg.pinv(matrix * np.outer(scale, scale), hermitian=True) * np.outer(scale, scale)
+    stds, first = np.sqrt(np.diag(spread)), of.shared + of.lags
+    covariance = sum((np.outer(move, move) for move in moves), np.zeros((of.shared, of.shared)))
+    is_told = here.kind != Kind()
+    if not is_told:
+        return Extended(move=np.zeros(of.shared), covariance=covariance, latency=latency)
+    units = np.where(of.in_log, of.values(here.theta), of.sizes)
+    found, part = of.extension(here.theta, here.kind), None
+    if here.kind.part:
+        part = PayloadPart(
+            mass_share=(found.mass_share, float(np.hypot(stds[first], _SHARE_KNOWN * found.mass_share))),
+            frequency_hz=(found.frequency_hz, found.frequency_hz * float(np.hypot(stds[first + 1], _FREQUENCY_KNOWN))),
+            damping_ratio=(found.damping_ratio, float(np.hypot(stds[first + 2], _RATIO_KNOWN))),
+        )
+    return Extended(
+        move=of.values(here.theta) - of.point.values[: of.shared],
+        covariance=covariance + spread[: of.shared, : of.shared] * np.outer(units, units),
+        latency=_latency(of, here, latency),
+        part=part,
+        friction_n=(found.friction_n, float(np.hypot(stds[-1], _FRICTION_KNOWN * found.friction_n)))
+        if here.kind.friction
+        else None,
+    )
+
+
+def _latency(of: ExtendedProblem, here: Candidate, before: WrenchLatency) -> WrenchLatency:
+    """Return the wrench's filter as it is beside a part or friction, with its move in its deviation."""
+    if not before.is_filter:
+        return before
+    sensor = of.sensor_dynamics(here.theta)
+    std = float(np.hypot(before.std_s, sensor.time_constant_s - before.seconds))
+    return replace(before, seconds=sensor.time_constant_s, std_s=std, advanced_s=-sensor.delay_s)
+
+
+def with_extension(fit: JointFit, found: Extended | None) -> JointFit:
+    """Return the joint fit with what a wider payload changes.
+
+    The surfaces follow as the covariance says they go with coupling and robot.
+    """
+    if found is None:
+        return fit
+    count = len(found.move)
+    mine = fit.covariance[:count, :count]
+    scale = 1.0 / np.sqrt(np.diag(mine))
+    inverse = np.linalg.pinv(mine * np.outer(scale, scale), hermitian=True) * np.outer(scale, scale)
+    follows = np.concatenate([np.eye(count), fit.covariance[count:, :count] @ inverse])
+    values = fit.values + follows @ found.move
+    values = np.maximum(values, _LEAST_LEFT * fit.values)
+    covariance = fit.covariance + follows @ found.covariance @ follows.T
+    stds = np.sqrt(np.diag(covariance))
+    ci95 = {}
+    for name, (low, high) in fit.ci95.items():
+        i = fit.names.index(name)
+        reach = TWO_SIDED * float(stds[i])
+        ci95[name] = max(min(low, float(values[i]) - reach), 0.0), max(high, float(values[i]) + reach)
+    robot = slice(len(COUPLING_NAMES), count)
+    return replace(
+        fit,
+        values=values,
+        covariance=covariance,
+        ci95=ci95,
+        robot=None if fit.robot is None else robot_model(values[robot]),
+        surfaces=tuple(_followed(surface, values, covariance) for surface in fit.surfaces),
+        quality=replace(fit.quality, wrench_lag_s=found.latency.seconds, wrench_lag_std_s=found.latency.std_s),
+        latency=found.latency,
+        part=found.part,
+        friction_n=found.friction_n,
+    )
+
+
+def _followed(surface: JointSurface, values: FloatArray, covariance: FloatArray) -> JointSurface:
+    """Return a surface with the secant, and its deviation, of these values (p,) with their covariance (p, p)."""
+    secant, std = secant_of(values, covariance, surface.first_parameter)
+    return replace(surface, secant_n_per_m=secant, secant_std_n_per_m=std)

@@ -1,0 +1,126 @@
+"""A part that swings on the payload, and dry friction of the coupling: another simulation within what is stated."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from identification.joint_fit.data import JointData, usual_coupling
+from identification.joint_fit.extended_payload import Extension, extended_force
+from identification.joint_fit.fit import identify_joint
+from identification.joint_fit.noise import Smoother
+from identification.joint_fit.path import measured_path
+from identification.joint_fit.result import JointFit
+from identification.signals.segments import Span
+from problems.arrays import FloatArray
+
+PERIOD_S, FINER = 1e-3, 40
+STIFFNESS, DAMPING, DRAG, MASS = 3e5, 140.0, 120.0, 14.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cell:
+    """Payload on a spring with a part of it on another, and Coulomb friction beside the first, in steps of 25 µs."""
+
+    share: float = 0.0
+    part_hz: float = 38.0
+    ratio: float = 0.03
+    friction_n: float = 0.0
+
+    def run(self, x: FloatArray) -> FloatArray:
+        """Return the coupling's force (n,) under a flange's path given FINER times a sample, semi-implicit Euler."""
+        dt, v = PERIOD_S / FINER, np.gradient(x, PERIOD_S / FINER)
+        light, heavy = self.share * MASS, (1.0 - self.share) * MASS
+        k_2 = light * (2.0 * np.pi * self.part_hz) ** 2
+        b_2 = 2.0 * self.ratio * 2.0 * np.pi * self.part_hz * light
+        x_p = x_2 = float(x[0])
+        v_p = v_2 = 0.0
+        out = np.empty(len(x))
+        for i, (at, speed) in enumerate(zip(x.tolist(), v.tolist(), strict=True)):
+            slip = v_p - speed
+            elastic = STIFFNESS * (x_p - at) + DAMPING * slip
+            pulled = k_2 * (x_2 - x_p) + b_2 * (v_2 - v_p)
+            # What would bring the coupling to rest in this step, and no more than friction can.
+            stop = heavy * slip / dt - elastic - DRAG * v_p + pulled
+            rubbed = min(max(stop, -self.friction_n), self.friction_n)
+            out[i] = elastic + rubbed
+            v_p += dt * (pulled - elastic - rubbed - DRAG * v_p) / heavy
+            v_2 -= dt * pulled / light if light else 0.0
+            x_p, x_2 = x_p + dt * v_p, x_2 + dt * v_2
+        return out
+
+
+def sweep(duration_s: float = 9.0, rest_s: float = 2.0) -> FloatArray:
+    """Return a sweep of the flange from 0.5 to 55 Hz between two rests, FINER times a sample."""
+    t = np.arange(0.0, duration_s, PERIOD_S / FINER)
+    rate = np.log(110.0) / duration_s
+    frequency = 0.5 * np.exp(rate * t)
+    edge = np.clip(np.minimum(t, duration_s - t) / 0.4, 0.0, 1.0)
+    way = 0.012 / (2.0 * np.pi * frequency) * edge**2 * (3.0 - 2.0 * edge)
+    rest = np.zeros(round(rest_s / PERIOD_S) * FINER)
+    return np.concatenate([rest, way * np.sin(2.0 * np.pi * 0.5 * (np.exp(rate * t) - 1.0) / rate), rest])
+
+
+def logged(cell: Cell, seed: int = 3) -> JointData:
+    rng, x = np.random.default_rng(seed), sweep()
+    force, position = cell.run(x)[::FINER], x[::FINER]
+    count, rest = len(position), round(2.0 / PERIOD_S)
+    moving = (Span(start=rest, stop=count - rest),)
+    return JointData(
+        period_s=PERIOD_S,
+        position_m=position + 5e-7 * rng.standard_normal(count),
+        force_n=force + 0.1 * rng.standard_normal(count),
+        command=None,
+        rests=(Span(start=0, stop=rest - 300), Span(start=count - rest + 500, stop=count)),
+        moving=moving,
+        free=moving,
+        holds=(),
+        coupling=usual_coupling(MASS),
+        robot=None,
+        mass_kg=MASS,
+    )
+
+
+def deviations(fit: JointFit) -> FloatArray:
+    return np.asarray((fit.values - np.array([STIFFNESS, DAMPING, DRAG, MASS])) / fit.std)
+
+
+def test_a_part_that_swings_is_told_and_leaves_the_coupling_right() -> None:
+    """One mass on one spring is 6 % off here, 10 deviations."""
+    fit = identify_joint(logged(Cell(share=0.1)))
+    assert fit.part is not None
+    assert fit.friction_n is None
+    assert abs(fit.part.mass_share[0] - 0.1) < 2.0 * fit.part.mass_share[1] < 0.06
+    assert abs(fit.part.frequency_hz[0] - 38.0) < 2.0 * fit.part.frequency_hz[1] < 3.0
+    assert abs(fit.part.damping_ratio[0] - 0.03) < 2.0 * fit.part.damping_ratio[1]
+    assert fit.values[0] == pytest.approx(STIFFNESS, rel=0.015)
+    assert fit.std[0] < 0.05 * STIFFNESS
+    assert np.all(np.abs(deviations(fit)) < 2.5)
+
+
+def test_friction_in_the_coupling_is_told_and_widens_what_it_moves() -> None:
+    fit = identify_joint(logged(Cell(friction_n=1.5)))
+    assert fit.friction_n is not None
+    assert abs(fit.friction_n[0] - 1.5) < 2.0 * fit.friction_n[1] < 0.8
+    assert fit.values[0] == pytest.approx(STIFFNESS, rel=0.01)
+    assert np.all(np.abs(deviations(fit)) < 2.5)
+
+
+def test_one_mass_on_one_spring_stays_as_it_is() -> None:
+    fit = identify_joint(logged(Cell()))
+    assert fit.part is None
+    assert fit.friction_n is None
+    assert fit.std[0] < 0.01 * STIFFNESS
+    assert np.all(np.abs(deviations(fit)) < 2.5)
+
+
+def test_the_extended_force_is_that_of_fine_steps() -> None:
+    """Within what the cubic between the samples and the steps of 25 µs leave."""
+    cell, x = Cell(share=0.15, friction_n=1.0), sweep()
+    path = measured_path(x[::FINER], Smoother(taps=np.pad([1.0], 3)))
+    extension = Extension(mass_share=0.15, frequency_hz=38.0, damping_ratio=0.03, friction_n=1.0)
+    coupling = np.array([STIFFNESS, DAMPING, DRAG, MASS])
+    used = slice(1500, len(x) // FINER - 1500)
+    force = extended_force(coupling, extension, np.zeros(5), path, used, PERIOD_S)
+    expected = cell.run(x)[::FINER][used]
+    assert float(np.std(force - expected)) < 0.05 * float(np.std(expected))
