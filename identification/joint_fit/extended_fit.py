@@ -32,7 +32,7 @@ LATENCY_SAMPLES = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
-class Kind:
+class PayloadKind:
     """Whether a payload with a part that swings, and with friction, is fitted."""
 
     part: bool = False
@@ -40,10 +40,10 @@ class Kind:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Candidate:
+class PayloadFit:
     """One fit: θ (p,) as `ExtendedProblem` orders it, each span's own parameters, the noise, and the sum of squares."""
 
-    kind: Kind
+    kind: PayloadKind
     theta: FloatArray
     own: tuple[FloatArray, ...]
     noise: Whitener
@@ -144,7 +144,7 @@ class ExtendedProblem:
         here, step = self.point.values[: self.shared], theta[: self.shared]
         return np.where(self.in_log, here * np.exp(np.where(self.in_log, step, 0.0)), here + step * self.sizes)
 
-    def extension(self, theta: FloatArray, kind: Kind) -> Extension:
+    def extension(self, theta: FloatArray, kind: PayloadKind) -> Extension:
         """Return the part and the friction of θ."""
         first = self.shared + self.lags
         friction = float(theta[-1]) if kind.friction else 0.0
@@ -162,7 +162,7 @@ class ExtendedProblem:
         constant = max(known.time_constant_s + theta[self.shared] * h, 0.01 * known.time_constant_s)
         return SensorDynamics(time_constant_s=constant, delay_s=known.delay_s + theta[self.shared + 1] * h)
 
-    def errors(self, theta: FloatArray, own: Sequence[FloatArray], kind: Kind) -> list[FloatArray]:
+    def errors(self, theta: FloatArray, own: Sequence[FloatArray], kind: PayloadKind) -> list[FloatArray]:
         """Return predicted − measured force of every span, without the samples that show what was before it."""
         path, signals = self.problem.path(self.point.values), self.problem.signals
         values, extension, sensor = self.values(theta), self.extension(theta, kind), self.sensor_dynamics(theta)
@@ -177,7 +177,7 @@ class ExtendedProblem:
             out.append((force - signals.force_n[segment.slice])[known:])
         return out
 
-    def cost(self, theta: FloatArray, own: Sequence[FloatArray], kind: Kind, noise: Whitener) -> float:
+    def cost(self, theta: FloatArray, own: Sequence[FloatArray], kind: PayloadKind, noise: Whitener) -> float:
         """Return the sum of squares of the whitened forces and of what else is known."""
         matrix, slope = self.prior(len(theta))
         with np.errstate(over="ignore", invalid="ignore"):
@@ -185,7 +185,7 @@ class ExtendedProblem:
         total += float(theta @ matrix @ theta + 2.0 * slope @ theta)
         return total if np.isfinite(total) else np.inf
 
-    def bounds(self, kind: Kind) -> tuple[FloatArray, FloatArray]:
+    def bounds(self, kind: PayloadKind) -> tuple[FloatArray, FloatArray]:
         """Return the least and the largest θ."""
         low = np.full(self.shared + self.lags, -np.inf)
         low[1:3] = -self.point.values[1:3] / self.sizes[1:3]
@@ -198,7 +198,7 @@ class ExtendedProblem:
             low, high = np.append(low, 0.0), np.append(high, np.inf)
         return low, high
 
-    def steps(self, kind: Kind) -> tuple[FloatArray, FloatArray]:
+    def steps(self, kind: PayloadKind) -> tuple[FloatArray, FloatArray]:
         """Return the steps of differences and the largest ones of a descent."""
         small = [*[_SMALL] * self.shared, *[_SMALL_LATENCY] * self.lags]
         large = [*[_LARGEST] * self.shared, *[1.0] * self.lags]
@@ -217,7 +217,7 @@ class Linearised:
     own: tuple[tuple[FloatArray, FloatArray], ...]
 
 
-def linearised(of: ExtendedProblem, at: Candidate) -> Linearised:
+def linearised(of: ExtendedProblem, at: PayloadFit) -> Linearised:
     """Return the problem's slopes at a candidate by differences, each span's own parameters projected out."""
     small = of.steps(at.kind)[0]
     here = of.errors(at.theta, at.own, at.kind)
@@ -240,7 +240,7 @@ def linearised(of: ExtendedProblem, at: Candidate) -> Linearised:
     return Linearised(matrix=matrix, slope=slope, rows=tuple(rows), own=tuple(follows))
 
 
-def descended(of: ExtendedProblem, start: Candidate, most_steps: int) -> Candidate:
+def descended(of: ExtendedProblem, start: PayloadFit, most_steps: int) -> PayloadFit:
     """Return the minimum below a start (Levenberg and Marquardt), with its noise."""
     low, high = of.bounds(start.kind)
     largest, easing = of.steps(start.kind)[1], 1e-3
@@ -270,7 +270,7 @@ def descended(of: ExtendedProblem, start: Candidate, most_steps: int) -> Candida
     return now
 
 
-def with_own_noise(of: ExtendedProblem, candidate: Candidate) -> Candidate:
+def with_own_noise(of: ExtendedProblem, candidate: PayloadFit) -> PayloadFit:
     """Return the candidate fitted again under the noise that it leaves itself."""
     for _ in range(_ROUNDS):
         noise = fit_whitener(of.errors(candidate.theta, candidate.own, candidate.kind))
@@ -278,19 +278,19 @@ def with_own_noise(of: ExtendedProblem, candidate: Candidate) -> Candidate:
     return candidate
 
 
-def gained(of: ExtendedProblem, more: Candidate, less: Candidate) -> float:
+def gained(of: ExtendedProblem, more: PayloadFit, less: PayloadFit) -> float:
     """Return by how much −2 log L prefers `more`, both fitted under the noise that it leaves."""
     return descended(of, replace(less, noise=more.noise), _STEPS_AGAIN).cost - more.cost
 
 
-def beginning(of: ExtendedProblem) -> Candidate:
+def beginning(of: ExtendedProblem) -> PayloadFit:
     """Return the fit of one payload on one spring to the same spans."""
     size, own = of.shared + of.lags, tuple(of.point.nuisances[i][:OWN].copy() for i in of.spans)
-    start = Candidate(kind=Kind(), theta=np.zeros(size), own=own, noise=of.problem.free_noise, cost=np.inf)
+    start = PayloadFit(kind=PayloadKind(), theta=np.zeros(size), own=own, noise=of.problem.free_noise, cost=np.inf)
     return descended(of, start, _STEPS_AGAIN)
 
 
-def with_more(of: ExtendedProblem, at: Candidate, kind: Kind, beside: tuple[float, ...]) -> Candidate:
+def with_more(of: ExtendedProblem, at: PayloadFit, kind: PayloadKind, beside: tuple[float, ...]) -> PayloadFit:
     """Return a candidate of another kind, with part (share, log frequency, ratio) or friction (F_c,) as a start."""
     first = of.shared + of.lags
     # Friction is behind the part.
@@ -304,7 +304,7 @@ def with_more(of: ExtendedProblem, at: Candidate, kind: Kind, beside: tuple[floa
 Score = tuple[float, float]
 
 
-def scorer(of: ExtendedProblem, at: Candidate) -> Callable[[Candidate, Candidate], Score]:
+def scorer(of: ExtendedProblem, at: PayloadFit) -> Callable[[PayloadFit, PayloadFit], Score]:
     """Return what tells by how much the sum of squares falls, to first order, where θ moves from one end to another.
 
     It returns that and the share of the way that it takes, everything in `at` following.
@@ -313,7 +313,7 @@ def scorer(of: ExtendedProblem, at: Candidate) -> Callable[[Candidate, Candidate
     values, vectors = np.linalg.eigh(here.matrix)
     root = vectors / np.sqrt(np.maximum(values, 1e-9 * float(values[-1])))
 
-    def score(begin: Candidate, end: Candidate) -> Score:
+    def score(begin: PayloadFit, end: PayloadFit) -> Score:
         square = along = 0.0
         coupled = np.zeros(len(at.theta))
         pairs = zip(of.errors(begin.theta, begin.own, begin.kind), of.errors(end.theta, end.own, end.kind), strict=True)

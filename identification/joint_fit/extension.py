@@ -10,9 +10,9 @@ from ..verdicts import TWO_SIDED
 from .extended_fit import (
     MOST_RATIO,
     MOST_SHARE,
-    Candidate,
     ExtendedProblem,
-    Kind,
+    PayloadFit,
+    PayloadKind,
     beginning,
     descended,
     gained,
@@ -86,16 +86,16 @@ def extend_payload(problem: Problem, point: Point, latency: WrenchLatency) -> Ex
     return _extended(of, here, moves, latency)
 
 
-def _friction(of: ExtendedProblem, at: Candidate) -> Candidate | None:
+def _friction(of: ExtendedProblem, at: PayloadFit) -> PayloadFit | None:
     """Return the fit with dry friction, None where that is not clearly better."""
-    kind, score = Kind(friction=True), scorer(of, at)
+    kind, score = PayloadKind(friction=True), scorer(of, at)
     if score(with_more(of, at, kind, (0.0,)), with_more(of, at, kind, (_NUDGE_N,)))[0] < _WORTH_A_LOOK:
         return None
     found = with_own_noise(of, descended(of, with_more(of, at, kind, (_START_FRICTION_N,)), _STEPS))
     return found if gained(of, found, at) >= _TOLD else None
 
 
-def _part(of: ExtendedProblem, at: Candidate) -> tuple[Candidate | None, float]:
+def _part(of: ExtendedProblem, at: PayloadFit) -> tuple[PayloadFit | None, float]:
     """Return the best fit with a part and by how much it is better, None where that is not worth a look.
 
     Both under the noise that one mass leaves, coloured by what it does not explain, and under white noise; each begins
@@ -103,7 +103,7 @@ def _part(of: ExtendedProblem, at: Candidate) -> tuple[Candidate | None, float]:
     """
     kind, score = replace(at.kind, part=True), scorer(of, at)
 
-    def begun(share: float, frequency_hz: float) -> Candidate:
+    def begun(share: float, frequency_hz: float) -> PayloadFit:
         return with_more(of, at, kind, (share, float(np.log(frequency_hz)), _START_RATIO))
 
     highest = min(_HIGHEST_HZ, _HIGHEST_SHARE / of.problem.signals.period_s)
@@ -127,24 +127,24 @@ def _part(of: ExtendedProblem, at: Candidate) -> tuple[Candidate | None, float]:
     return (best, gain) if gain >= _OPEN else (None, gain)
 
 
-def _is_at_bound(of: ExtendedProblem, candidate: Candidate) -> bool:
+def _is_at_bound(of: ExtendedProblem, candidate: PayloadFit) -> bool:
     """Whether what swings is so heavy, or damped so much, that it is no part."""
     found = of.extension(candidate.theta, candidate.kind)
     return found.mass_share > _AT_BOUND * MOST_SHARE or found.damping_ratio > _AT_BOUND * MOST_RATIO
 
 
-def _moved(of: ExtendedProblem, to: Candidate, since: Candidate) -> FloatArray:
+def _moved(of: ExtendedProblem, to: PayloadFit, since: PayloadFit) -> FloatArray:
     """Return by how much the shared parameters (a,) move from one fit to another [SI]."""
     return of.values(to.theta) - of.values(since.theta)
 
 
-def _extended(of: ExtendedProblem, here: Candidate, moves: list[FloatArray], latency: WrenchLatency) -> Extended:
+def _extended(of: ExtendedProblem, here: PayloadFit, moves: list[FloatArray], latency: WrenchLatency) -> Extended:
     matrix = linearised(of, here).matrix
     scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     spread = np.linalg.pinv(matrix * np.outer(scale, scale), hermitian=True) * np.outer(scale, scale)
     stds, first = np.sqrt(np.diag(spread)), of.shared + of.lags
     covariance = sum((np.outer(move, move) for move in moves), np.zeros((of.shared, of.shared)))
-    is_told = here.kind != Kind()
+    is_told = here.kind != PayloadKind()
     if not is_told:
         return Extended(move=np.zeros(of.shared), covariance=covariance, latency=latency)
     units = np.where(of.in_log, of.values(here.theta), of.sizes)
@@ -166,7 +166,7 @@ def _extended(of: ExtendedProblem, here: Candidate, moves: list[FloatArray], lat
     )
 
 
-def _latency(of: ExtendedProblem, here: Candidate, before: WrenchLatency) -> WrenchLatency:
+def _latency(of: ExtendedProblem, here: PayloadFit, before: WrenchLatency) -> WrenchLatency:
     """Return the wrench's filter as it is beside a part or friction, with its move in its deviation."""
     if not before.is_filter:
         return before
