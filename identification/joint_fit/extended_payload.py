@@ -17,6 +17,7 @@ from scipy.linalg import expm
 from problems.arrays import FloatArray
 from problems.compiled import compiled
 
+from .kernel import SPEED
 from .path import FlangePath
 
 _TAYLOR = 4
@@ -60,7 +61,7 @@ def run_extended(
             for j in range(size):
                 total += phi[i, j] * now[j]
             following[i] = total
-        friction = min(max(-(following[1] - arriving[k]) / rubbed[1], -limit), limit)
+        friction = min(max((arriving[k] - following[SPEED]) / rubbed[SPEED], -limit), limit)
         out[k, size] = friction
         for i in range(size):
             now[i] = following[i] + rubbed[i] * friction
