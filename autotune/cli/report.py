@@ -17,7 +17,6 @@ Examples:
   autotune report identified.yaml run7.mcap controller.yaml pareto.yaml -o cell.html
 """
 _SEARCH = b'-convergence"'
-_FILE = click.Path(path_type=Path, dir_okay=False)
 
 
 @click.command("report", cls=GroupedCommand, epilog=_EPILOG)

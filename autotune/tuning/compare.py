@@ -14,6 +14,7 @@ from problems.design.evaluation import PreparedScenarios, build_scenarios
 from problems.design.problem import FURTHER_VARIABLES, VARIABLES, DesignProblem
 from problems.design.requirements import smallest_admittance
 from problems.model.controller import AdmittanceController
+from problems.model.response import hand_force_per_speed
 from problems.stability.margins import UnstableLoopError
 
 from .bounds import bounds_of
@@ -139,7 +140,7 @@ def evaluate_controller(prepared: PreparedScenarios, law: AdmittanceController) 
         peak_contact_force_n=max(peak.peak_contact_force_n for peak in peaks),
         margins={name: min(float(getattr(each.margins, name)) for each in exact.margins) for name in _MARGINS},
         min_m_s_per_n=smallest_admittance(prepared.free[0], law, band),
-        hand_force_n_per_m_s=law.damping_n_s_per_m + problem.plants.nominal.payload.drag_n_s_per_m,
+        hand_force_n_per_m_s=hand_force_per_speed(problem.plants.nominal, law),
         missed={name: value for name, value in exact.evaluation.requirements.items() if value > 1.0},
     )
     return EvaluatedController(law=law, spectral_radius=radius, performance=performance)

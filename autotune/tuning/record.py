@@ -36,6 +36,7 @@ from problems.design.problem import DesignProblem, Requirements
 from problems.design.requirements import smallest_admittance
 from problems.design.uncertainty import Scenario
 from problems.model.controller import AdmittanceController
+from problems.model.response import hand_force_per_speed
 
 from .problems import is_mass_range
 from .search import SearchResult
@@ -186,7 +187,7 @@ def _prediction(name: str, result: SearchResult, controller: AdmittanceControlle
         free_space_admittance=FreeSpaceAdmittance(
             band_hz=band,
             min_m_s_per_n=smallest_admittance(prepared.free[0], controller, band),
-            hand_force_n_per_m_s=controller.damping_n_s_per_m + problem.plants.nominal.payload.drag_n_s_per_m,
+            hand_force_n_per_m_s=hand_force_per_speed(problem.plants.nominal, controller),
         ),
     )
 

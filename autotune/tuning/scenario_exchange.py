@@ -21,6 +21,7 @@ from problems.design.problem import DesignProblem
 from problems.design.stable_design import StableDesign
 from problems.design.uncertainty import Scenario
 from problems.model.controller import AdmittanceController
+from problems.model.response import hand_force_per_speed
 from problems.model.sampled import build_sampled_plant
 from problems.stability.margins import UnstableLoopError
 
@@ -273,7 +274,7 @@ def _comes_to_rest(pair: SampledContact, controller: AdmittanceController, ratio
         window = max(_SHORTEST_WINDOW, int(_WINDOW_SHARE * settling_window(pair, controller)))
     except UnstableLoopError:
         return False
-    resistance = controller.damping_n_s_per_m + pair.free.plant.payload.drag_n_s_per_m
+    resistance = hand_force_per_speed(pair.free.plant, controller)
     for ratio in ratios:
         approach = Approach(speed_m_s=ratio / resistance, after_impact_n=1.0)
         if follow_contact(pair, controller, approach, window=window).ending is Ending.BOUNCING:

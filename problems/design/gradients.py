@@ -32,7 +32,6 @@ _LENGTHS = 128
 _LATEST_TICK = 600
 _AGREES = 2e-3
 _BREAKS = ("at_force", "at_command")
-_RESPONSES = (*_BREAKS, "admittance")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -34,7 +34,7 @@ class MapParameter:
         return self.rotational_unit if rotational else self.unit
 
 
-_MASS, _DAMPING, _STIFFNESS = ("kg", "kg·m²"), ("N·s/m", "N·m·s/rad"), ("N/m", "N·m/rad")
+_MASS, _DAMPING = ("kg", "kg·m²"), ("N·s/m", "N·m·s/rad")
 _SECONDS, _CORNER, _NONE = ("s", "s"), ("rad/s", "rad/s"), ("", "")
 _OF_CONTROLLER = (
     ("mass", "M_a", "admittance mass", _MASS, False),
