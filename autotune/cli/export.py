@@ -29,11 +29,15 @@ def _target_options(function: Any) -> Any:
     return function
 
 
+_NAMED = 3
+
+
 def _groups() -> dict[str, list[str]]:
     """Return the options of the targets under headings that name the targets."""
     groups: dict[str, list[str]] = {}
     for option, names in target_options().items():
-        groups.setdefault(f"For {' and '.join(names)}", []).append(option.name)
+        shown = names if len(names) <= _NAMED else (*names[: _NAMED - 1], f"{len(names) - _NAMED + 1} others")
+        groups.setdefault(f"For {' and '.join(shown)}", []).append(option.name)
     return groups
 
 

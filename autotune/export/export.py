@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from autotune.errors import CertificateError, UsageError
 from autotune.formats.atomic import check_target, write_atomic
@@ -109,7 +109,7 @@ def export_controller(
     rendered = kind.render(request)
     if kind.is_folder:
         names = (file.relative_to(out).as_posix() for file in files)
-        write_folder(Path(out), dict(zip(names, rendered.texts, strict=True)))
+        write_folder(Path(out), dict(zip(names, cast("tuple[str, ...]", rendered.texts), strict=True)))
     else:
         for file, text in zip(files, rendered.texts, strict=True):
             write_atomic(file, text)

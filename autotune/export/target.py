@@ -49,9 +49,9 @@ class ExportRequest:
 
 @dataclass(frozen=True, kw_only=True)
 class Rendered:
-    """The texts of the files, in the order of `ExportTarget.files`; `lines` and `tree` are also printed."""
+    """The texts, or bytes, of the files, in the order of `ExportTarget.files`; `lines` and `tree` are also printed."""
 
-    texts: tuple[str, ...]
+    texts: tuple[str | bytes, ...]
     lines: tuple[str, ...] = ()
     tree: Mapping[str, Any] = field(default_factory=dict)
 

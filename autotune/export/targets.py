@@ -8,6 +8,7 @@ from .cartesian_vic import CARTESIAN_VIC
 from .crisp import CRISP
 from .fzi_cartesian import FZI_CARTESIAN
 from .lbr_fri_ros2 import LBR_FRI_ROS2
+from .matlab import MAT
 from .own_formats import CELL, JSON, C
 from .ros2_control import ROS2_CONTROL
 from .ros2_package import ROS2_PACKAGE
@@ -22,6 +23,7 @@ TARGETS: Mapping[str, ExportTarget] = FrozenDict(
             CELL,
             JSON,
             C,
+            MAT,
             ROS2_CONTROL,
             FZI_CARTESIAN,
             URSCRIPT,
