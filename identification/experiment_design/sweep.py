@@ -201,7 +201,11 @@ def _robot_gradients(robot: RobotModel, s: ComplexArray) -> tuple[ComplexArray, 
 
 
 def _changed(robot: RobotModel, which: int, step: float) -> RobotModel:
-    """Return the robot with one coefficient of the denominator, or last the delay, changed by a share."""
+    """Return the robot with one coefficient of the denominator, or last the delay, changed by a share.
+
+    No delay is below 0: one at 0 is changed about a step above it.
+    """
+    size = _delay_size(robot)
     scale = np.ones(robot.order + 1)
     if which < robot.order:
         scale[1 + which] += step
@@ -209,7 +213,7 @@ def _changed(robot: RobotModel, which: int, step: float) -> RobotModel:
     return RobotModel(
         numerator=robot.numerator / robot.numerator[-1] * denominator[-1],
         denominator=denominator,
-        delay_s=robot.delay_s + step * _delay_size(robot) * (which == robot.order),
+        delay_s=max(robot.delay_s, _STEP * size) + step * size * (which == robot.order),
     )
 
 

@@ -15,7 +15,14 @@ from identification.experiment_design.contacts import ContactPlan, plan_contacts
 from identification.experiment_design.experiment import allowed_std, coupling_binds, plan_experiment
 from identification.experiment_design.poses import PosePlan
 from identification.experiment_design.result import ExperimentLimits, ExperimentPlan, StepKind
-from identification.experiment_design.sweep import Sweep, SweepPlan, robot_limit_hz, sweep_information
+from identification.experiment_design.sweep import (
+    Sweep,
+    SweepLimits,
+    SweepPlan,
+    plan_sweep,
+    robot_limit_hz,
+    sweep_information,
+)
 from identification.experiment_design.values import Known, PlanValues, usual_values, values_of
 from identification.identify import identify_cell
 from identification.result import Estimate, Status
@@ -140,6 +147,16 @@ def test_the_sweeps_information_is_that_of_the_samples() -> None:
     found = np.sqrt(np.diag(np.linalg.inv(sweep_information(values, sweep))))
     # The tapers and the payload's lag behind a moving frequency are left out of the prediction.
     np.testing.assert_allclose(found, expected, rtol=0.12)
+
+
+def test_a_robot_without_a_delay_is_planned_for_as_one_with_hardly_any() -> None:
+    known_robot = RobotModel.from_bandwidth(bandwidth_rad_per_s=20.0, delay_s=0.0)
+    found = []
+    for delay_s in (0.0, 1e-6):
+        values = replace(exact_cell(), robot=replace(known_robot, delay_s=delay_s), delay_s=Known(value=delay_s))
+        found.append(sweep_information(values, Sweep(low_hz=0.5, high_hz=50.0, flange_speed_m_s=0.01, duration_s=10.0)))
+        assert plan_sweep(values, SweepLimits(), {"delay_s": 1e-4}).std["delay_s"] > 0.0
+    np.testing.assert_allclose(found[0], found[1], rtol=1e-3)
 
 
 def test_taps_tell_what_their_samples_tell() -> None:
