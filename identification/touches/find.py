@@ -316,14 +316,15 @@ def describe_touch(
 def _later_blows(axis: AxisSignals, sign: int, span: Span, returns: Sequence[int], peak: int) -> Iterator[Blow]:
     """Yield the blows with which a payload comes back at `returns`, samples of the span: those as large as to count."""
     pressing = -sign * axis.force_n
-    over_s = max(_SHORTEST_APPROACH_S, _RETURN_SAMPLES * axis.period_s)
+    over_s, least = max(_SHORTEST_APPROACH_S, _RETURN_SAMPLES * axis.period_s), _BLOW_SHARE * float(pressing[peak])
     for begin, end in zip(returns, [*returns[1:], len(span)][: len(returns)], strict=True):
         onset, stop = span.start + begin, span.start + end
-        if onset >= stop or onset <= peak < stop:
+        # What little there is before the first blow makes that no later one.
+        if onset >= stop or onset <= peak < stop or float(np.max(pressing[span.start : onset], initial=0.0)) < least:
             continue
         top = onset + int(np.argmax(pressing[onset:stop]))
         speed = approach_speed(axis, onset, sign, over_s)
-        if speed is None or speed < SMALLEST_SPEED_M_S or pressing[top] < _BLOW_SHARE * pressing[peak]:
+        if speed is None or speed < SMALLEST_SPEED_M_S or pressing[top] < least:
             continue
         low, high, _ = touch_peak(axis, pressing, onset, top)
         yield Blow(

@@ -139,6 +139,7 @@ def test_every_touch_that_a_person_sees_is_found(touched: dict[str, Touched], na
             assert blow.approach_speed == pytest.approx(speed_m_s, rel=0.2)
             assert blow.peak_force == pytest.approx(peak_n, rel=0.02)
         assert len(fast) == len(seen.later) or not seen.later
+        assert all(touch.onset_s is not None and blow.onset_s > touch.onset_s + 0.05 for blow in touch.later_blows)
     # What nobody would point at in the plot is small.
     assert all(touch.peak_force < 5.0 for touch in found)
 
