@@ -4,6 +4,7 @@ import contextlib
 import functools
 import json
 import os
+import shlex
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -15,7 +16,7 @@ import click
 
 from problems.compiling import on_compilation
 
-from ._terminal import detect_terminal, printable
+from ._terminal import detect_terminal, printable, wrap_lines
 
 if TYPE_CHECKING:
     from rich.progress import ProgressColumn
@@ -79,9 +80,15 @@ class Output:
                 sys.stdout.flush()
 
     def note(self, message: str) -> None:
-        """Print a message that is not the result."""
+        """Print a message that is not the result, on a terminal folded between words."""
         if not self.quiet:
-            say(message)
+            say("\n".join(wrap_lines(message, columns=detect_terminal(sys.stderr).columns, error=True)))
+
+    def next_command(self, *words: str | Path | None) -> None:
+        """Name the command that usually follows, ready to be pasted; nothing beside `--json`, and None is left out."""
+        if not (self.as_json or self.quiet):
+            # Not folded: what is pasted is one line.
+            say(f"next: {shlex.join(['autotune', *(str(word) for word in words if word is not None)])}")
 
     @contextlib.contextmanager
     def replacing(self, path: Path, kind: str) -> Iterator[None]:
@@ -130,6 +137,11 @@ def output_options(
         return function(output, *args, **kwargs)
 
     return command
+
+
+def page_stays(report: Path) -> str:
+    """Say of a page that what was just refused is not on it."""
+    return f"{report} is the page of an earlier run and stays as it is."
 
 
 def json_text(tree: Mapping[str, Any]) -> str:

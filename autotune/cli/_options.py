@@ -7,7 +7,12 @@ from typing import Any
 import click
 from click.shell_completion import BashComplete, CompletionItem, add_completion_class
 
+from autotune.errors import UsageError
+from identification.errors import LogError
 from problems.frozen import FrozenDict
+
+from ._common import Delivery, page_stays
+from ._kinds import LOG, check_kind
 
 SETTINGS = (".yaml", ".yml")
 LOGS = (".mcap", ".bag", ".db3", ".csv", ".parquet")
@@ -19,11 +24,23 @@ _LAST = "Messages and output"
 
 
 class FilePath(click.Path):
-    """A file whose name ends in one of `endings`; the shell proposes those, and folders on the way to them."""
+    """A file to be read whose name ends in one of `endings`; the shell proposes those, and folders on the way to them.
 
-    def __init__(self, *endings: str, **options: Any) -> None:
+    One that is not there, or plainly of another kind than one of `kinds` (`_kinds`), is noticed before any work.
+    """
+
+    def __init__(self, *endings: str, kinds: Sequence[str] = (), **options: Any) -> None:
         super().__init__(path_type=Path, **{"dir_okay": False, **options})
-        self.endings = endings
+        self.endings, self.kinds = endings, tuple(kinds)
+
+    def check(self, path: Path) -> None:
+        """Raise LogError for a log that is not there, UsageError for another such file and for one of another kind."""
+        if not self.kinds:
+            return
+        if not path.exists():
+            said = f"{path} cannot be read: No such file or directory"
+            raise LogError(f"{said}; name an existing log file.") if LOG in self.kinds else UsageError(f"{said}.")
+        check_kind(path, self.kinds)
 
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
         """Return the files of the kind that begin with `incomplete`, and leave the folders to the shell."""
@@ -117,6 +134,23 @@ class GroupedCommand(click.Command):
         if unknown:
             raise ValueError(f"The command {self.name} has no option {unknown[0]}.")
 
+    def invoke(self, ctx: click.Context) -> Any:
+        """Check every file that is to be read, then run the command."""
+        report = ctx.params.get("report") or (ctx.params.get("out") if ctx.info_name == "report" else None)
+        try:
+            for parameter in self.params:
+                value, kind = ctx.params.get(parameter.name or ""), parameter.type
+                paths = value if isinstance(value, tuple) else (value,)
+                for path in paths if isinstance(kind, FilePath) else ():
+                    if isinstance(path, Path) and isinstance(kind, FilePath):
+                        kind.check(path)
+        except (LogError, UsageError):
+            delivery = ctx.find_object(Delivery)
+            if delivery is not None and isinstance(report, Path) and report.is_file():
+                delivery.remark = page_stays(report)
+            raise
+        return super().invoke(ctx)
+
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the groups, each in the order in which its options were declared."""
         heading_of = {name: heading for heading, names in self.groups.items() for name in names}
@@ -141,7 +175,7 @@ def output_option(default: str, text: str = "File to write.") -> Callable[[Calla
 def cell_option(function: Callable[..., Any]) -> Callable[..., Any]:
     """Add `--cell`, handed on as `cell_path`."""
     text = "Settings that the log does not hold: cell.yaml."
-    return click.option("--cell", "cell_path", type=FilePath(*SETTINGS), help=text)(function)
+    return click.option("--cell", "cell_path", type=FilePath(*SETTINGS, kinds=("cell",)), help=text)(function)
 
 
 def urdf_options(function: Callable[..., Any]) -> Callable[..., Any]:

@@ -11,7 +11,7 @@ from autotune.errors import CertificateError, InfeasibleError, UsageError
 from identification.errors import EstimateError, LogError
 from problems.errors import require_extra
 
-from ._common import Output
+from ._common import Output, page_stays
 from ._terminal import print_message
 
 if TYPE_CHECKING:
@@ -79,7 +79,7 @@ def report_refusal(
             if isinstance(error, _REFUSALS) and is_there:
                 _write_refusal(output, report, error, build)
             elif report.is_file():
-                output.delivery.remark = _stays(report)
+                output.delivery.remark = page_stays(report)
         raise
 
 
@@ -95,13 +95,9 @@ def _write_refusal(output: Output, report: Path, error: Exception, build: Callab
     try:
         write_atomic(report, text)
     except UsageError:
-        output.delivery.remark = _stays(report) if report.is_file() else ""
+        output.delivery.remark = page_stays(report) if report.is_file() else ""
     else:
         output.delivery.remark, output.delivery.report = f"The page {report} says so.", str(report)
-
-
-def _stays(report: Path) -> str:
-    return f"{report} is the page of an earlier run and stays as it is."
 
 
 def print_report_path(report: Path | None) -> None:

@@ -110,6 +110,7 @@ def _tune(
             f"{', '.join(strange)}; identify those payloads before they are led by hand."
         )
     output.result(tree, lambda: _print(tree, classes, folder))
+    output.next_command("validate", folder / "schedule.yaml")
 
 
 def _check_alone(tables: Mapping[str, Sequence[Interval]], others: Mapping[str, Any]) -> None:
@@ -214,6 +215,8 @@ def validate_schedule(output: Output, path: Path, identified: Path | None) -> No
         },
     }
     output.result(tree, lambda: _print_validated(tree))
+    if tree["passed"]:
+        output.next_command("report", path)
     for name, report in reports.items():
         try:
             report.require()

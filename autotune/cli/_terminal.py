@@ -128,14 +128,16 @@ def print_message(text: str = "", *, verdict: str = "", indent: str = "") -> Non
         echo(line)
 
 
-def wrap_lines(text: str, *, verdict: str = "", indent: str = "", columns: int | None = None) -> list[str]:
-    """Return the lines of `print_message` for a width of `columns`, None for any."""
+def wrap_lines(
+    text: str, *, verdict: str = "", indent: str = "", columns: int | None = None, error: bool = False
+) -> list[str]:
+    """Return the lines of `print_message` for a width of `columns`, None for any; `error`: for standard error."""
     whole = f"{indent}{verdict}{text}".rstrip()
     before = len(indent + verdict) if verdict else len(whole) - len(whole.lstrip()) + 2
     lines = [whole] if columns is None else _folded(whole, " " * before, columns)
     head = indent + verdict
     if verdict and lines[0].startswith(head):
-        lines[0] = indent + painted(verdict) + lines[0][len(head) :]
+        lines[0] = indent + painted(verdict, error=error) + lines[0][len(head) :]
     return lines
 
 

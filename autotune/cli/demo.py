@@ -63,6 +63,7 @@ def command(output: Output, directory: Path, seed: int, cell: str) -> None:
     for path in found.made.replaced:
         output.note(f"replaced {path}, of an earlier demo")
     output.result({**_tree(found), **written}, lambda: _print(found, page))
+    output.next_command("explore", found.files.controller)
 
 
 def _page(found: "DemoResult") -> "Page":

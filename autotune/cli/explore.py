@@ -14,6 +14,7 @@ import click
 from problems.errors import require_extra
 
 from ._common import Output, output_options
+from ._kinds import PLANTS
 from ._options import SETTINGS, FilePath, GroupedCommand, output_option
 
 if TYPE_CHECKING:
@@ -29,11 +30,11 @@ Examples:
 
 
 @click.command("explore", cls=GroupedCommand, epilog=_EPILOG)
-@click.argument("source", metavar="FILE", type=FilePath(*SETTINGS))
+@click.argument("source", metavar="FILE", type=FilePath(*SETTINGS, kinds=(*PLANTS, "controller")))
 @output_option("controller.yaml", "The only file that the page can write.")
 @click.option(
     "--problem",
-    type=FilePath(*SETTINGS),
+    type=FilePath(*SETTINGS, kinds=("problem",)),
     help="Requirements, bounds and ranges for an identified plant: problem.yaml.",
 )
 @click.option("--port", type=click.IntRange(0, 65535), default=0, show_default="a free one", help="Port of the page.")
@@ -85,6 +86,8 @@ def command(output: Output, source: Path, out: Path, problem: Path | None, port:
         output.note(f"The save under way was given up: {out} is not written.")
         raise KeyboardInterrupt
     output.note("Ended.")
+    if target.path.is_file():
+        output.next_command("validate", target.path)
 
 
 @contextlib.contextmanager

@@ -48,7 +48,7 @@ def _groups() -> dict[str, list[str]]:
     short_help="Write a controller in another format.",
     epilog=_EPILOG,
 )
-@click.argument("controller", type=FilePath(*SETTINGS))
+@click.argument("controller", type=FilePath(*SETTINGS, kinds=("controller",)))
 @click.option(
     "--target",
     type=click.Choice(list(TARGETS)),
@@ -119,6 +119,7 @@ def command(
             print_message(line)
 
     output.result(result, text)
+    output.next_command("report", controller)
 
 
 def _note_unverified(output: Output, controller: Path, public_key: Path | None) -> None:

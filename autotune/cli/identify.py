@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ._common import Output, output_options
+from ._kinds import LOG
 from ._options import (
     LOGS,
     FilePath,
@@ -41,7 +42,7 @@ _GROUPS = {
 
 
 @click.command("identify", cls=GroupedCommand, groups=_GROUPS, epilog=_EPILOG)
-@click.argument("logs", metavar="LOG...", nargs=-1, required=True, type=FilePath(*LOGS, dir_okay=True))
+@click.argument("logs", metavar="LOG...", nargs=-1, required=True, type=FilePath(*LOGS, kinds=(LOG,), dir_okay=True))
 @output_option("identified.yaml")
 @cell_option
 @click.option("--wrench-topic", help="Channel of the wrench, if the log has several.")
@@ -129,6 +130,13 @@ def command(
             print_message(f"annotations: {annotate}, layout of Foxglove {layout_path(annotate)}")
 
     output.result(tree, text)
+    is_whole = all(finding.severity != "error" for finding in found.result.findings)
+    if is_whole:
+        output.next_command("optimize", out)
+    elif found.result.axes:
+        output.next_command("plan", out)
+    else:
+        output.next_command("report", out, *logs)
 
 
 @dataclass(kw_only=True)

@@ -10,6 +10,7 @@ import click
 from autotune.errors import UsageError
 
 from ._common import Output, output_options
+from ._kinds import LOG
 from ._options import LOGS, FilePath, GroupedCommand, cell_option, salvage_option, span_options, urdf_options
 from ._terminal import print_message, print_table
 
@@ -27,7 +28,7 @@ Examples:
 
 
 @click.command("inspect", cls=GroupedCommand, epilog=_EPILOG)
-@click.argument("logs", metavar="LOG...", nargs=-1, required=True, type=FilePath(*LOGS, dir_okay=True))
+@click.argument("logs", metavar="LOG...", nargs=-1, required=True, type=FilePath(*LOGS, kinds=(LOG,), dir_okay=True))
 @cell_option
 @click.option(
     "--write-cell",
@@ -89,6 +90,25 @@ def command(
             summary = inspect_log(logs, begun, salvage=salvage, span=span)
         output.note(_guessed(guess, summary, start_path))
     output.result(summary_tree(summary), lambda: print_summary(summary))
+    reading = _reading_words(urdf, tip, start, stop, salvage=salvage)
+    known = cell_path or start_path
+    declared = () if known is None else ("--cell", known)
+    if start_path is not None:
+        output.next_command("inspect", *logs, *declared, *reading)
+    elif summary.missing and known is None and not Path("cell.yaml").exists():
+        output.next_command("inspect", *logs, "--write-cell", "cell.yaml", *reading)
+    else:
+        partial = ("--allow-partial",) if summary.missing else ()
+        output.next_command("identify", *logs, *declared, *partial, *reading)
+
+
+def _reading_words(
+    urdf: str | None, tip: str | None, start: float | str | None, stop: float | str | None, *, salvage: bool
+) -> list[str]:
+    """Return the options by which a log was read, for the next command."""
+    said = {"--urdf": urdf, "--tip": tip, "--from": start, "--to": stop}
+    words = [word for option, value in said.items() if value is not None for word in (option, str(value))]
+    return [*words, *(["--salvage"] if salvage else [])]
 
 
 def _guessed(guess: "CellGuess", summary: "LogSummary", path: Path) -> str:

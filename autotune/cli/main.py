@@ -1,6 +1,7 @@
 """The entry point: find the command, run it, turn whatever happens into an exit code."""
 
 import contextlib
+import difflib
 import gc
 import importlib
 import io
@@ -18,7 +19,8 @@ import click
 from click.shell_completion import CompletionItem
 
 from autotune.cli._common import Delivery, discard_output, json_text, say
-from autotune.cli._terminal import painted
+from autotune.cli._kinds import check_kind
+from autotune.cli._terminal import detect_terminal, wrap_lines
 from autotune.cli.completion import COMPLETE_VARIABLE
 from autotune.errors import CertificateError, InfeasibleError, UsageError
 from autotune.version import __version__
@@ -111,6 +113,19 @@ class LazyGroup(click.Group):
         """Return the names in the order of the work."""
         del ctx
         return list(self.entries)
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Find the command; of an unknown one name the nearest, and of a file the command that it is for."""
+        name = args[0]
+        if name not in self.entries and not name.startswith("-"):
+            if Path(name).is_file():
+                check_kind(Path(name), ("command",))
+            near = difflib.get_close_matches(name, self.entries, 1)
+            if near:
+                ctx.fail(f"No such command '{name}'. Did you mean `{PROGRAM} {near[0]}`?")
+        return super().resolve_command(ctx, args)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """Import and return the command, or None when there is none of that name."""
@@ -244,9 +259,10 @@ def _report(error: BaseException, arguments: Sequence[str], delivery: Delivery) 
         say("".join(traceback.format_exception(error)).rstrip())
     message = _one_line(error, code)
     hint = _hint(error, code)
-    name = painted(f"{PROGRAM}:", error=True)
     ended = f"{message.rstrip('.')}." if delivery.remark else message
-    say(" ".join(part for part in (name, ended, hint, delivery.remark) if part))
+    text = " ".join(part for part in (ended, hint, delivery.remark) if part)
+    columns = detect_terminal(sys.stderr).columns
+    say("\n".join(wrap_lines(text, verdict=f"{PROGRAM}: ", columns=columns, error=True)))
     if _has_option("--json", arguments) and not delivery.done:
         tree: dict[str, Any] = {
             "error": {"kind": type(error).__name__, "message": message, "exit_code": int(code), **_details(error)}

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ._common import Output, output_options
+from ._kinds import PLANTS
 from ._options import SETTINGS, FilePath, GroupedCommand, output_option
 from ._terminal import print_message
 
@@ -43,7 +44,7 @@ _RANGE = "NAME=LO:HI[:N][:log|lin]"
 
 
 @click.command("map", cls=GroupedCommand, groups=_GROUPS, epilog=_EPILOG)
-@click.argument("source", type=FilePath(*SETTINGS))
+@click.argument("source", type=FilePath(*SETTINGS, kinds=(*PLANTS, "controller")))
 @click.option("--x", metavar=_RANGE, help="Parameter of the x axis, N values (120); logarithmic from a factor of 10.")
 @click.option("--y", metavar=_RANGE, help="Parameter of the y axis (90 values), or of the compared curves.")
 @click.option(
@@ -71,7 +72,7 @@ _RANGE = "NAME=LO:HI[:N][:log|lin]"
 )
 @click.option(
     "--controller",
-    type=FilePath(*SETTINGS),
+    type=FilePath(*SETTINGS, kinds=("controller",)),
     help="Controller file with the gains (default: those of SOURCE).",
 )
 @click.option("--search", metavar="LO:HI[:N][:log|lin]", help="Search range of stable-damping or stable-lead.")
@@ -131,6 +132,7 @@ def command(
         output.note(line)
     tree = summary_tree(made)
     output.result(tree, lambda: print_summary(tree))
+    output.next_command("explore", source)
 
 
 def print_summary(tree: dict[str, Any]) -> None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from ._common import Output, output_options
+from ._kinds import PLANTS
 from ._optimized import (
     active_lines,
     active_tree,
@@ -71,7 +72,7 @@ def _stiffness(_context: click.Context, _option: click.Parameter, text: str | No
 
 
 @click.command("optimize", cls=GroupedCommand, groups=_GROUPS, epilog=_EPILOG)
-@click.argument("identified", type=FilePath(*SETTINGS))
+@click.argument("identified", type=FilePath(*SETTINGS, kinds=PLANTS))
 @click.option(
     "-o",
     "--output",
@@ -80,7 +81,9 @@ def _stiffness(_context: click.Context, _option: click.Parameter, text: str | No
     show_default="controller.yaml, or the folder schedule",
     help="File to write; with --schedule the folder.",
 )
-@click.option("--problem", type=FilePath(*SETTINGS), help="Requirements, bounds and ranges: problem.yaml.")
+@click.option(
+    "--problem", type=FilePath(*SETTINGS, kinds=("problem",)), help="Requirements, bounds and ranges: problem.yaml."
+)
 @click.option(
     "--payload-mass",
     callback=_masses,
@@ -96,7 +99,7 @@ def _stiffness(_context: click.Context, _option: click.Parameter, text: str | No
 @click.option(
     "--compare",
     "old",
-    type=PresentType(*SETTINGS),
+    type=PresentType(*SETTINGS, kinds=("controller", "cell")),
     metavar="GAINS|log|FILE",
     help="What runs today: gains as in mass=10,damping=1500, those of the log, a controller or cell.yaml. The search "
     "starts from it too.",
@@ -174,6 +177,9 @@ def command(
     tree |= {"pareto": fronts.tree} if fronts.tree else {}
     tree |= write_report(output, report, lambda: _page(found, checksum, present, fronts))
     output.result(tree, lambda: _print_all(found, out, short(checksum), present, fronts, report))
+    # Ranges that were said may leave out what was identified, and a plant of a person has no estimates to hold against.
+    is_said = plant.domain or found.compliance or spec.payload_mass or spec.environment_stiffness
+    output.next_command("validate", out, *(() if is_said else ("--identified", identified)))
 
 
 def _print_all(

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ._common import Output, output_options
+from ._kinds import PLANTS
 from ._options import SETTINGS, FilePath, GroupedCommand, QuantityRange, output_option
 from ._terminal import print_message, print_table, printable
 
@@ -62,13 +63,13 @@ def _limit_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 @click.command("plan", cls=GroupedCommand, groups=_GROUPS, epilog=_EPILOG)
-@click.argument("identified", required=False, type=FilePath(*SETTINGS))
+@click.argument("identified", required=False, type=FilePath(*SETTINGS, kinds=PLANTS))
 @output_option("plan.yaml")
 @click.option("--axis", type=click.Choice(["x", "y", "z"]), help="Axis of sweep and contacts.")
 @click.option(
     "--controller",
     "present",
-    type=FilePath(*SETTINGS),
+    type=FilePath(*SETTINGS, kinds=("controller",)),
     help="Weigh uncertainties by the peak force with this controller.yaml (default: a usual one).",
 )
 @click.option("--mass", type=_MASS, metavar="KG", help="Guess of the payload mass, without a file.")
@@ -135,6 +136,7 @@ def command(
     with output.replacing(out, "plan"):
         write_plan(out, plan, provenance)
     output.result(plan_tree(plan, provenance), lambda: print_plan(plan, out))
+    output.next_command(*(("demo",) if identified is None else ("report", identified)))
 
 
 def _from_file(output: Output, path: Path, axis: str | None, provenance: dict[str, object]) -> tuple[str, "PlanValues"]:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ._common import Output, output_options
+from ._kinds import LOG, PLANTS
 from ._options import LOGS, SETTINGS, FilePath, GroupedCommand, cell_option, span_options, urdf_options
 from ._report import check_report, print_report_path, report_option, report_refusal, write_report
 from ._terminal import print_message, print_table
@@ -30,13 +31,13 @@ _GROUPS = {
     "Contact": ("surface", "approach", "axis", "payload_mass", "sample_time"),
     "Comparison with logs": ("logs", "cell_path", "urdf", "tip", "start", "stop"),
 }
-_SOURCE = FilePath(*SETTINGS)
+_SOURCE = FilePath(*SETTINGS, kinds=(*PLANTS, "controller"))
 
 
 @click.command("predict", cls=GroupedCommand, groups=_GROUPS, epilog=_EPILOG)
 @click.argument("identified", type=_SOURCE)
 @click.option("--gains", metavar="NAME=VALUE,...", help="Gains: mass, damping, lead, feedback_damping, deadband.")
-@click.option("--controller", type=_SOURCE, help="Controller file with the gains.")
+@click.option("--controller", type=FilePath(*SETTINGS, kinds=("controller",)), help="Controller file with the gains.")
 @click.option("--surface", metavar="NAME|STIFFNESS", help="Surface of the plant, or a stiffness such as 20N/mm.")
 @click.option(
     "--approach", metavar="force=F|speed=V", help="How the contact begins; with both, F acts after the impact."
@@ -47,7 +48,7 @@ _SOURCE = FilePath(*SETTINGS)
 @click.option(
     "--log",
     "logs",
-    type=FilePath(*LOGS, dir_okay=True),
+    type=FilePath(*LOGS, kinds=(LOG,), dir_okay=True),
     multiple=True,
     help="Predict every contact of this log at its own speed and desired force; may be repeated.",
 )
@@ -97,6 +98,25 @@ def command(output: Output, /, identified: Path, **options: Any) -> None:
         print_report_path(report)
 
     output.result(tree, text)
+    _name_next(output, identified, options, seen.shown)
+
+
+def _name_next(
+    output: Output, identified: Path, options: dict[str, Any], found: "PredictedContact | TouchComparison"
+) -> None:
+    from autotune.formats.yaml12 import kind_of_file
+    from autotune.prediction.result import PredictedContact
+
+    contact = found if isinstance(found, PredictedContact) else found.contacts[0].predicted
+    if kind_of_file(identified) == "controller":
+        output.next_command("explore", identified)
+    elif not contact.has_payload:
+        output.next_command("plan", identified)
+    else:
+        parts = [part.strip() for part in (options["gains"] or "").split(",")]
+        is_whole = {"mass", "damping"} <= {part.partition("=")[0] for part in parts}
+        gains = ",".join(f"{contact.axis}.{part}" for part in parts)
+        output.next_command("optimize", identified, *(("--compare", gains) if is_whole else ()))
 
 
 @dataclass(kw_only=True)

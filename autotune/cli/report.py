@@ -22,7 +22,13 @@ _SEARCH = b'-convergence"'
 @click.command("report", cls=GroupedCommand, epilog=_EPILOG)
 @click.argument("files", metavar="FILE...", nargs=-1, required=True, type=FilePath(*SETTINGS, *LOGS, dir_okay=True))
 @output_option("report.html", "Page to write.")
-@click.option("--compare", "old", type=FilePath(*SETTINGS), metavar="CONTROLLER", help="Compare with this controller.")
+@click.option(
+    "--compare",
+    "old",
+    type=FilePath(*SETTINGS, kinds=("controller",)),
+    metavar="CONTROLLER",
+    help="Compare with this controller.",
+)
 @click.option(
     "--samples",
     type=click.IntRange(0),
@@ -55,3 +61,8 @@ def command(output: Output, files: tuple[Path, ...], out: Path, old: Path | None
     if is_richer and _SEARCH not in out.read_bytes():
         output.note(f"{out} was a page of optimize; how the search converged is in no file, and no longer on it.")
     found.require()
+    for kind, command in (("controller", "explore"), ("identified", "optimize"), ("schedule", "validate")):
+        first = next((path for path, of in found.kinds.items() if of == kind), None)
+        if first is not None:
+            output.next_command(command, first)
+            break

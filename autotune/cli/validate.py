@@ -10,6 +10,7 @@ import click
 from autotune.formats.units import ROTATIONAL_AXES, axis_units
 
 from ._common import Output, output_options
+from ._kinds import LOG
 from ._optimized import limit_lines
 from ._options import KEYS, LOGS, SETTINGS, FilePath, GroupedCommand, cell_option, span_options, urdf_options
 from ._report import check_report, print_report_path, report_option, report_refusal, write_report
@@ -35,7 +36,7 @@ Examples:
   autotune validate controller.yaml --public-key pub.pem
   autotune validate schedule/schedule.yaml
 """
-_FILE, _KEY = FilePath(*SETTINGS), FilePath(*KEYS)
+_KEY = FilePath(*KEYS)
 _GROUPS = {
     "Comparison with a log": ("logs", "cell_path", "command_topic", "urdf", "tip", "start", "stop"),
     "Simulation of the certified set": ("samples", "seed", "noise", "sensor_range", "speed_limit", "late"),
@@ -58,16 +59,16 @@ def _pair(ctx: click.Context, param: click.Parameter, value: str | None) -> tupl
 
 
 @click.command("validate", cls=GroupedCommand, groups=_GROUPS, epilog=_EPILOG)
-@click.argument("controller", type=_FILE)
+@click.argument("controller", type=FilePath(*SETTINGS, kinds=("controller", "schedule")))
 @click.option(
     "--identified",
-    type=_FILE,
+    type=FilePath(*SETTINGS, kinds=("identified",)),
     help="Check that this identified plant lies inside the certified domain, and |1 + L| on its measured response.",
 )
 @click.option(
     "--log",
     "logs",
-    type=FilePath(*LOGS, dir_okay=True),
+    type=FilePath(*LOGS, kinds=(LOG,), dir_okay=True),
     multiple=True,
     help="Compare every contact in this log, recorded under this controller; several are parts of one recording.",
 )
@@ -167,6 +168,8 @@ def _validate(output: Output, path: Path, identified_path: Path | None, options:
         _note_unverified(output, path)
     tree |= write_report(output, options["report"], seen.page)
     output.result(tree, lambda: seen.print(options["report"]))
+    if seen.report.passed:
+        output.next_command("export", path, "--target", "c", "-o", path.with_suffix(".c"))
     seen.report.require()
 
 

@@ -39,6 +39,7 @@ def command(output: Output) -> None:
     count = compilations.count - before
     text = f"{count} kernels compiled." if count else "Everything was compiled already."
     output.result({"compiled": count}, lambda: click.echo(text))
+    output.next_command("demo")
 
 
 def _warm(folder: Path, advance: Advance) -> None:

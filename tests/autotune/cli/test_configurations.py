@@ -57,7 +57,6 @@ CASES: dict[str, tuple[bytes, int, str]] = {
     "a tag": (swapped("mass: 12.5", "mass: !!python/name:os.system 12.5"), MASS, "tags"),
     "an older version": (sealed(version=0), 2, "version must be 1, which this release reads, found 0"),
     "a newer version": (sealed(version=2), 2, "version must be 1, which this release reads, found 2"),
-    "another kind of file": (sealed(format="autotune/identified"), 1, "format must be autotune/controller"),
     "a stale checksum": (swapped(TREE["checksum"], "0" * 64), LAST, "the checksum says 00000000, but the content has"),
     "not validated": (sealed(status="unvalidated"), 3, "the controller is not validated"),
     "cut": (YAML[: YAML.index("margins:")].encode(), 1, ""),
@@ -82,6 +81,18 @@ def test_a_configuration_that_must_not_get_through(
     assert reason in told.err
     if case != "cut":
         assert f"{path}, line {line}: " in told.err, told.err
+
+
+@pytest.mark.parametrize("command", ["validate", "export"])
+def test_another_kind_of_file_is_a_wrong_request_and_no_tampering(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str
+) -> None:
+    path, out = tmp_path / "controller.yaml", tmp_path / "out.json"
+    path.write_bytes(sealed(format="autotune/identified"))
+    further = ["--target", "json", "-o", str(out)] if command == "export" else []
+    assert main([command, str(path), *further]) == 2
+    assert "is an identified plant, not a controller" in capsys.readouterr().err
+    assert not out.exists()
 
 
 def test_2e_5_and_its_like_are_numbers(tmp_path: Path) -> None:

@@ -54,6 +54,7 @@ def test_a_missing_extra_is_named_and_nothing_is_written(
         "format: autotune/cell\nversion: 1\ntable: {time: t}\nwrench: {fields: {force: [fx, fy, fz]}}\n",
         encoding="utf-8",
     )
+    (tmp_path / "joints.mcap").write_bytes(b"\x89MCAP0\r\n")
     (tmp_path / "controller.yaml").write_text("", encoding="utf-8")
     before = sorted(tmp_path.iterdir())
     assert main(arguments) == 2

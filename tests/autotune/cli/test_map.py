@@ -13,6 +13,7 @@ from autotune.formats.controller import read_controller, write_controller
 from autotune.formats.identified import write_identified
 from autotune.formats.limits import CollisionResponse
 from tests.autotune.formats.samples import make_controller, make_identified
+from tests.told import is_next_alone
 
 RunCli = Callable[..., "subprocess.CompletedProcess[str]"]
 COARSE = ("--x", "damping=100:5000:9:log", "--y", "lead_s=0:0.06:7")
@@ -32,7 +33,8 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_people_see_the_share_the_extremes_and_the_design(run_cli: RunCli, folder: Path) -> None:
     done = run_cli("map", "controller.yaml", "--show", "modulus", *COARSE)
-    assert (done.returncode, done.stderr) == (0, "")
+    assert done.returncode == 0
+    assert is_next_alone(done.stderr)
     lines = done.stdout.splitlines()
     assert lines[0].startswith("63 points, ")
     assert lines[0].endswith("% stable in contact and in free space")
@@ -69,8 +71,10 @@ def test_intervals_are_told_and_drawn_the_same_twice(
         assert main(arguments) == 0
         seen.append((capsys.readouterr(), picture.read_bytes(), picture.with_suffix(".csv").read_bytes()))
     assert seen[0][1:] == seen[1][1:]
-    assert (seen[0][0].out, seen[0][0].err) == (seen[1][0].out, "")
-    told = seen[1][0].err.splitlines()
+    assert seen[0][0].out == seen[1][0].out
+    assert is_next_alone(seen[0][0].err)
+    *told, following = seen[1][0].err.splitlines()
+    assert following == "next: autotune explore controller.yaml"
     assert [line.rpartition(" of sha256 ")[0] for line in told] == [
         f"{picture.name}: replaced the picture of a map",
         "lead.csv: replaced the table of a map",

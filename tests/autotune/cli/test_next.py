@@ -1,0 +1,61 @@
+"""The command that is named last can be pasted: followed from a log on, it leads to a controller and its export."""
+
+import shlex
+from pathlib import Path
+
+import pytest
+
+from autotune.cli.main import main
+
+PLANT = """format: autotune/plant
+version: 1
+mass: 16
+coupling_stiffness: 3e5
+drag: 630
+robot: {bandwidth: 3.2, delay: 2.4e-3}
+environment_stiffness: [2e4, 8e4]
+sample_time: 8e-4
+"""
+
+
+def following(capsys: pytest.CaptureFixture[str], *words: str) -> list[str]:
+    """Run a command and return the words of the one that it names."""
+    assert main(list(words)) == 0
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last.startswith("next: autotune ")
+    return shlex.split(last)[2:]
+
+
+@pytest.mark.slow
+def test_the_named_commands_lead_from_a_log_to_an_export(
+    good_log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    log = tmp_path / "run 7.mcap"
+    log.symlink_to(good_log)
+    done, words = [], ["inspect", log.name]
+    while words[0] != "explore":
+        done.append(words[0])
+        words = following(capsys, *words)
+    assert done == ["inspect", "identify", "optimize", "validate", "export", "report"]
+    assert words == ["explore", "controller.yaml"]
+    assert (tmp_path / "controller.c").is_file()
+
+
+def test_a_prediction_names_the_search_with_its_gains_beside_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("plant.yaml").write_text(PLANT, encoding="utf-8")
+    gains = ("--gains", "mass=13,damping=1000,lead=20ms", "--surface", "40N/mm", "--approach", "force=30")
+    words = following(capsys, "predict", "plant.yaml", *gains)
+    assert words == ["optimize", "plant.yaml", "--compare", "x.mass=13,x.damping=1000,x.lead=20ms"]
+
+
+@pytest.mark.parametrize("option", ["--json", "--quiet"])
+def test_programs_are_told_nothing(
+    option: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["plan", option]) == 0
+    assert "next:" not in capsys.readouterr().err

@@ -1,0 +1,6 @@
+"""What a command says on standard error."""
+
+
+def is_next_alone(text: str) -> bool:
+    """Whether it is one line, the command that usually follows, and nothing else."""
+    return text.startswith("next: autotune ") and text.count("\n") == 1 and text.endswith("\n")
