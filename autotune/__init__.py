@@ -32,7 +32,13 @@ if TYPE_CHECKING:
     from identification.errors import EstimateError, LogError
     from identification.result import Estimate, Finding, Status
     from problems.contact.transient import Approach
-    from problems.design.requirements import AdmittanceTarget, NoiseLimit, PassivityTarget, Requirements
+    from problems.design.requirements import (
+        AdmittanceTarget,
+        MultiplicativeError,
+        NoiseLimit,
+        PassivityTarget,
+        Requirements,
+    )
     from problems.errors import ParameterError
     from problems.stability.margins import UnstableLoopError
 
@@ -52,7 +58,13 @@ _HOMES: dict[str, tuple[str, ...]] = {
     "identification.errors": ("EstimateError", "LogError"),
     "identification.result": ("Estimate", "Finding", "Status"),
     "problems.contact.transient": ("Approach",),
-    "problems.design.requirements": ("AdmittanceTarget", "NoiseLimit", "PassivityTarget", "Requirements"),
+    "problems.design.requirements": (
+        "AdmittanceTarget",
+        "MultiplicativeError",
+        "NoiseLimit",
+        "PassivityTarget",
+        "Requirements",
+    ),
     "problems.errors": ("ParameterError",),
     "problems.stability.margins": ("UnstableLoopError",),
 }
@@ -73,6 +85,7 @@ __all__ = [
     "InfeasibleError",
     "Log",
     "LogError",
+    "MultiplicativeError",
     "NoiseLimit",
     "ParameterError",
     "PassivityTarget",

@@ -15,7 +15,7 @@ from .axes.turning import LEVER_M
 from .joint_fit.data import JointData
 from .joint_fit.result import JointFit
 from .measured_response import FrequencyResponse, MeasuredResponse
-from .result import Finding
+from .result import RESPONSE_DIFFERS, Finding
 from .robot.coupling import felt_impedance
 from .robot.frequency_response import MotionRecord, measure_responses
 from .signals.recording import Recording
@@ -84,14 +84,17 @@ def response_findings(
         apart = abs(response.values[worst] / model[worst] - 1.0)
         circle = response.radius_95[worst] / abs(model[worst])
         at = response.frequency_hz[runs]
-        yield Finding.warning(
-            "response-differs",
-            f"Axis {name}: the measured frequency response {what} differs from the model by {100.0 * apart:.3g} % at "
-            f"{response.frequency_hz[worst]:.3g} Hz, where it is known to {100.0 * circle:.2g} % (95 %); beyond that "
-            f"and {100.0 * _SMALL_SHARE:g} % at {len(at)} of {len(response.points)} frequencies, {at[0]:.3g} to "
-            f"{at[-1]:.3g} Hz.",
-            "Friction, a second mode or a filter that the model does not hold do this: see the Bode pictures of the "
-            "report, and let `validate --identified` compute |1 + L| on the measured response.",
+        yield Finding(
+            code=RESPONSE_DIFFERS,
+            severity="warning",
+            axis=name,
+            message=f"Axis {name}: the measured frequency response {what} differs from the model by "
+            f"{100.0 * apart:.3g} % at {response.frequency_hz[worst]:.3g} Hz, where it is known to "
+            f"{100.0 * circle:.2g} % (95 %); beyond that and {100.0 * _SMALL_SHARE:g} % at {len(at)} of "
+            f"{len(response.points)} frequencies, {at[0]:.3g} to {at[-1]:.3g} Hz.",
+            advice="Friction, a second mode or a filter that the model does not hold do this: see the Bode pictures of "
+            "the report. optimize asks for the modulus margin beside that error (`multiplicative_error`), and "
+            "`validate --identified` computes |1 + L| on the measured response.",
         )
 
 

@@ -378,6 +378,7 @@ class SensorEstimate:
 
 
 CONTACT_UNEXPLAINED = "contact-unexplained"
+RESPONSE_DIFFERS = "response-differs"
 """Code of the finding, of severity `error`, that something was touched whose stiffness is not known."""
 
 

@@ -26,6 +26,7 @@ from problems.model.plant import WrenchFilter
 from problems.model.robot import RobotModel
 
 from .defaults import follow_robot
+from .measured_error import with_measured_error
 from .plausible import check_plausible, unexplained_contacts
 from .uncertain import with_uncertainty
 from .wrench import LAG, LATE, build_wrench, check_wrench, without_position
@@ -91,7 +92,7 @@ def build_problems(identified: Identified, spec: ProblemSpec) -> dict[str, Desig
             problems[name] = _build_problem(identified, name, turned)
         else:
             problems[name] = _build_problem(identified, name, straight)
-    return problems
+    return with_measured_error(identified, problems)
 
 
 def _check_use(names: list[str], spec: ProblemSpec) -> None:

@@ -138,10 +138,7 @@ def _peaks(pressed: Mapping[int, dict[str, Any] | None]) -> Iterator[str]:
     yield (
         "F^d = 30 N at the wall, force-driven; ranges of 0.45 to 2.2 of K_e and 0.84 to 1.16 of the mass were "
         "certified, other entries of\nproblem.yaml left as they are"
-        + (
-            f", but for {len(eased)} cells ({_listed(eased)}) with 0.95 of the admittance that the refusal names"
-            * bool(eased)
-        )
+        + (f", but for {len(eased)} cells ({_listed(eased)}) with the lines that the refusal names" * bool(eased))
         + ".\nThe largest force on the wall, as MuJoCo has it, beside `at.predict` on the controller, which knows "
         "nothing of edges, inclinations\nand hands, and beside the certified worst of the whole domain.\n"
     )

@@ -24,8 +24,6 @@ from examples.mujoco.cell import Hand, MujocoCell, Wall
 from examples.mujoco.chain import FIRST_LOG, FORCE_N, estimates, press, record
 
 FRICTION_N, JOINT_FRICTION_N, DRAG_N_S_PER_M, FILTER_HZ = 3.0, 40.0, (5.0, 600.0), (50.0, 200.0)
-# Of the admittance that a refusal names as attainable, so much is not asked for.
-SPARED = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,30 +143,29 @@ def designed(drawn: Drawn, folder: Path, seed: int) -> dict[str, Any]:
     if not source.is_file():
         return {"refused": "The log was refused."}
     try:
-        design, refusal = _searched(source, drawn)
+        design, refusal = _searched(source, folder / "problem.yaml", drawn)
     except at.AutotuneError as error:
         return {"refused": str(error)}
     design.save(file)
     return {"eased": refusal, "certified": design.peak_force, "contacts": _contacts(drawn, design, file, seed)}
 
 
-def _searched(source: Path, drawn: Drawn) -> tuple[at.Design, str]:
-    """Return a design, with the admittance that a refusal names as attainable where there is one; and the refusal."""
+def _searched(source: Path, problem: Path, drawn: Drawn) -> tuple[at.Design, str]:
+    """Return a design, with the lines in `problem.yaml` that a refusal names where there are any; and the refusal."""
     wall, mass = drawn.wall.stiffness_n_per_m, drawn.cell.mass_kg
 
-    def search(problem: at.Problem | None) -> at.Design:
+    def search(problem: Path | None) -> at.Design:
         masses, walls = (0.84 * mass, 1.16 * mass), (0.45 * wall, 2.2 * wall)
         return at.optimize(source, payload_mass=masses, environment_stiffness=walls, problem=problem, axes=["z"])
 
     try:
         return search(None), ""
     except at.InfeasibleError as error:
-        attainable = {name: possible for name, _, possible in error.relaxations}.get("free_space_admittance")
-        if attainable is None:
+        if not error.suggestion:
             raise
-        target = at.AdmittanceTarget(min_m_s_per_n=(1.0 - SPARED) * attainable)
-        problem = at.Problem(requirements=at.Requirements(free_space_admittance=target))
-        return search(problem), f"{error} Asked instead: {target.min_m_s_per_n:.3g} m/s/N."
+        lines = {"format": "autotune/problem", "version": 1, **error.suggestion}
+        problem.write_text(json.dumps(lines, indent=1), encoding="utf-8")  # which is YAML, too
+        return search(problem), str(error)
 
 
 def _contacts(drawn: Drawn, design: at.Design, file: Path, seed: int) -> list[dict[str, Any]]:

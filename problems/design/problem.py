@@ -19,7 +19,7 @@ from ..model.controller import (
 )
 from ..model.plant import Plant
 from .objectives import CONTACT_FORCE, Objective, PeakObjective
-from .requirements import AdmittanceTarget, NoiseLimit, PassivityTarget, Requirements
+from .requirements import AdmittanceTarget, MultiplicativeError, NoiseLimit, PassivityTarget, Requirements
 from .uncertainty import SYMBOLS, PlantSet, Scenario
 
 __all__ = [
@@ -28,6 +28,7 @@ __all__ = [
     "VARIABLES",
     "AdmittanceTarget",
     "DesignProblem",
+    "MultiplicativeError",
     "NoiseLimit",
     "PassivityTarget",
     "Requirements",

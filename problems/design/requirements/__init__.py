@@ -4,6 +4,7 @@ from .admittance import AdmittanceRequirement, AdmittanceTarget, band_frequencie
 from .base import LoopRequirement, Requirement
 from .command_noise import NoiseLimit, NoiseRequirement
 from .margins import DecayRate, Margin
+from .multiplicative_error import ErrorRequirement, MultiplicativeError
 from .passivity import PassivityRequirement, PassivityTarget
 from .peak_force import PeakForceLimit
 from .registry import BUILT_IN
@@ -17,8 +18,10 @@ __all__ = [
     "AdmittanceRequirement",
     "AdmittanceTarget",
     "DecayRate",
+    "ErrorRequirement",
     "LoopRequirement",
     "Margin",
+    "MultiplicativeError",
     "NoiseLimit",
     "NoiseRequirement",
     "PassivityRequirement",

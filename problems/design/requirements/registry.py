@@ -9,6 +9,7 @@ from .base import Requirement
 from .command_noise import NoiseRequirement
 from .damping_ratio import DampingRatio
 from .margins import DecayRate, DelayMargin, GainMargin, ModulusMargin, PhaseMargin
+from .multiplicative_error import ErrorRequirement
 from .passivity import PassivityRequirement
 from .peak_force import PeakForceLimit
 
@@ -26,6 +27,7 @@ BUILT_IN: Mapping[str, Requirement[Any]] = FrozenDict(
             NoiseRequirement(),
             PassivityRequirement(),
             DampingRatio(),
+            ErrorRequirement(),
         )
     }
 )

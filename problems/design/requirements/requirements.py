@@ -11,6 +11,7 @@ from ...frozen import FrozenDict, freeze, short_repr
 from .admittance import AdmittanceTarget
 from .base import Requirement
 from .command_noise import NoiseLimit
+from .multiplicative_error import MultiplicativeError
 from .passivity import PassivityTarget
 from .registry import BUILT_IN
 
@@ -20,7 +21,7 @@ LARGEST_PRICE_N = 1e6
 _DEFAULT_ADMITTANCE = AdmittanceTarget(is_default=True)
 _NOTHING: Mapping[str, float] = FrozenDict()
 
-RequirementValue = float | AdmittanceTarget | NoiseLimit | PassivityTarget
+RequirementValue = float | AdmittanceTarget | MultiplicativeError | NoiseLimit | PassivityTarget
 """The threshold of a requirement, with what belongs to it."""
 
 
@@ -45,6 +46,7 @@ class Requirements:
     free_space_admittance: AdmittanceTarget | None = _DEFAULT_ADMITTANCE
     command_noise: NoiseLimit | None = None
     passivity: PassivityTarget | None = None
+    multiplicative_error: MultiplicativeError | None = None
     further: Mapping[str, float] = field(default_factory=dict)
     plugins: tuple[Requirement[Any], ...] = ()
     soft_n: Mapping[str, float] = field(default_factory=dict)
@@ -61,6 +63,7 @@ class Requirements:
         free_space_admittance: AdmittanceTarget | None = _DEFAULT_ADMITTANCE,
         command_noise: NoiseLimit | None = None,
         passivity: PassivityTarget | None = None,
+        multiplicative_error: MultiplicativeError | None = None,
         further: Mapping[str, float] = _NOTHING,
         plugins: tuple[Requirement[Any], ...] = (),
         soft_n: Mapping[str, float] = _NOTHING,
