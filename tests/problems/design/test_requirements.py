@@ -7,13 +7,14 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from problems.design.requirements import (
     BUILT_IN,
     FIELDS,
     LARGEST_SHARE,
+    MultiplicativeError,
     NoiseLimit,
     PassivityTarget,
     Requirements,
@@ -27,6 +28,7 @@ EVERYTHING = Requirements(
     max_peak_force_n=80.0,
     command_noise=NoiseLimit(max_speed_rms_m_s=1e-3, force_noise_rms_n=0.2),
     passivity=PassivityTarget(passive_below_hz=12.0),
+    multiplicative_error=MultiplicativeError(min_modulus=0.4, points=((5.0, 0.2),)),
 )
 UPPER = ("max_peak_force_n", "command_noise")
 
@@ -89,6 +91,8 @@ def ratio_at(name: str, asked: RequirementValue, reached: float) -> float:
 @LAW
 @given(name=st.sampled_from(FIELDS), ratio=st.floats(1e-3, 1e3))
 def test_what_is_achieved_has_that_ratio(name: str, ratio: float) -> None:
+    # What is left beside an error may be below 0: beyond 4 its ratio is another one (test_multiplicative_error).
+    assume(name != "multiplicative_error" or ratio <= 4.0)
     asked = EVERYTHING.asked()[name]
     assert ratio_at(name, asked, BUILT_IN[name].achieved_at(asked, ratio)) == pytest.approx(ratio, rel=1e-12)
 
