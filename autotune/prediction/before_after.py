@@ -16,6 +16,7 @@ from autotune.text import NO_GAINS_BEFORE, NOTHING_BEFORE
 from identification.result import Touch, TouchCause
 from problems.contact.transient import ContactTransient
 from problems.errors import AutotuneError
+from problems.model.response import hand_force_per_speed
 
 from .against_touches import ComparedTouch, Running, compare_touches, plants_of_touch, touch_time_s
 from .certified import outside_domain
@@ -243,13 +244,13 @@ def compare_before_after(
         today = None if present is None else present.laws.get(axis)
         surfaces, passed = _replayed_surfaces(source, axis, law, today, controller.sample_time_s)
         outside = [outside_domain(domain, each.after.predicted) for each in surfaces]
-        drag = domain.plants.nominal.payload.drag_n_s_per_m
+        nominal = domain.plants.nominal
         found[axis] = BeforeAndAfter(
             axis=axis,
             surfaces=surfaces,
             hand=(
-                None if today is None else today.controller.damping_n_s_per_m + drag,
-                law.controller.damping_n_s_per_m + drag,
+                None if today is None else hand_force_per_speed(nominal, today.controller),
+                hand_force_per_speed(nominal, law.controller),
             ),
             worst=(
                 (worst_before or {}).get(axis),

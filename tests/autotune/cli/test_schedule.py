@@ -73,7 +73,7 @@ def test_infeasible_classes_are_exit_5_and_nothing_is_left(run_cli: RunCli, tmp_
         (("--schedule", "stiffness=0:1e5"), "above 0"),
         (("--schedule", "payload=8", "--schedule", "payload=8"), "8 to 8 is named twice"),
         (("--schedule", "payload=8:12"), "Class m8-12: The payload range 8 to 12 kg leaves out the identified payload"),
-        (("--schedule", "payload=16", "--compare", "old.yaml"), "--compare is about one controller"),
+        (("--schedule", "payload=16", "--compare", "mass=10,damping=1500"), "--compare is about one controller"),
         (("--schedule", "payload=16", "--pareto"), "--pareto is about one controller"),
         (("--schedule", "payload=16", "--slack", "3"), "--slack and --proof-budget are about one controller"),
         (("--schedule", "payload=16", "--payload-mass", "16"), "both say the payload"),
