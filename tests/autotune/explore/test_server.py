@@ -5,7 +5,9 @@ import signal
 import socket
 import threading
 from collections.abc import Callable
+from http.client import HTTPConnection
 from pathlib import Path
+from urllib.parse import urlsplit
 
 import pytest
 
@@ -56,3 +58,38 @@ def test_an_interrupt_gives_up_a_save_and_does_not_wait_for_it(tmp_path: Path) -
     saving.join(60.0)
     assert len(raised) == 1
     assert target.path.read_text(encoding="utf-8") == "as it was"
+
+
+def test_every_answer_forbids_frames_and_foreign_sources(tmp_path: Path) -> None:
+    found: dict[str, tuple[int, dict[str, str]]] = {}
+
+    def ask(address: str) -> None:
+        page = urlsplit(address)
+        asked = {page.path: {}, "/guess/": {}, f"{page.path}static/js/bokeh.min.js": {}, "/": {"Host": "evil.example"}}
+        for path, headers in asked.items():
+            connection = HTTPConnection(LOOPBACK, page.port, timeout=30)
+            connection.request("GET", path, headers=headers)
+            answer = connection.getresponse()
+            found[path.removeprefix(page.path) if path != "/" else path] = answer.status, dict(answer.getheaders())
+            answer.read()
+            connection.close()
+        os.kill(os.getpid(), signal.SIGINT)
+
+    def ready(address: str) -> None:
+        threading.Thread(target=ask, args=(address,)).start()
+
+    serve(small_exploration(), Target(tmp_path / "controller.yaml"), port=0, ready=ready)
+    assert {path: status for path, (status, _) in found.items()} == {
+        "": 200,
+        "/guess/": 404,
+        "static/js/bokeh.min.js": 200,
+        "/": 403,
+    }
+    for _, headers in found.values():
+        policy = dict(each.split(" ", 1) for each in headers["Content-Security-Policy"].split("; "))
+        assert policy["default-src"] == policy["frame-ancestors"] == policy["base-uri"] == "'none'"
+        assert policy["connect-src"] == "'self'"
+        assert headers["X-Frame-Options"] == "DENY"
+        assert headers["X-Content-Type-Options"] == "nosniff"
+        assert headers["Referrer-Policy"] == "no-referrer"
+        assert headers["Cross-Origin-Resource-Policy"] == headers["Cross-Origin-Opener-Policy"] == "same-origin"
