@@ -136,7 +136,8 @@ def resolve_joints(
     found = dict(choices)
     for role, choice in choices.items():
         if choice.of_joints:
-            found[role] = replace(choice, fields=_paths(choice, chain, cell.joints, logs))
+            paths, only = _paths(choice, chain, cell.joints, logs)
+            found[role] = replace(choice, fields=paths, only=only)
             meaning = PoseSource(clock=cell.joints.clock, clock_offset_s=cell.joints.clock_offset_s)
             cell = replace(cell, pose=meaning) if role is Role.POSE else replace(cell, command=meaning)
     return found, cell, chain
@@ -164,13 +165,13 @@ def joint_findings(
         return ()
     try:
         choice = choose_joints(Role.POSE, cell.joints, logs.infos, logs.name)
-        paths = () if choice is None else _paths(choice, chain, cell.joints, logs)
+        paths, only = ((), b"") if choice is None else _paths(choice, chain, cell.joints, logs)
     except LogError as error:
         return (Finding.info("joints-unread", str(error), f"The pose of {pose.topic} is used, compared with none."),)
     if choice is None:
         return ()
     header = choice.header if recording.clocks["pose"] == Clock.HEADER.value else ""
-    [series] = logs.read({choice.info.channel: Wanted(fields=paths, header=header)}).values()
+    [series] = logs.read({choice.info.channel: Wanted(fields=paths, header=header, only=only)}).values()
     stamps, values = series.times_ns, chain.poses(series.values, ANGLE_RAD[cell.joints.angle])
     other = interpret_pose(nameless_series(stamps, values), PoseSource(), build_frames(cell), is_displacement=False)
     inside = (stamps >= pose.stamp_ns[0]) & (stamps <= pose.stamp_ns[-1]) & np.isfinite(other.position_m).all(axis=1)
@@ -214,8 +215,11 @@ def _compared(
     )
 
 
-def _paths(choice: Choice, chain: Chain, joints: JointsSource, logs: OpenedLogs) -> tuple[str, ...]:
-    """Return the paths of the chain's joints in a channel: the declared ones, or by the names in a JointState."""
+def _paths(choice: Choice, chain: Chain, joints: JointsSource, logs: OpenedLogs) -> tuple[tuple[str, ...], bytes]:
+    """Return the paths of the chain's joints in a channel: the declared ones, or by the names in a JointState.
+
+    With them the bytes that only messages with these joints hold, where others come in between.
+    """
     topic, needed = choice.info.channel.topic, chain.moving
     declared = joints.command_positions if choice.role is Role.COMMAND else joints.positions
     if declared:
@@ -224,17 +228,18 @@ def _paths(choice: Choice, chain: Chain, joints: JointsSource, logs: OpenedLogs)
                 f"`joints: {{positions: …}}` must name {len(needed)} numbers of topic {topic}, those of "
                 f"{listed(needed)}, found {len(declared)}."
             )
-        return declared
+        return declared, b""
     if choice.info.channel.type_name != JOINT_STATE:
         raise LogError(
             f"Topic {topic} is no JointState, so its joints have no names; declare `joints: {{positions: […]}}` in "
             f"cell.yaml in the order {listed(needed)}."
         )
-    names = logs.joint_names(choice.info)
+    known = logs.joint_names(choice.info, needed)
+    names = known.names
     missing = [name for name in needed if name not in names]
     if missing:
         raise LogError(
             f"Topic {topic} must hold the joints of {joints.urdf.name} from {chain.base} to {chain.tip}, found no "
             f"{listed(missing)}; it has {listed(names)}."
         )
-    return tuple(f"position[{names.index(name)}]" for name in needed)
+    return tuple(f"position[{names.index(name)}]" for name in needed), known.only

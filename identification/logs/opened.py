@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import LogError
+from ..errors import LogError, listed
 from ..result import Finding
-from .containers.channel import Channel, ChannelInfo, Container
+from .containers.channel import Batch, Channel, ChannelInfo, Container
 from .containers.formats import is_table, open_container, sha256_of
-from .messages.decode import Series, Wanted
+from .messages.decode import JointNames, Series, Wanted
 from .messages.objects import build_object_parser, messages_of, strings_block
 from .messages.read import build_decoder, build_infos, gather, recording_times
 from .messages.transforms import list_frames, read_transform
@@ -22,6 +22,7 @@ from .tables.read import TableLog, check_time_units
 
 _LONGEST_PAUSE_NS = 10**9
 """A recorder that splits its files goes on at once; who records again takes longer."""
+_MOST_PUBLISHERS = 16
 
 
 class ContainerLog:
@@ -60,24 +61,32 @@ class ContainerLog:
         self._remember()
         return found
 
-    def joint_names(self, channel: Channel) -> tuple[str, ...]:
-        """Return the names in a channel of joint states; raise LogError where they are not the same in all messages."""
-        first = next(held.first_message for held in self.survey.held if held.channel == channel)
-        names: tuple[str, ...] = tuple(getattr(build_object_parser(channel)(first), "name", ()))
-        block = strings_block(names, first, channel.encoding)
-        other = sum(
-            count
-            for _, count in self._container.read(
-                (channel,), lambda batch: sum(block not in message for message in messages_of(batch))
-            )
-        )
+    def joint_names(self, channel: Channel, needed: Collection[str]) -> JointNames:
+        """Return the names in those messages of a channel of joint states that hold the joints that are needed.
+
+        Arm and gripper may publish in turn. Raises LogError where joints that are needed are named in several ways.
+        """
+        parse = build_object_parser(channel)
+        kinds: dict[bytes, tuple[str, ...]] = {}
+
+        def look(batch: Batch) -> int:
+            for message in messages_of(batch):
+                if not any(block in message for block in kinds) and len(kinds) < _MOST_PUBLISHERS:
+                    names = tuple(getattr(parse(message), "name", ()))
+                    kinds[strings_block(names, message, channel.encoding)] = names
+            return batch.count
+
+        for _ in self._container.read((channel,), look):
+            pass
         self._remember()
-        if other:
+        having = [(block, names) for block, names in kinds.items() if {*needed} <= {*names}]
+        if len(having) > 1:
             raise LogError(
-                f"Topic {channel.topic} of {self.path.name} must name the same joints in all messages, found others in "
-                f"{other}: several robots or a gripper publish on it; record each on a topic of its own."
+                f"Topic {channel.topic} of {self.path.name} must name the joints {listed(sorted(needed))} in one "
+                f"order, found {len(having)}: several robots publish on it; record each on a topic of its own."
             )
-        return names
+        block, names = having[0] if having else next(iter(kinds.items()))
+        return JointNames(names=names, only=block if len(kinds) > 1 else b"")
 
     def findings(self) -> tuple[Finding, ...]:
         """Report what was seen of the container and what reading left out."""
@@ -131,14 +140,14 @@ class OpenedLogs:
         pairs = {pair for part in self._having(info) for pair in part.frames(info.channel)}
         return tuple(sorted(pairs))
 
-    def joint_names(self, info: ChannelInfo) -> tuple[str, ...]:
+    def joint_names(self, info: ChannelInfo, needed: Collection[str]) -> JointNames:
         """Return the names of the joints in a channel of joint states; raise LogError where they are not the same."""
-        found = {part.joint_names(info.channel) for part in self._having(info)}
-        if len(found) > 1:
+        found = [part.joint_names(info.channel, needed) for part in self._having(info)]
+        if len({each.names for each in found}) > 1:
             raise LogError(
                 f"Topic {info.channel.topic} must name the same joints in each of {self.name}, found others."
             )
-        return found.pop()
+        return next((each for each in found if each.only), found[0])
 
     def findings(self) -> tuple[Finding, ...]:
         """Report what was seen of the containers and what reading left out, each once."""
@@ -256,7 +265,9 @@ def _read_roles(part: OpenedLog, choices: Sequence[Choice]) -> dict[Role, Series
             before = wanted.get(choice.info.channel, Wanted(fields=(), header=""))
             paths = (*before.fields, *(path for path in choice.fields if path is not None))
             header = before.header or choice.header
-            wanted[choice.info.channel] = Wanted(fields=tuple(dict.fromkeys(paths)), header=header)
+            wanted[choice.info.channel] = Wanted(
+                fields=tuple(dict.fromkeys(paths)), header=header, only=before.only or choice.only
+            )
     series = part.read(wanted) if wanted else {}
     return {
         choice.role: _role_series(

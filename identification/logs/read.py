@@ -120,7 +120,7 @@ def _check_fields(choices: Iterable[Choice], logs: OpenedLogs) -> None:
     having = {found.topic: found for part in logs.parts for found in number_fields(part) if found.is_complete}
     for choice in choices:
         found = having.get(choice.info.channel.topic)
-        if found is None or choice.info.columns or found.type != choice.info.channel.type_name:
+        if found is None or choice.only or choice.info.columns or found.type != choice.info.channel.type_name:
             continue
         missing = [path for path in choice.fields if path is not None and path not in found.paths]
         if missing:

@@ -70,11 +70,20 @@ class Wanted:
     """What is wanted of each message: numbers by path, and the path of the header that stamps it.
 
     A path is written with dots and indices: `wrench.force.x`, `effort[3]`, `mass.data[0]`. `header` is empty for
-    messages without one.
+    messages without one. Messages without the bytes `only` are passed over.
     """
 
     fields: tuple[str, ...]
     header: str = "header"
+    only: bytes = b""
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointNames:
+    """The names of joints in the order of their positions; `only` is in the messages that have them, empty for all."""
+
+    names: tuple[str, ...]
+    only: bytes = b""
 
 
 @dataclass(frozen=True, kw_only=True)

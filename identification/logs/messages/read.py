@@ -1,6 +1,7 @@
 """Read from a log the numbers that are wanted of some channels, in one pass, and what is known of each before that."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
@@ -12,7 +13,7 @@ from ...errors import LogError
 from ...signals.recording import StampArray
 from ..containers.channel import Batch, Channel, ChannelInfo, Container, Held, Survey
 from .decode import HEADER, ROS_ENCODINGS, MessageError, Series, Wanted, build_program, needed_types
-from .objects import ObjectDecoder
+from .objects import ObjectDecoder, messages_of
 
 Number = TypeVar("Number", np.int64, np.float64)
 _GROWTH = 1.5
@@ -109,7 +110,7 @@ def gather(
     counts = dict.fromkeys(wanted, 0)
 
     def handle(batch: Batch) -> tuple[int, Series]:
-        return batch.count, decoders[batch.channel](batch)
+        return batch.count, decoders[batch.channel](_holding(batch, wanted[batch.channel].only))
 
     try:
         for channel, (count, part) in container.read(tuple(wanted), handle):
@@ -122,6 +123,14 @@ def gather(
             f"{fault.reason}; record again or leave this topic out."
         ) from fault
     return {channel: gatherings.pop(channel).finish(channel) for channel in wanted}
+
+
+def _holding(batch: Batch, block: bytes) -> Batch:
+    """Return the messages of a batch that hold these bytes."""
+    if not block:
+        return batch
+    keep = np.array([block in message for message in messages_of(batch)], dtype=np.bool_)
+    return replace(batch, log_ns=batch.log_ns[keep], starts=batch.starts[keep], sizes=batch.sizes[keep])
 
 
 def build_infos(survey: Survey) -> tuple[ChannelInfo, ...]:

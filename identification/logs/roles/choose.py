@@ -33,7 +33,8 @@ class Choice:
     """A channel that serves a role: the paths of its numbers (None for those it lacks) and of its header.
 
     `frames` is the pair (parent, child) where a transform is read; `layout` is that of the type, None where the cell
-    declares the paths; `of_joints` says that its numbers are joint positions; `reason` says why it was taken.
+    declares the paths; `of_joints` says that its numbers are joint positions, of the messages that hold `only`;
+    `reason` says why it was taken.
     """
 
     role: Role
@@ -42,6 +43,7 @@ class Choice:
     header: str
     frames: tuple[str, str] | None = None
     of_joints: bool = False
+    only: bytes = b""
     layout: FieldPaths | None = None
     reason: str
 

@@ -1,6 +1,6 @@
 """Tables as series of numbers, and a table as a log of one channel whose fields are its columns: CSV and Parquet."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -15,7 +15,7 @@ from ...result import Finding
 from ...signals.recording import StampArray
 from ..containers.channel import Channel, ChannelInfo, Held, Survey
 from ..containers.formats import head_of
-from ..messages.decode import Series, Wanted
+from ..messages.decode import JointNames, Series, Wanted
 from .layout import NO_ROW, TableLayout
 from .text import Text, look_at
 
@@ -232,10 +232,10 @@ class TableLog:
         """Raise LogError: a table has no transforms."""
         raise LogError(f"{channel.topic} is a table and holds no transform of {pair[1]} in {pair[0]}.")
 
-    def joint_names(self, channel: Channel) -> tuple[str, ...]:
+    def joint_names(self, channel: Channel, needed: Collection[str]) -> JointNames:
         """Return no names: the columns of a table are declared."""
-        del channel
-        return ()
+        del channel, needed
+        return JointNames(names=())
 
     def findings(self) -> tuple[Finding, ...]:
         """Report that checksums are missing, and the time, if it is not declared."""
