@@ -20,8 +20,10 @@ The cells live in MuJoCo (`examples/mujoco/cell.py`) and share no equation with 
 hinges with servos of second order, dry friction and a delay that is no whole number of samples; a rigid payload, its
 centre of mass off the axes, on six springs and dampers; walls as planes with a contact of given K_e and B_e, which a
 quasi-static push confirms; a sensor with noise, steps and, in some, a filter of first order. `autotune.recording`
-records the log of docs/recording.md, without anybody's help: poses, a sweep, three contacts, with the true clocks in
-agreement. `autotune.runtime` drives the contacts.
+records the log of docs/recording.md, without anybody's help and the same for every cell: six poses, a sweep of 10 s,
+three contacts, the clocks in agreement; identify takes it with the cell.yaml that the recorder wrote.
+`autotune.runtime` drives the contacts below. One cell through the whole chain, predicted beside measured:
+`python examples/mujoco/chain.py`.
 
 Drawn for each cell: mass 8 to 30 kg, K_s 1e5 to 5e5 N/m, B_s 2 to 8 % of the critical damping, K_e 1.5e4 to 1.5e5 N/m,
 servo 4 to 9 Hz, delay 2 to 6 ms at 500 Hz, drag {drag[0]:.0f} to {drag[1]:.0f} N·s/m, and each in half of the cells
@@ -134,7 +136,7 @@ def _peaks(pressed: Mapping[int, dict[str, Any] | None]) -> Iterator[str]:
     done = {seed: held for seed, held in pressed.items() if held is not None}
     held_back = {seed: held["refused"] for seed, held in done.items() if "refused" in held}
     eased = {seed: held["eased"] for seed, held in done.items() if held.get("eased")}
-    yield f"\n## Peaks: {len(done)} cells, {len(held_back)} without a controller\n"
+    yield f"\n## Peaks: {len(done)} of {len(pressed)} cells, {len(held_back)} of these without a controller\n"
     yield (
         "F^d = 30 N at the wall, force-driven; ranges of 0.45 to 2.2 of K_e and 0.84 to 1.16 of the mass were "
         "certified, other entries of\nproblem.yaml left as they are"
