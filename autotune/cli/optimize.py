@@ -2,10 +2,13 @@
 
 import sys
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
+
+from autotune.export.targets import TARGETS
 
 from ._common import Output, output_options
 from ._kinds import PLANTS
@@ -28,6 +31,7 @@ from ._schedule import schedule_options
 from ._terminal import detect_terminal, echo, print_message, print_table
 
 if TYPE_CHECKING:
+    from autotune.export.target import Rendered
     from autotune.formats.controller_record import ScenarioPrediction
     from autotune.formats.identified import IdentifiedFile
     from autotune.prediction.law import PresentGains
@@ -43,6 +47,7 @@ Examples:
   autotune optimize identified.yaml --payload-mass 10,22 --environment-stiffness 2e4:5e5
   autotune optimize identified.yaml --problem problem.yaml --json
   autotune optimize identified.yaml --compare mass=10,damping=1500 --report controller.html
+  autotune optimize identified.yaml --problem problem.yaml --for ros2_control
   autotune optimize identified.yaml --pareto 9 -o best.yaml
   autotune optimize identified.yaml --schedule payload=8:12,16.2,22 --schedule stiffness=2e4:1e5,1e5:5e5 -o cell
 """
@@ -111,6 +116,12 @@ def _stiffness(_context: click.Context, _option: click.Parameter, text: str | No
     show_default=True,
     help="Seed of the search.",
 )
+@click.option(
+    "--for",
+    "target",
+    type=click.Choice([name for name, each in TARGETS.items() if not each.runs_same_law]),
+    help="Design for this export target: its period, none of the gains that it lacks, and certified as it runs it.",
+)
 @pareto_options
 @report_option
 @proof_options
@@ -128,6 +139,7 @@ def command(
     pareto: "FrontRequest | None",
     report: Path | None,
     proof: "ProofOptions | None",
+    target: str | None,
 ) -> None:
     """Search the controller with the smallest contact peak that meets all requirements, and validate it.
 
@@ -137,9 +149,10 @@ def command(
     not change the controller. Exit code 5: no controller meets the requirements. 6: a claim could not be verified, or
     the compared file is altered. Nothing is written then.
     """
+    from autotune.export.designing import first_feasible, plant_for, specs_for
     from autotune.formats.atomic import check_target
     from autotune.formats.canonical import short
-    from autotune.formats.controller import controller_tree, write_controller
+    from autotune.formats.controller import write_controller
     from autotune.formats.plant_file import read_plant
     from autotune.formats.problem import ProblemSpec, read_problem
     from autotune.prediction.said_gains import present_gains
@@ -148,38 +161,78 @@ def command(
     sources = [path for path in (identified, problem, old) if isinstance(path, Path)]
     check_target(out, [path for path in sources if path != old], kind="controller")
     check_report(report, [*sources, out])
-    fronts, seen = FrontWriter(pareto, out), list["IdentifiedFile"]()
+    fronts, seen, reached = FrontWriter(pareto, out), list["IdentifiedFile"](), None
     with report_refusal(output, report, sources, lambda error: _refused_page(error, seen)):
         plant = read_plant(identified)
         seen.append(plant)
         asked = ProblemSpec() if problem is None else read_problem(problem)
+        wanted = None if target is None else TARGETS[target]
+        plant = plant_for(wanted, plant)
         present = present_gains(old, plant, asked.axes)
         spec = asked.with_options(
             payload_mass=payload_mass,
             environment_stiffness=environment_stiffness,
             with_unit=fields_with_unit(),
         )
-        with output.progress("searching", 1.0) as advance:
-            found = optimize(
-                plant, spec, seed=seed, problem_path=problem, present=present, proof=proof,
+        specs = specs_for(wanted, spec)
+        with output.progress("searching", float(len(specs))) as advance:
+            found = first_feasible(specs, lambda each: optimize(
+                plant, each, seed=seed, problem_path=problem, present=present, proof=proof,
                 step=lambda doing: advance(0.0, f"searching {doing}".rstrip()), progress=advance,
-            )  # fmt: skip
+            ))  # fmt: skip
+        if target is not None:
+            found, reached = _certified_for(output, target, found, out)
         fronts.trace(output, found)
         with output.replacing(out, "controller"):
             checksum = write_controller(out, found.controller)
         fronts.write(found)
     for note in found.controller.provenance.get("notes", ()):
         output.note(note)
+    tree = _tree(found, present, fronts)
+    tree |= {"for": {"target": target, **reached.tree}} if reached is not None else {}
+    tree |= write_report(output, report, lambda: _page(found, checksum, present, fronts))
+
+    output.result(tree, lambda: _print_all(found, out, short(checksum), present, fronts, report, reached))
+    # Ranges that were said may leave out what was identified, and a plant of a person has no estimates to hold against.
+    is_said = plant.domain or found.compliance or spec.payload_mass or spec.environment_stiffness
+    validation = ("validate", out, *(() if is_said else ("--identified", identified)))
+    output.next_command(*(validation if target is None else ("export", out, "--target", target, "-o", "FILE")))
+
+
+def _tree(found: "Optimized", present: "PresentGains | None", fronts: FrontWriter) -> dict[str, Any]:
+    """Return what `--json` says of the design."""
+    from autotune.formats.controller import controller_tree
+
     tree = {**controller_tree(found.controller), "active": active_tree(found)}
     if present is not None:
         tree["compare"] = compare_tree(present, found.compared)
     tree["before_after"] = {name: each.to_dict() for name, each in found.before_after.items()}
-    tree |= {"pareto": fronts.tree} if fronts.tree else {}
-    tree |= write_report(output, report, lambda: _page(found, checksum, present, fronts))
-    output.result(tree, lambda: _print_all(found, out, short(checksum), present, fronts, report))
-    # Ranges that were said may leave out what was identified, and a plant of a person has no estimates to hold against.
-    is_said = plant.domain or found.compliance or spec.payload_mass or spec.environment_stiffness
-    output.next_command("validate", out, *(() if is_said else ("--identified", identified)))
+    return tree | ({"pareto": fronts.tree} if fronts.tree else {})
+
+
+def _certified_for(output: Output, target: str, found: "Optimized", out: Path) -> "tuple[Optimized, Rendered]":
+    """Certify the design as the target runs it, and note the target in the controller's provenance."""
+    from autotune.export.designing import certify_for, lacking_gains
+
+    made = found.controller
+    provenance = {**made.provenance, "options": {**made.provenance["options"], "for": target}}
+    if lacking := lacking_gains(TARGETS[target], made):
+        told = (
+            f"Our own law cannot do this without {' and '.join(lacking)}, so the gains of this file have what {target} "
+            f"lacks; its law does it without."
+        )
+        provenance["notes"] = [*provenance.get("notes", ()), told]
+    noted = replace(found, controller=replace(made, provenance=provenance))
+    with output.progress(f"certifying for {target}", 1.0) as advance:
+        return noted, certify_for(TARGETS[target], noted.controller, out, advance)
+
+
+def _print_target(found: "Optimized", reached: "Rendered") -> None:
+    """Print what the target will run, axis by axis."""
+    print_message(f"As {found.controller.provenance['options']['for']} runs it, certified:")
+    for line in reached.lines:
+        if line.startswith("axis "):
+            print_message(line, indent="  ")
 
 
 def _print_all(
@@ -189,8 +242,11 @@ def _print_all(
     present: "PresentGains | None",
     fronts: FrontWriter,
     report: Path | None,
+    reached: "Rendered | None",
 ) -> None:
     print_optimized(found, out, checksum, present)
+    if reached is not None:
+        _print_target(found, reached)
     fronts.print()
     print_report_path(report)
 

@@ -5,15 +5,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
-from autotune.errors import CertificateError, UsageError
+from autotune.errors import CertificateError, InfeasibleError, UsageError
 from autotune.formats.atomic import check_target, write_atomic
+from autotune.formats.canonical import flow_text
 from autotune.formats.controller import ControllerFile, read_controller
 from autotune.runtime.load import check_digits, check_expected, verify_signature
 from autotune.validation.validate import validate_controller
+from problems.design.uncertainty import MASS, STIFFNESS
 
 from .package_folder import check_folder, write_folder
 from .target import ExportRequest, ExportTarget, Rendered
 from .targets import TARGETS
+
+_SAME_PERIOD = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,7 +110,11 @@ def export_controller(
     if kind.runs_same_law:
         check_law(source, progress)
     request = ExportRequest(source=source, out=Path(out), options=given, signed_by=signed_by, progress=progress)
-    rendered = kind.render(request)
+    _check_period(kind, request)
+    try:
+        rendered = kind.render(request)
+    except InfeasibleError as error:
+        raise _with_commands(error, kind, request) from error
     if kind.is_folder:
         names = (file.relative_to(out).as_posix() for file in files)
         write_folder(Path(out), dict(zip(names, cast("tuple[str, ...]", rendered.texts), strict=True)))
@@ -121,6 +129,45 @@ def check_files(target: ExportTarget, files: tuple[Path, ...], source: Path | st
     for file in files:
         check_target(file, [source], kind=f"export to {target.name}", is_own=target.is_own)
     return tuple(file for file in files if file.is_file() and file.stat().st_size > 0)
+
+
+def _check_period(target: ExportTarget, request: ExportRequest) -> None:
+    """Raise UsageError for a file of another period than the one that the target has of its own."""
+    own, h = target.sample_time_s, request.source.controller.sample_time_s
+    if own is not None and abs(h / own - 1.0) > _SAME_PERIOD:
+        problem = request.source.controller.provenance.get("options", {}).get("problem")
+        raise UsageError(
+            f"{target.name} runs every {own * 1e3:g} ms whatever the cell does, and {request.source.path} is for "
+            f"{h * 1e3:g} ms; what is certified for one period is not for another. Design for it: run "
+            f"{_commands(target, request, problem)}"
+        )
+
+
+def _with_commands(error: InfeasibleError, target: ExportTarget, request: ExportRequest) -> InfeasibleError:
+    """Return the error with the lines that are enough and the two commands that lead to the export."""
+    if not error.suggestion:
+        return error
+    problem = request.source.controller.provenance.get("options", {}).get("problem")
+    where = "problem.yaml" if problem is None else f"problem.yaml, a copy of {problem}"
+    return InfeasibleError(
+        f"{error} Put into {where}: {flow_text(error.suggestion)} and run {_commands(target, request, 'problem.yaml')}",
+        error.relaxations,
+        suggestion=error.suggestion,
+    )
+
+
+def _commands(target: ExportTarget, request: ExportRequest, problem: str | None) -> str:
+    """Return the two commands that design for the target and export to it, with the options that were given."""
+    made = request.source.controller.provenance
+    said, plant = made.get("options", {}), made.get("identified", {}).get("path", "identified.yaml")
+    first = [f"autotune optimize {plant}", *([f"--problem {problem}"] if problem else []), f"--for {target.name}"]
+    for flag, joint, name in (("--payload-mass", ",", MASS), ("--environment-stiffness", ":", STIFFNESS)):
+        if said.get(name):
+            first.append(f"{flag} {joint.join(f'{each:.15g}' for each in said[name])}")
+    options = (each for each in target.options if each.name in request.options)
+    typed = [f"{each.flag} {each.said(request.options[each.name])}" for each in options]
+    second = ["autotune export for_target.yaml", f"--target {target.name}", *typed, f"-o {request.out}"]
+    return f"{' '.join(first)} -o for_target.yaml; {' '.join(second)}"
 
 
 def _check_folder(out: Path, source: Path | str) -> tuple[Path, ...]:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from .ros_yaml import (
     NAME_OPTIONS,
     ORIENTATION,
+    UPRIGHT,
     Quaternion,
     Tree,
     check_keys,
@@ -165,4 +166,5 @@ FZI_CARTESIAN = ExportTarget(
         ORIENTATION,
     ),
     runs_same_law=False,
+    design_options=UPRIGHT,
 )

@@ -11,7 +11,7 @@ from autotune.errors import UsageError
 
 from .mdk import MdkExport, MdkOptions, MdkProgram, mdk_target
 from .ros_yaml import NAME_OPTIONS, ORIENTATION, SENSOR_NAME, Tree, check_keys
-from .target import TargetOption
+from .target import ALL_GAINS, TargetOption
 
 if TYPE_CHECKING:
     from autotune.formats.controller_record import AxisGains
@@ -146,6 +146,7 @@ LBR_FRI_ROS2 = mdk_target(
         notes=notes,
         options=(*(each for each in NAME_OPTIONS if each.flag != "--joints"), SENSOR_NAME, ROBOT_NAME, ORIENTATION),
         check=_check,
+        expresses=ALL_GAINS,
         joints=lambda options: tuple(f"{options.robot_name}_A{i}" for i in range(1, JOINTS + 1)),
     )
 )

@@ -7,10 +7,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from autotune.errors import UsageError
 from problems.progress import Progress
 
-from .ros_yaml import Quaternion, Tree, check_names, check_orientation, update_rate_hz
+from .ros_yaml import UPRIGHT, Quaternion, Tree, check_names, check_orientation, update_rate_hz
 from .target import ExportTarget, TargetOption, begins_with, render_translation
 
 if TYPE_CHECKING:
@@ -21,8 +20,6 @@ if TYPE_CHECKING:
     from .mdk_axis import MdkForm
     from .retune import ControllerStructure
     from .third_party import ParameterFile, TranslatedAxis, Translation
-
-_SAME_PERIOD = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,7 +73,8 @@ class MdkProgram:
     `software` names it with the version that was read; files that `begins_with` recognises begin with its first word.
     `form` returns its discretisation and ranges; `check` raises UsageError for axes and options that do not fit;
     `content` returns the tree of its parameter file, or the text of its script; `notes` say what it does of itself.
-    `sample_time_s` is its period where it has one of its own, `joints` those of the robot that it is for.
+    `sample_time_s` is its period where it has one of its own, `expresses` as in `ExportTarget`, `joints` those of the
+    robot that it is for.
     """
 
     name: str
@@ -88,6 +86,7 @@ class MdkProgram:
     options: tuple[TargetOption, ...] = ()
     check: Callable[[Mapping[str, "AxisGains"], MdkOptions], None] = lambda _gains, _options: None
     sample_time_s: float | None = None
+    expresses: tuple[str, ...] = ("mass", "damping")
     joints: Callable[[MdkOptions], tuple[str, ...]] = lambda options: options.joints
 
 
@@ -103,7 +102,6 @@ def translate(
     def build_axes(
         tasks: Mapping[str, "AxisTask"], gains: Mapping[str, "AxisGains"]
     ) -> tuple[list["ControllerStructure"], bool]:
-        _check_period(program, source)
         program.check(gains, options)
         return [MdkAxis(task=task, gains=gains[name], form=form) for name, task in tasks.items()], False
 
@@ -122,16 +120,6 @@ def translate(
     return translate_controller(source, program.joints(options), build_axes, build_file, progress)
 
 
-def _check_period(program: MdkProgram, source: "ControllerFile") -> None:
-    own, h = program.sample_time_s, source.controller.sample_time_s
-    if own is not None and abs(h / own - 1.0) > _SAME_PERIOD:
-        raise UsageError(
-            f"{program.name} runs every {own * 1e3:g} ms whatever the cell does, and {source.path} is for "
-            f"{h * 1e3:g} ms; what is certified for one period is not for another. Design for it: autotune optimize "
-            f"IDENTIFIED --for {program.name}."
-        )
-
-
 def mdk_target(program: MdkProgram) -> ExportTarget:
     """Return the export target of a program."""
     first = program.software.split()[0]
@@ -147,4 +135,6 @@ def mdk_target(program: MdkProgram) -> ExportTarget:
         options=program.options,
         runs_same_law=False,
         sample_time_s=program.sample_time_s,
+        expresses=program.expresses,
+        design_options=UPRIGHT if any(each.name == "orientation" for each in program.options) else {},
     )

@@ -8,8 +8,8 @@ worse joins the plants.
 import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import Field, dataclass
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
@@ -56,7 +56,9 @@ class Variable:
 
 
 class ControllerStructure(Protocol):
-    """One axis of another controller."""
+    """One axis of another controller, a dataclass."""
+
+    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
 
     @property
     def task(self) -> AxisTask:
@@ -100,11 +102,14 @@ def lost_gains(task: AxisTask, gains: AxisGains, expressed: tuple[str, ...] = ()
 class QuickJudge:
     """The plants of a search, prepared once; `cost` is what is minimised.
 
-    `missed` holds required/achieved by name of the last law that missed something.
+    With a `goal`, that is required/achieved of this requirement, all others being met. `missed` holds required/achieved
+    by name of the last law that missed something.
     """
 
-    def __init__(self, task: AxisTask, scenarios: tuple[Scenario, ...], reserve: float) -> None:
-        self.task, self.reserve, h = task, reserve, task.sample_time_s
+    def __init__(
+        self, task: AxisTask, scenarios: tuple[Scenario, ...], reserve: float, goal: str | None = None
+    ) -> None:
+        self.task, self.reserve, self.goal, h = task, reserve, goal, task.sample_time_s
         self.missed: dict[str, float] = {}
         nominal = task.domain.plants.nominal
         contacts = [build_sampled_plant(each.plant(nominal), h) for each in scenarios]
@@ -138,6 +143,7 @@ class QuickJudge:
         # A spring's return in free space is no decay that is asked for.
         free = len(self.plants) - len(self.pairs)
         found = self.ratios(law, max(radii[free if law.holds_position else 0 :]))
+        sought = found.pop(self.goal, 1.0) if self.goal is not None else 1.0
         missed = max(found.values(), default=0.0)
         if missed > 1.0:
             self.missed = {name: ratio for name, ratio in found.items() if ratio > 1.0}
@@ -147,7 +153,7 @@ class QuickJudge:
         if isinstance(limit, float) and peak > limit:
             self.missed = {"max_peak_force_n": peak / limit}
             return _MISSED * peak / limit
-        return peak
+        return peak if self.goal is None else sought
 
     def ratios(self, law: LinearController, radius: float) -> dict[str, float]:
         """Return required/achieved by name of a stable law whose largest |z| in contact is `radius`; no peak yet."""
@@ -212,6 +218,22 @@ def retune(task: AxisTask, structure: ControllerStructure) -> tuple[Values, LawC
     raise InfeasibleError(
         f"within {_ROUNDS} rounds nothing was found whose certificate holds; the last one: {certificate.missed[0]}"
     )
+
+
+def nearest_design(structure: ControllerStructure, goal: str | None = None) -> dict[str, float] | None:
+    """Return required/achieved of what the nearest design misses; of `goal` alone, where one is given.
+
+    The largest of the ratios is the least there is, or that of the goal where all others are met. None where nothing is
+    stable, or the others cannot be met.
+    """
+    judge = QuickJudge(structure.task, _first_scenarios(structure.task), _RESERVE, goal)
+    values, cost = _zoom(structure, judge)
+    if cost >= (_MISSED if goal is not None else _UNSTABLE):
+        return None
+    if goal is not None:
+        return {goal: cost}
+    judge.cost(structure.law(values))
+    return dict(judge.missed)
 
 
 def _first_scenarios(task: AxisTask) -> tuple[Scenario, ...]:

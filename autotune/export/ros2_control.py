@@ -314,4 +314,5 @@ ROS2_CONTROL = ExportTarget(
         TargetOption(flag="--filter-coefficient", metavar="A", type=float, help="The force filter, 1 being none (1)."),
     ),
     runs_same_law=False,
+    expresses=("mass", "damping"),
 )

@@ -12,6 +12,7 @@ from collections.abc import Iterable, Iterator, Mapping
 
 from autotune.errors import UsageError
 from problems.errors import ParameterError
+from problems.frozen import FrozenDict
 
 from .target import TargetOption
 
@@ -66,6 +67,9 @@ ORIENTATION = TargetOption(
     help="The sensor's orientation in the base where it is used, for gains that are not alike.",
     parse=parse_orientation,
 )
+
+UPRIGHT: Mapping[str, Quaternion] = FrozenDict({"orientation": (0.0, 0.0, 0.0, 1.0)})
+"""An orientation for what does not depend on it: the certificate of gains, which are then turned to their axes."""
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_./-]*")
 _WIDTH = 110

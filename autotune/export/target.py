@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
 Options = TypeVar("Options")
 """The options of a target as one value."""
+ALL_GAINS = ("mass", "damping", "lead_s", "feedback_damping_s")
+"""The gains of our own law by their names in `bounds`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,6 +28,11 @@ class TargetOption:
     help: str
     type: type = str
     parse: Callable[[Any], Any] = lambda value: value
+
+    def said(self, value: Any) -> str:
+        """Return a parsed value as it is typed."""
+        parts = value if isinstance(value, tuple) else (value,)
+        return ",".join(f"{each:g}" if isinstance(each, float) else str(each) for each in parts)
 
     @property
     def name(self) -> str:
@@ -91,7 +98,10 @@ class ExportTarget:
     InfeasibleError or UsageError. `is_own` recognises an earlier export to this target, the only file that is replaced.
     `files` returns the files to write from the one that `-o` names. With `runs_same_law` the file's own law is
     checked before; a target that runs another law certifies it itself. `sample_time_s` is the period of a program that
-    has one of its own. With `is_folder` all `files` lie in a folder that `-o` names, which is written as one.
+    has one of its own, `expresses` names the gains of ours that a design for it may have (all where its
+    structure is another one than ours), and `design_options` stand for those of an
+    installation where nothing is written. With `is_folder` all `files` lie in a folder that `-o` names, which is
+    written as one.
     """
 
     name: str
@@ -102,4 +112,6 @@ class ExportTarget:
     files: Callable[[Path], tuple[Path, ...]] = lambda out: (out,)
     runs_same_law: bool = True
     sample_time_s: float | None = None
+    expresses: tuple[str, ...] = ALL_GAINS
+    design_options: Mapping[str, Any] = field(default_factory=dict)
     is_folder: bool = False

@@ -21,6 +21,7 @@ from autotune.version import __version__
 from problems.errors import ParameterError
 from problems.model.third_party_controllers import alternates
 
+from .easing import easing_message, find_easing, merged
 from .retune import ControllerStructure, Values, retune
 from .ros_yaml import Tree, check_joint_count, joint_notes, render_commented
 from .target import Rendered
@@ -176,11 +177,26 @@ def _all_certified(
             failed.append(error)
         if progress is not None:
             progress(1.0 / len(axes))
-    if len(failed) > 1:
-        raise type(failed[0])(" ".join(str(each) for each in failed)) from failed[0]
     if failed:
-        raise failed[0]
+        raise _joined(failed, [axis for axis in axes if axis.task.axis not in {each.axis for each in done}])
     return tuple(done)
+
+
+def _joined(
+    failed: Sequence[CertificateError | InfeasibleError], axes: Sequence[ControllerStructure]
+) -> CertificateError | InfeasibleError:
+    """Return one error of all axes that failed, with the easing that is enough where one was found for each."""
+    message = " ".join(str(each) for each in failed)
+    if not all(isinstance(each, InfeasibleError) for each in failed):
+        return type(failed[0])(message)
+    easings = [easing for easing in map(find_easing, axes) if easing is not None]
+    if len(easings) < len(axes):
+        return InfeasibleError(f"{message} No easing was found that would be enough; narrower ranges may be.")
+    return InfeasibleError(
+        f"{message} {easing_message(easings)}",
+        tuple(each for easing in easings for each in easing.relaxations()),
+        suggestion=merged(easings),
+    )
 
 
 def _certified(axis: ControllerStructure, joints: tuple[str, ...], common: bool) -> TranslatedAxis:

@@ -150,6 +150,19 @@ def number_text(number: float) -> str:
     return text if "." in text else text.replace("e", ".0e")
 
 
+def flow_text(tree: Mapping[str, object]) -> str:
+    """Return a part of a file in one line of YAML, as it is pasted into it."""
+    return ", ".join(f"{key}: {_flow(value)}" for key, value in tree.items())
+
+
+def _flow(value: object) -> str:
+    if isinstance(value, Mapping):
+        return f"{{{flow_text(value)}}}"
+    if isinstance(value, list):
+        return f"[{', '.join(map(_flow, value))}]"
+    return number_text(value) if isinstance(value, float) else str(value)
+
+
 def dump_yaml(tree: Mapping[str, object]) -> str:
     """Return `tree` as YAML, keys in the given order, numbers exact to the last bit, short lists on one line.
 

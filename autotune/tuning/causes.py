@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from autotune.errors import InfeasibleError
-from autotune.formats.canonical import number_text
+from autotune.formats.canonical import flow_text
 from autotune.formats.records import record_tree, rename_axis_keys
 from autotune.formats.units import ROTATIONAL_AXES, axis_units
 from problems.design.batch_evaluation import EVERY_REQUIREMENT
@@ -98,7 +98,7 @@ def explanation_message(name: str, problem: DesignProblem, why: Explanation) -> 
         best = f"{objective.value(why.found.evaluation.cost):.4g} {unit}".rstrip()
         said.append(
             f"Checked: with these lines in problem.yaml the search finds a controller, {objective.title} {best}: "
-            f"{suggestion_text(why.suggestion)}"
+            f"{flow_text(why.suggestion)}"
         )
     if why.is_known_too_little:
         said.append(
@@ -106,19 +106,6 @@ def explanation_message(name: str, problem: DesignProblem, why: Explanation) -> 
             f"{', '.join(problem.plants.further)}. Record more, or say in problem.yaml what is sure."
         )
     return " ".join(said)
-
-
-def suggestion_text(suggestion: dict[str, Any]) -> str:
-    """Return a part of `problem.yaml` in one line."""
-    return ", ".join(f"{key}: {_flow(value)}" for key, value in suggestion.items())
-
-
-def _flow(value: Any) -> str:
-    if isinstance(value, dict):
-        return f"{{{suggestion_text(value)}}}"
-    if isinstance(value, list):
-        return f"[{', '.join(map(_flow, value))}]"
-    return number_text(value) if isinstance(value, float) else str(value)
 
 
 def _causes_message(name: str, problem: DesignProblem, causes: tuple[Cause, ...]) -> str:

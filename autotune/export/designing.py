@@ -1,0 +1,85 @@
+"""Design for another controller from the start: its period, none of the gains it lacks, and its own certificate."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TypeVar
+
+from autotune.errors import InfeasibleError, UsageError
+from autotune.formats.canonical import flow_text
+from autotune.formats.controller import ControllerFile, controller_tree
+from autotune.formats.controller_record import Controller
+from autotune.formats.identified import IdentifiedFile
+from autotune.formats.problem import ProblemSpec
+
+from .target import ExportRequest, ExportTarget, Rendered
+
+Found = TypeVar("Found")
+_PINNED = ("lead_s", "feedback_damping_s")
+
+
+def specs_for(target: ExportTarget | None, spec: ProblemSpec) -> tuple[ProblemSpec, ...]:
+    """Return the problem without the gains that the target lacks, and behind it the problem as it is.
+
+    The second is for where our own law can do nothing without them, though the target's may. Raises UsageError where
+    the bounds of a gain that the target lacks leave out 0.
+    """
+    lacking = [] if target is None else [name for name in _PINNED if name not in target.expresses]
+    for name in lacking:
+        for bounds in (spec.bounds, spec.rotational.bounds):
+            if bounds.get(name, (0.0, 0.0))[0] > 0.0:
+                assert target is not None  # it lacks something
+                raise UsageError(f"{target.name} has no {name}, whose bounds in problem.yaml must hold 0.")
+    if not lacking:
+        return (spec,)
+    pinned = dict.fromkeys(lacking, (0.0, 0.0))
+    turning = {name: each for name, each in spec.rotational.bounds.items() if name not in pinned}
+    without = replace(spec, bounds={**spec.bounds, **pinned}, rotational=replace(spec.rotational, bounds=turning))
+    return without, spec
+
+
+def first_feasible(specs: Sequence[ProblemSpec], search: Callable[[ProblemSpec], Found]) -> Found:
+    """Return what a search finds for the first problem that has a solution; raises as it does for the last."""
+    for spec in specs[:-1]:
+        try:
+            return search(spec)
+        except InfeasibleError:
+            continue
+    return search(specs[-1])
+
+
+def lacking_gains(target: ExportTarget, controller: Controller) -> tuple[str, ...]:
+    """Return the gains by name that the target lacks and that some axis of a controller has."""
+    lacking = (name for name in _PINNED if name not in target.expresses)
+    return tuple(name for name in lacking if any(getattr(each, name) for each in controller.axes.values()))
+
+
+def plant_for(target: ExportTarget | None, plant: IdentifiedFile) -> IdentifiedFile:
+    """Return the plant at the period that the target has of its own; its delay in seconds is taken to stay."""
+    own, known = None if target is None else target.sample_time_s, plant.result.sample_time_s
+    if own is None or known.value == own:
+        return plant
+    return replace(plant, result=replace(plant.result, sample_time_s=replace(known, value=own)))
+
+
+def certify_for(
+    target: ExportTarget, controller: Controller, out: Path, progress: Callable[[float], None] | None = None
+) -> Rendered:
+    """Return what an export of the controller to the target will say, whatever the names of the installation.
+
+    Raises InfeasibleError, with the easing that is enough, where the target has nothing that meets the requirements,
+    and what else the target's `render` raises.
+    """
+    source = ControllerFile(
+        controller=controller, checksum=str(controller_tree(controller)["checksum"]), path=out, sha256=""
+    )
+    request = ExportRequest(source=source, out=out, options=dict(target.design_options), progress=progress)
+    try:
+        return target.render(request)
+    except InfeasibleError as error:
+        if not error.suggestion:
+            raise
+        lines = f"Lines for problem.yaml with which it can: {flow_text(error.suggestion)}"
+        raise InfeasibleError(
+            f"With {target.name}: {error} {lines}", error.relaxations, suggestion=error.suggestion
+        ) from error

@@ -1,0 +1,60 @@
+"""From the demo's controller to every export target, by the commands that a refusal names."""
+
+import json
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+from autotune.demo import run_demo
+from autotune.export.designing import lacking_gains
+from autotune.export.targets import TARGETS
+from autotune.formats.controller import read_controller
+from tests.autotune.tuning.cases import shorten_proofs
+from tests.conftest import RunCli
+
+# What only an installation knows: the certificate does not depend on it.
+NAMES = dict.fromkeys(("fzi_cartesian", "crisp", "lbr_fri_ros2"), ("--orientation", "1,0,0,0"))
+OUT = {"c": "cell.c", "ros2_package": "my_admittance"}
+
+
+@pytest.fixture(scope="session")
+def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of the demo's files."""
+    folder = tmp_path_factory.mktemp("demo")
+    run_demo(folder)
+    return folder
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("target", TARGETS)
+def test_the_demo_s_controller_reaches_every_target_by_the_commands_that_a_refusal_names(
+    target: str, demo: Path, run_cli: RunCli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shorten_proofs(monkeypatch)
+    source, out = demo / "controller.yaml", OUT.get(target, "out.txt")
+    done = run_cli("export", str(source), "--target", target, *NAMES.get(target, ()), "-o", out, "--json")
+    if TARGETS[target].runs_same_law:
+        assert done.returncode == 0, done.stderr
+        return
+    # No law without a lead does what the demo's does.
+    error = json.loads(done.stdout)["error"]
+    assert error["exit_code"] == (5 if TARGETS[target].sample_time_s is None else 2)
+    assert not (tmp_path / out).exists()
+    if error["exit_code"] == 5:
+        (tmp_path / "problem.yaml").write_text(json.dumps(error["suggestion"]), encoding="utf-8")
+    found = re.search(r"run (autotune optimize .*); (autotune export .*)$", error["message"].rstrip("."))
+    assert found is not None
+    for command in found.groups():
+        done = run_cli(*shlex.split(command)[1:])
+        assert done.returncode == 0, f"{command}\n{done.stderr}"
+        if command.startswith("autotune optimize"):
+            assert f"As {target} runs it, certified:" in done.stdout
+            assert f"next: autotune export for_target.yaml --target {target}" in done.stderr
+    assert (tmp_path / out).is_file()
+    made = read_controller(tmp_path / "for_target.yaml").controller
+    assert made.provenance["options"]["for"] == target
+    # Where our own law needs a lead for it, the file says so.
+    told = any("Our own law cannot do this without" in each for each in made.provenance.get("notes", ()))
+    assert told == bool(lacking_gains(TARGETS[target], made))

@@ -1,0 +1,94 @@
+"""What of the requirements is enough to ease for another controller, and a design for it from the start."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from autotune.errors import InfeasibleError, UsageError
+from autotune.export.designing import certify_for, plant_for, specs_for
+from autotune.export.easing import find_easing, merged
+from autotune.export.export import export_controller
+from autotune.export.fzi_cartesian import FZI_CARTESIAN
+from autotune.export.retune import retune
+from autotune.export.ros2_axis import Ros2Axis
+from autotune.export.ros2_control import ROS2_CONTROL
+from autotune.export.urscript import URSCRIPT
+from autotune.formats.canonical import flow_text
+from autotune.formats.controller import write_controller
+from autotune.formats.problem import ProblemSpec, RotationalSpec, read_problem
+from problems.design.requirements import AdmittanceTarget
+from tests.autotune.export.peer_cases import EASY, LEAD, PLAIN, peer_controller, requirements, task_of
+from tests.autotune.tuning.cases import write_plant
+
+HARD = requirements(9e-4)
+
+
+def test_the_easing_is_enough_for_a_design_whose_certificate_holds_and_little_less_is_not() -> None:
+    axis = Ros2Axis(task=task_of(peer_controller({"x": LEAD}, HARD)), gains=LEAD)
+    easing = find_easing(axis)
+    assert easing is not None
+    ((name, asked, enough),) = easing.relaxations()
+    assert (name, asked) == ("free_space_admittance", 9e-4)
+    assert enough < asked
+    assert easing.certificate.holds
+    band = easing.eased[name]
+    assert isinstance(band, AdmittanceTarget)
+    easier = replace(axis.task, asked={**axis.task.asked, name: band})
+    _, again = retune(easier, replace(axis, task=easier))
+    assert again.worst == easing.certificate.worst
+    # It was eased by 3 % more than what was reached.
+    harder = replace(axis.task, asked={**axis.task.asked, name: replace(band, min_m_s_per_n=1.06 * enough)})
+    with pytest.raises(InfeasibleError):
+        retune(harder, replace(axis, task=harder))
+
+
+def test_the_lines_are_those_of_a_problem_file_and_straight_axes_share_the_easier_one(tmp_path: Path) -> None:
+    axis = Ros2Axis(task=task_of(peer_controller({"x": LEAD}, HARD)), gains=LEAD)
+    easing = find_easing(axis)
+    assert easing is not None
+    band = easing.eased["free_space_admittance"]
+    assert isinstance(band, AdmittanceTarget)
+    easier = replace(easing, axis="y", eased={"free_space_admittance": replace(band, min_m_s_per_n=1e-4)})
+    path = tmp_path / "problem.yaml"
+    path.write_text(flow_text(merged([easing, easier])) + "\n", encoding="utf-8")
+    asked = read_problem(path).requirements.free_space_admittance
+    assert asked == replace(band, min_m_s_per_n=1e-4)
+
+
+def test_an_export_that_cannot_be_names_lines_and_both_commands(tmp_path: Path) -> None:
+    source, out = tmp_path / "controller.yaml", tmp_path / "out.yaml"
+    write_controller(source, peer_controller({"x": LEAD}, HARD))
+    with pytest.raises(
+        InfeasibleError,
+        match=r"Enough would be: free_space_admittance \S+ instead of 0\.0009 .*Put into problem\.yaml: requirements: "
+        r"\{free_space_admittance: .*--for ros2_control .*-o for_target\.yaml; autotune export for_target\.yaml "
+        r"--target ros2_control --joints a,b,c,d,e,f -o \S+out\.yaml",
+    ) as caught:
+        export_controller(source, "ros2_control", out, options={"joints": tuple("abcdef")})
+    assert caught.value.suggestion["requirements"]["free_space_admittance"]["min_m_s_per_n"] < 9e-4
+    assert not out.exists()
+
+
+def test_a_design_for_a_target_has_no_gains_that_it_lacks() -> None:
+    spec = ProblemSpec(bounds={"mass": (6.0, 60.0)}, rotational=RotationalSpec(bounds={"lead_s": (0.0, 0.01)}))
+    found, behind = specs_for(ROS2_CONTROL, spec)
+    assert behind == spec
+    assert dict(found.bounds) == {"mass": (6.0, 60.0), "lead_s": (0.0, 0.0), "feedback_damping_s": (0.0, 0.0)}
+    assert dict(found.rotational.bounds) == {}
+    assert specs_for(FZI_CARTESIAN, spec) == (spec,)
+    with pytest.raises(UsageError, match=r"ros2_control has no lead_s, whose bounds in problem\.yaml must hold 0"):
+        specs_for(ROS2_CONTROL, replace(spec, bounds={"lead_s": (0.01, 0.02)}))
+
+
+def test_a_design_for_a_target_is_at_its_own_period(tmp_path: Path) -> None:
+    plant = write_plant(tmp_path)
+    assert plant_for(URSCRIPT, plant).result.sample_time_s.value == 2e-3
+    assert plant_for(ROS2_CONTROL, plant) is plant
+
+
+def test_what_is_certified_for_a_target_needs_no_names_of_an_installation(tmp_path: Path) -> None:
+    found = certify_for(FZI_CARTESIAN, peer_controller({"x": PLAIN}, EASY), tmp_path / "controller.yaml")
+    assert found.tree["axes"]["x"]["peak_contact_force"] > 0.0
+    with pytest.raises(InfeasibleError, match=r"With ros2_control: .* Lines for problem\.yaml with which it can: req"):
+        certify_for(ROS2_CONTROL, peer_controller({"x": LEAD}, HARD), tmp_path / "controller.yaml")
