@@ -158,7 +158,7 @@ def command(
     from autotune.prediction.said_gains import present_gains
     from autotune.tuning.optimize import optimize
 
-    sources = [path for path in (identified, problem, old) if isinstance(path, Path)]
+    wanted, sources = TARGETS.get(target or ""), [each for each in (identified, problem, old) if isinstance(each, Path)]
     check_target(out, [path for path in sources if path != old], kind="controller")
     check_report(report, [*sources, out])
     fronts, seen, reached = FrontWriter(pareto, out), list["IdentifiedFile"](), None
@@ -166,13 +166,10 @@ def command(
         plant = read_plant(identified)
         seen.append(plant)
         asked = ProblemSpec() if problem is None else read_problem(problem)
-        wanted = None if target is None else TARGETS[target]
         plant = plant_for(wanted, plant)
         present = present_gains(old, plant, asked.axes)
         spec = asked.with_options(
-            payload_mass=payload_mass,
-            environment_stiffness=environment_stiffness,
-            with_unit=fields_with_unit(),
+            payload_mass=payload_mass, environment_stiffness=environment_stiffness, with_unit=fields_with_unit()
         )
         specs = specs_for(wanted, spec)
         with output.progress("searching", float(len(specs))) as advance:
@@ -188,8 +185,7 @@ def command(
         fronts.write(found)
     for note in found.controller.provenance.get("notes", ()):
         output.note(note)
-    tree = _tree(found, present, fronts)
-    tree |= {"for": {"target": target, **reached.tree}} if reached is not None else {}
+    tree = _tree(found, present, fronts, reached)
     tree |= write_report(output, report, lambda: _page(found, checksum, present, fronts))
 
     output.result(tree, lambda: _print_all(found, out, short(checksum), present, fronts, report, reached))
@@ -199,7 +195,9 @@ def command(
     output.next_command(*(validation if target is None else ("export", out, "--target", target, "-o", "FILE")))
 
 
-def _tree(found: "Optimized", present: "PresentGains | None", fronts: FrontWriter) -> dict[str, Any]:
+def _tree(
+    found: "Optimized", present: "PresentGains | None", fronts: FrontWriter, reached: "Rendered | None"
+) -> dict[str, Any]:
     """Return what `--json` says of the design."""
     from autotune.formats.controller import controller_tree
 
@@ -207,6 +205,8 @@ def _tree(found: "Optimized", present: "PresentGains | None", fronts: FrontWrite
     if present is not None:
         tree["compare"] = compare_tree(present, found.compared)
     tree["before_after"] = {name: each.to_dict() for name, each in found.before_after.items()}
+    if reached is not None:
+        tree["for"] = {"target": found.controller.provenance["options"]["for"], **reached.tree}
     return tree | ({"pareto": fronts.tree} if fronts.tree else {})
 
 
