@@ -19,7 +19,7 @@ from problems.model.controller import AdmittanceController
 from tests.autotune.simulation.runs import silent
 from tests.identification.signals.test_segments import RATE_HZ, held, line, log_of
 
-IN_REST_S = 13.3
+IN_REST_S = 12.5
 IN_MOTION_S = 14.2
 STEP_N = np.array([1.5, -2.5, 3.0])
 
