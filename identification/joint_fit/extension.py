@@ -38,7 +38,7 @@ _MOVED_SHARE, _MOVED_BY_FRICTION = 0.4, 1.0
 # How well share, frequency, damping ratio and F_c are known at best: as far off they were in simulated cells, the path
 # between the samples and the law of friction not being those of the fit.
 _SHARE_KNOWN, _FREQUENCY_KNOWN, _RATIO_KNOWN, _FRICTION_KNOWN = 0.25, 0.03, 0.02, 0.2
-_AT_BOUND = 0.98
+_LEAST_SHARE, _AT_BOUND = 0.005, 0.98
 # A surface that follows the coupling keeps a tenth of its values at least.
 _LEAST_LEFT = 0.1
 _LATENCY_STDS, _LEAST_LATENCY, _FILTER_SHARE = 3.0, 0.1, 0.5
@@ -70,7 +70,7 @@ def extend_payload(problem: Problem, point: Point, latency: WrenchLatency) -> Ex
     lag_s = _FILTER_SHARE * latency.seconds if latency.is_filter else _LATENCY_STDS * latency.std_s
     of = ExtendedProblem(problem=problem, point=point, latency_std_samples=max(lag_s / period, _LEAST_LATENCY))
     begun = here = beginning(of)
-    moves = list[FloatArray]()
+    moves = _moved_by_yielding(of, begun)
     rubbing = _friction(of, here)
     if rubbing is not None:
         moves.append(_MOVED_BY_FRICTION * _moved(of, rubbing, begun))
@@ -84,6 +84,16 @@ def extend_payload(problem: Problem, point: Point, latency: WrenchLatency) -> Ex
     if not moves:
         return None
     return _extended(of, here, moves, latency)
+
+
+def _moved_by_yielding(of: ExtendedProblem, begun: PayloadFit) -> list[FloatArray]:
+    """Return what one deviation of the robot's compliance moves, nothing where the robot does not give way."""
+    signals = of.problem.signals
+    if signals.yielded is None:
+        return []
+    further = replace(signals, yielded=(1.0 + signals.yielded_std_share) * signals.yielded)
+    other = replace(of, problem=replace(of.problem, signals=further))
+    return [_moved(of, beginning(other), begun)]
 
 
 def _friction(of: ExtendedProblem, at: PayloadFit) -> PayloadFit | None:
@@ -128,9 +138,10 @@ def _part(of: ExtendedProblem, at: PayloadFit) -> tuple[PayloadFit | None, float
 
 
 def _is_at_bound(of: ExtendedProblem, candidate: PayloadFit) -> bool:
-    """Whether what swings is so heavy, or damped so much, that it is no part."""
+    """Whether what swings is so light, so heavy, or damped so much, that it is no part."""
     found = of.extension(candidate.theta, candidate.kind)
-    return found.mass_share > _AT_BOUND * MOST_SHARE or found.damping_ratio > _AT_BOUND * MOST_RATIO
+    is_light = found.mass_share < _LEAST_SHARE
+    return is_light or found.mass_share > _AT_BOUND * MOST_SHARE or found.damping_ratio > _AT_BOUND * MOST_RATIO
 
 
 def _moved(of: ExtendedProblem, to: PayloadFit, since: PayloadFit) -> FloatArray:

@@ -4,7 +4,8 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.signal import lfilter
+from scipy.interpolate import make_interp_spline
+from scipy.signal import cont2discrete, lfilter
 
 from problems.arrays import FloatArray
 
@@ -68,7 +69,8 @@ class FlangePath:
     """The flange's path over the log, worked out where a span asks for it.
 
     `run` is the robot's answer and `robot` the rows of its equation, both None without a command; `mean_m` is the mean
-    of measured − robot. `keeps` is how many cuts are kept for who asks again.
+    of measured − robot. `yielded` (n, 4), value and derivatives over factorials, is how far the robot gives way to the
+    payload, which `position_m` is without. `keeps` is how many cuts are kept for who asks again.
     """
 
     position_m: FloatArray
@@ -77,6 +79,7 @@ class FlangePath:
     run: RobotRun | None
     robot: FloatArray | None
     hold: Hold
+    yielded: FloatArray | None = None
     keeps: int = MOST_CUTS
     _cuts: dict[tuple[int, int], PathSegment] = field(default_factory=dict, init=False, repr=False, compare=False)
 
@@ -103,6 +106,8 @@ class FlangePath:
         beyond = min(stop + 1, len(self.position_m))
         count = stop - first
         rest = self._rest(first, beyond)
+        if self.yielded is not None:
+            rest = rest + self.yielded[first:beyond]
         drive = [rest[:count]]
         position, velocity = rest[:, 0], rest[:, 1]
         arriving = velocity[1:]
@@ -157,11 +162,13 @@ def commanded_path(
     smoother: Smoother,
     period_s: float,
     keeps: int = MOST_CUTS,
+    yielded: FloatArray | None = None,
 ) -> FlangePath:
     """Take the robot's exact answer to the held command, and beside it what the pose surely shows of another motion.
 
-    The robot is at rest at the first command.
+    The robot is at rest at the first command. What it gives way to the payload, `yielded` (n, 4), is taken as it is.
     """
+    position_m = position_m if yielded is None else position_m - yielded[:, 0]
     step, older = held_step(values, period_s)
     command, start = np.ascontiguousarray(command_m), np.zeros(len(step))
     start[0] = command[0]
@@ -173,6 +180,7 @@ def commanded_path(
         run=RobotRun(step=step, command_m=command, older=older, marks=marks),
         robot=robot_rate(values, period_s),
         hold=held(float(values[-1]), period_s),
+        yielded=yielded,
         keeps=keeps,
     )
 
@@ -203,6 +211,19 @@ def path_slope(path: FlangePath, values: FloatArray, index: int, period_s: float
         hold=path.hold,
         keeps=1,
     )
+
+
+def given_way(values: FloatArray, force_n: FloatArray, period_s: float) -> FloatArray:
+    """Return how far a robot r(s) of stiffness 1 N/m gives way to forces (n,), (n, 4) as `FlangePath.yielded`.
+
+    `values` are ω, (ζ,) T_d; the force, straight between the ticks, acts without the command's delay.
+    """
+    omega = float(values[0])
+    poles = [1.0, omega] if len(values) == 2 else [1.0, 2.0 * float(values[1]) * omega, omega**2]
+    b, a, _ = cont2discrete(([poles[-1]], poles), period_s, method="foh")
+    way = make_interp_spline(np.arange(len(force_n)), lfilter(np.ravel(b), a, force_n - force_n[0]), k=3)
+    ticks = np.arange(len(force_n))
+    return np.column_stack([way(ticks, nu=k) / math.factorial(k) for k in range(4)])
 
 
 def _taylor(c: FloatArray) -> FloatArray:

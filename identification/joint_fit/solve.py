@@ -46,7 +46,8 @@ class Signals:
 
     `command_m[k]` is the command issued at or after tick k and before the next; `smoother` belongs to the pose. The
     force passes `sensor_dynamics`, whose time constant, or without one delay, may be off by `latency_std_s`; the pose
-    was measured at tick `measured[0]` and every `measured[1]` ticks.
+    was measured at tick `measured[0]` and every `measured[1]` ticks; `yielded` is that of `FlangePath`,
+    known to a share of itself.
     """
 
     period_s: float
@@ -57,6 +58,8 @@ class Signals:
     latency_std_s: float = 0.0
     sensor_dynamics: SensorDynamics = field(default_factory=SensorDynamics)
     measured: tuple[int, int] = (0, 1)
+    yielded: FloatArray | None = None
+    yielded_std_share: float = 0.0
     paths: Paths = field(default_factory=Paths, init=False, repr=False, compare=False)
 
     def at_poses(self, span: slice) -> slice:
@@ -72,7 +75,7 @@ class Signals:
         """Return the flange's path for robot parameters (ω, (ζ,) T_d), that of the pose alone without them."""
         if self.command_m is None or robot.size == 0:
             return measured_path(self.position_m, self.smoother)
-        return commanded_path(robot, self.command_m, self.position_m, self.smoother, self.period_s, keeps)
+        return commanded_path(robot, self.command_m, self.position_m, self.smoother, self.period_s, keeps, self.yielded)
 
 
 @dataclass(frozen=True, kw_only=True)

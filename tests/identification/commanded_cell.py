@@ -16,7 +16,10 @@ TOOL_DOWN = Rotation.from_euler("xz", [np.pi, 0.4])
 
 @dataclass(frozen=True, kw_only=True)
 class CommandedCell:
-    """Robot poles (ω,) or (ω, ζ) behind a delay and a hold of `tick_s`; a payload on a spring and a damper."""
+    """Robot poles (ω,) or (ω, ζ) behind a delay and a hold of `tick_s`; a payload on a spring and a damper.
+
+    The payload's force moves a robot of two poles by what its inertia `robot_mass` leaves to it.
+    """
 
     robot: tuple[float, ...] = (38.0,)
     delay_s: float = 2.4e-3
@@ -24,6 +27,7 @@ class CommandedCell:
     damping: float = 120.0
     drag: float = 280.0
     mass: float = 14.0
+    robot_mass: float = np.inf
     tick_s: float = 8e-4
 
     @property
@@ -76,6 +80,8 @@ class CommandedCell:
         felt[0] -= k
         felt[order] += k
         felt[order + 1] += b
+        if order == 2:
+            rows[1] += felt / self.robot_mass
         rows[order + 1] = -felt / m
         rows[order + 1, order + 1] -= self.drag / m
         whole = int(self.delay_s / self.tick_s + 1e-9)

@@ -56,6 +56,19 @@ def test_robot_coupling_and_moving_mass_follow_from_command_pose_and_force(
     assert "no-command" not in {finding.code for finding in result.findings}
 
 
+def test_a_robot_that_gives_way_to_its_payload_biases_nothing() -> None:
+    """Its servo yields by micrometres, which no filter for the pose's noise keeps: 8 deviations of K_s as it was."""
+    cell = CommandedCell(robot=(45.0, 0.9), robot_mass=2000.0)
+    recording = logged(cell, swept(cell, 40.0), Logger(rate_hz=1250.0, axis=2, force_noise_n=0.1, pose_noise_m=2e-6))
+    axis = identify_cell(recording).axes["z"]
+    assert covers(axis.coupling.stiffness_n_per_m, cell.stiffness)
+    assert covers(axis.coupling.damping_n_s_per_m, cell.damping)
+    assert covers(axis.robot.bandwidth_hz, cell.bandwidth_hz)
+    assert covers(axis.robot.delay_s, cell.delay_s)
+    assert axis.coupling.stiffness_n_per_m.std is not None
+    assert axis.coupling.stiffness_n_per_m.std < 0.01 * cell.stiffness
+
+
 def test_a_slow_log_leaves_the_hold_of_the_controller_open_unless_its_period_is_given() -> None:
     cell = CommandedCell(delay_s=6e-3)
     recording = logged(cell, swept(cell, 20.0), Logger(rate_hz=100.0))
