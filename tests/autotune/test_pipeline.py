@@ -52,9 +52,9 @@ def test_recordings_side_by_side_tell_what_they_tell_one_after_the_other(
 
 def test_a_part_may_be_named_of_several_recordings(two_logs: list[Path]) -> None:
     """Seconds count in each; a recording that a stamp leaves outside is named and not used, and all are refused."""
-    found = identify_log(two_logs, replace(PARTIAL, start=0.5, stop=9.0))
+    found = identify_log(two_logs, replace(PARTIAL, start=0.5, stop=14.0))
     spans = found.provenance["recordings"]
-    assert [stop - start for start, stop in spans] == pytest.approx([8.5, 8.5], abs=0.01)
+    assert [stop - start for start, stop in spans] == pytest.approx([13.5, 13.5], abs=0.01)
     begins = spans[1][0]
     alone = identify_log(two_logs, replace(PARTIAL, start=f"@{begins:.3f}"))
     assert len(alone.provenance["logs"]) == 1
