@@ -10,8 +10,8 @@ from identification.signals.aligned import align
 from identification.signals.recording import Recording
 from problems.arrays import FloatArray
 
-AFTER_ALL_POSES_S = 26.0
-BETWEEN_POSES_S = 13.3
+AFTER_ALL_POSES_S = 24.6
+BETWEEN_POSES_S = 12.5
 STEP_N = np.array([0.0, 0.0, -60.0])
 
 
@@ -34,7 +34,7 @@ def holed(recording: Recording, start_s: float, stop_s: float) -> Recording:
 def test_a_tare_after_all_poses_makes_the_contacts_unusable(demo_recording: Recording) -> None:
     (found,) = check_payload(stepped(demo_recording, AFTER_ALL_POSES_S, STEP_N))
     assert (found.code, found.severity) == ("tare-jump", "error")
-    assert "at 26.00" in found.message
+    assert "at 24.60" in found.message
     told = [float(text) for text in found.message.split("(")[1].split(")")[0].split(", ")]
     # Means of 0.15 s on either side: 0.14 N/√188 each, five deviations.
     np.testing.assert_allclose(told, STEP_N, rtol=0.0, atol=5.0 * np.sqrt(2.0) * 0.14 / np.sqrt(188))
@@ -49,18 +49,18 @@ def test_a_tare_that_the_rests_tell_or_that_no_contact_feels_is_a_warning(
 
 
 def test_of_the_rest_in_which_the_sensor_is_tared_first_nothing_is_asked(demo_recording: Recording) -> None:
-    (found,) = check_payload(stepped(demo_recording, 0.8, STEP_N))
+    (found,) = check_payload(stepped(demo_recording, 0.4, STEP_N))
     assert (found.code, found.severity) == ("tare-jump", "warning")
 
 
 def test_two_large_jumps_are_more_than_the_rests_can_tell(demo_recording: Recording) -> None:
-    twice = stepped(stepped(demo_recording, 8.1, STEP_N), 18.5, STEP_N)
+    twice = stepped(stepped(demo_recording, 7.3, STEP_N), 17.7, STEP_N)
     found = check_payload(twice)
     assert [(each.code, each.severity) for each in found] == [("tare-jump", "error")] * 2
 
 
 def test_a_step_across_a_hole_is_no_jump_with_a_time(demo_recording: Recording) -> None:
-    across = holed(stepped(demo_recording, AFTER_ALL_POSES_S, STEP_N), 25.95, 26.05)
+    across = holed(stepped(demo_recording, AFTER_ALL_POSES_S, STEP_N), 24.55, 24.65)
     assert find_tare_jumps(align(across)) == ()
 
 
