@@ -36,6 +36,56 @@ const explore = (() => {
     }
   }
 
+  // What a slider's position stands for: `tags` say how, and within which ends.
+  const spanOf = slider => slider.tags[0] || { logarithmic: false, low: slider.start, high: slider.end };
+  const numberAt = slider => String(Number((spanOf(slider).logarithmic ? 10 ** slider.value : slider.value).toPrecision(6)));
+
+  // A number that is typed moves the slider, and the slider changes the number; what is none is put back.
+  function joinField(knob) {
+    const slider = page().get_model_by_name(knob.dataset.knob);
+    const field = knob.querySelector("input"), told = knob.querySelector("p");
+    const said = text => {
+      told.textContent = text;
+      field.setAttribute("aria-invalid", String(text !== ""));
+    };
+    const follow = () => {
+      knob.hidden = !slider.visible;
+      if (knob.hidden) return;
+      field.setAttribute("aria-label", slider.title);
+      field.value = numberAt(slider);
+    };
+    const take = () => {
+      const text = field.value.trim(), { logarithmic, low, high } = spanOf(slider);
+      const number = text === "" ? NaN : Number(text), isWithin = number >= low && number <= high;
+      if (isWithin && text !== numberAt(slider)) slider.value = logarithmic ? Math.log10(number) : number;
+      const ends = `${Number(low.toPrecision(6))} to ${Number(high.toPrecision(6))}`;
+      said(isWithin ? "" : `${slider.title} must be a number from ${ends}; “${text}” was put back.`);
+      follow();
+    };
+    const properties = slider.properties;
+    properties.value.change.connect(() => {
+      said("");
+      follow();
+    });
+    for (const each of [properties.visible, properties.tags, properties.title]) each.change.connect(follow);
+    field.addEventListener("change", take);
+    field.addEventListener("keydown", event => {
+      if (event.key !== "Escape") return;
+      follow();
+      said("");
+    });
+    follow();
+  }
+
+  // A click on a button of the table of kept designs; the count makes two of the same click two.
+  let clicks = 0;
+  function watchKept() {
+    document.addEventListener("click", event => {
+      const button = event.composedPath().find(each => each.dataset && each.dataset.kept);
+      if (button) page().get_model_by_name("kept-click").said = `${button.dataset.kept} ${clicks += 1}`;
+    });
+  }
+
   // Canvases know no style sheet: all that is drawn takes its colours from the page's here.
   const FRAME = {
     soft: ["axis_label_text_color", "major_label_text_color", "title_text_color", "axis_line_color",
@@ -110,6 +160,8 @@ const explore = (() => {
 
   function begin() {
     labelSliders();
+    document.querySelectorAll(".knob").forEach(joinField);
+    watchKept();
     watchView();
     dress();
     isDark.addEventListener("change", dress);
@@ -123,6 +175,7 @@ const explore = (() => {
       if (model.name in answered) model.setv({ value: answered[model.name] }, { sync: false });
       if ("disabled" in model && ("value" in model || "label" in model)) model.setv({ disabled: true }, { sync: false });
     }
+    for (const field of document.querySelectorAll(".knob input")) field.disabled = true;
     const status = page().get_model_by_name("status");
     if (status.text.includes("busy")) {
       const text = '<p class="bad">The server ended before the save was reported: check whether the file is written.</p>';

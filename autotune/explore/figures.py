@@ -32,6 +32,7 @@ from autotune.charts.palette import COLOURS
 from autotune.formats.units import axis_units
 from problems.arrays import RealArray
 from problems.design.problem import DesignProblem
+from problems.design.requirements import Requirements
 
 from .sliders import SliderRange
 from .view import DesignMap, MapWindow, View
@@ -47,16 +48,21 @@ _NYQUIST_HEIGHT = 360
 _NYQUIST = {"left": [-2.2], "right": [1.0], "bottom": [-1.6], "top": [1.2]}
 # On light paper; the page has others on dark paper. Neither meets a colour of the cells, which leave out both ends.
 _UNSTABLE, _MISSED = "#e3b7b2", "#edeae2"
+_KEPT = "#8a8f95"
 _CELLS = Viridis256[32:232]
 # More than one number of two digits, so that no tick of less than a decade reads like another one.
 _TICKS = "return Number(tick.toPrecision(3)).toExponential();"
 _DRAWN_FROM = {
-    "contact": ("contact", "sensor", "peak"),
-    "admittance": ("gain",),
-    "nyquist": ("force", "command"),
+    "contact": ("contact", "sensor", "peak", "diverging", "kept"),
+    "admittance": ("gain", "target"),
+    "nyquist": ("force", "command", "circle"),
     "requirements": ("bars",),
     "map": ("map", "own"),
 }
+# Forces beyond so many times the largest of the start, or of what drives the contact, are cut off.
+_CLIPPED_AT, _CLIPPED_AT_DRIVE = 3.0, 20.0
+# A swing whose second half is this much larger than its first one grows.
+_GROWS = 1.05
 _EMPTY: Mapping[str, list[float]] = {"x": [], "y": []}
 
 Changes = dict[str, dict[str, Any]]
@@ -125,14 +131,17 @@ class Figures:
         self.lines: dict[str, list[DrawnLine]] = {key: [] for key in KEYS}
         self.sources = {
             name: ColumnDataSource(dict(_EMPTY), name=f"data-{name}")
-            for name in ("contact", "sensor", "begun", "peak", "gain", "force", "command", "circle")
+            for name in ("contact", "sensor", "begun", "peak", "gain", "target", "force", "command", "circle")
         }
         self.sources["bars"] = ColumnDataSource({"name": [], "right": [], "colour": [], "text": []}, name="data-bars")
         cells: dict[str, list[float]] = {"stable": [], "peak": [], "x": [], "y": [], "dw": [], "dh": []}
         self.sources["map"] = ColumnDataSource(cells, name="data-map")
         own: dict[str, list[float]] = {"x": [], "y": [], "left": [], "right": [], "bottom": [], "top": []}
         self.sources["own"] = ColumnDataSource({**own, "stable": [], "peak": []}, name="data-own")
-        self.target = ColumnDataSource({"x": [], "y": []}, name="data-target")
+        self.sources["diverging"] = ColumnDataSource({"x": [], "y": [], "text": []}, name="data-diverging")
+        curves: dict[str, list[float]] = {"xs": [], "ys": [], "x": [], "y": [], "text": []}
+        self.sources["kept"] = ColumnDataSource(curves, name="data-kept")
+        self.largest_n = math.inf
         self.colours = LinearColorMapper(palette=_CELLS, low=0.0, high=1.0, nan_color="rgba(0,0,0,0)", name="colours")
         self.mapped: tuple[float, float] | None = None
         self.plots = {
@@ -150,17 +159,26 @@ class Figures:
 
     def _contact(self) -> Any:
         plot = _plot("contact", "time after the contact [ms]", "force")
+        kept = self.sources["kept"]
+        plot.multi_line("xs", "ys", source=kept, color=_KEPT, line_width=1.0)
+        small: dict[str, Any] = {"text_font_size": "11px", "text_baseline": "bottom", "text_align": "center"}
+        plot.text("x", "y", text="text", source=kept, text_color=_KEPT, **small)
+        self.lines["contact"].append(DrawnLine(label="kept, by number", colour=_KEPT, kind="solid"))
         self._line(plot, self.sources["begun"], "before", "as begun", dashed=True)
         self._line(plot, self.sources["sensor"], "quiet", "at the sensor")
         self._line(plot, self.sources["contact"], "model", "at the contact")
         plot.scatter("x", "y", source=self.sources["peak"], color=COLOURS["model"], size=9, line_color="white")
+        diverging = self.sources["diverging"]
+        self._line(plot, diverging, "bad", "unstable")
+        small |= {"text_align": "right", "y_offset": -4}
+        plot.text("x", "y", text="text", source=diverging, text_color=COLOURS["bad"], **small)
         return plot
 
     def _admittance(self) -> Any:
         plot = _plot("admittance", "frequency [Hz]", "|G|", x_axis_type="log", y_axis_type="log")
         plot.yaxis.ticker = LogTicker(mantissas=[1, 2, 5])
         plot.yaxis.formatter = CustomJSTickFormatter(code=_TICKS)
-        self._line(plot, self.target, "target", "at least", dashed=True)
+        self._line(plot, self.sources["target"], "target", "at least", dashed=True)
         self._line(plot, self.sources["gain"], "after", "|G|, free space")
         return plot
 
@@ -226,22 +244,49 @@ class Figures:
         return [*self.sources.values(), self.colours, self.bar]
 
     def begin(self, problem: DesignProblem, axis: str, begun: View) -> None:
-        """Show what does not change while one axis is explored: limits, units, and the design to start from."""
+        """Show what does not change while one axis is explored: units, and the design to start from."""
         units, asked = axis_units(axis), problem.requirements
         self.plots["contact"].yaxis.axis_label = f"{units.force_name} [{units.force}]"
         self.plots["admittance"].yaxis.axis_label = f"|G| [{units.admittance}]"
-        target = asked.free_space_admittance
-        self.target.data = (
-            dict(_EMPTY) if target is None else {"x": list(target.band_hz), "y": [target.min_m_s_per_n] * 2}
-        )
-        turn = np.linspace(0.0, 2.0 * np.pi, 121)
-        radius = asked.modulus_margin or 0.0
-        self.sources["circle"].data = {"x": radius * np.cos(turn) - 1.0, "y": radius * np.sin(turn)}
         self.plots["requirements"].y_range.factors = [requirement_title(name) for name in asked.asked()][::-1]
-        self.sources["begun"].data = dict(_EMPTY)
+        self.sources["begun"].data, self.largest_n = dict(_EMPTY), math.inf
         if begun.transient is not None:
-            self.sources["begun"].data = _over_time(begun.transient.time_s, begun.transient.contact_force_n)
+            run = begun.transient
+            self.sources["begun"].data = _over_time(run.time_s, run.contact_force_n)
+            self.largest_n = _CLIPPED_AT * run.peak_contact_force_n
         self.bar.title = f"worst peak [{units.force}]"
+
+    def show_limits(self, asked: Requirements, sender: Sender) -> None:
+        """Show the least |G| and the circle of the modulus margin that are asked."""
+        target = asked.free_space_admittance
+        limit = _EMPTY if target is None else {"x": list(target.band_hz), "y": [target.min_m_s_per_n] * 2}
+        sender.put(self.sources["target"], data=dict(limit))
+        turn, radius = np.linspace(0.0, 2.0 * np.pi, 121), asked.modulus_margin or 0.0
+        circle = {"x": radius * np.cos(turn) - 1.0, "y": radius * np.sin(turn)}
+        sender.put(self.sources["circle"], data=circle)
+
+    def show_kept(self, curves: Mapping[int, View], sender: Sender) -> None:
+        """Show the contacts of kept designs by their numbers; an unstable one has none."""
+        runs = {number: view.transient for number, view in curves.items()}
+        drawn = {number: run for number, run in runs.items() if run is not None}
+        lines = [_over_time(run.time_s, run.contact_force_n) for run in drawn.values()]
+        data: dict[str, Any] = {"xs": [each["x"] for each in lines], "ys": [each["y"] for each in lines]}
+        data["x"] = [1e3 * run.time_of_peak_s for run in drawn.values()]
+        data |= {"y": [run.peak_contact_force_n for run in drawn.values()], "text": [str(number) for number in drawn]}
+        sender.put(self.sources["kept"], data=data)
+
+    def _show_diverging(self, view: View, sender: Sender) -> None:
+        """Show how the force of an unstable contact begins, cut off where it leaves the picture."""
+        run = view.diverging
+        data: dict[str, Any] = {"x": [], "y": [], "text": []}
+        if run is not None:
+            force, most = run.contact_force_n, min(self.largest_n, _CLIPPED_AT_DRIVE * run.driving_force_n)
+            beyond = np.flatnonzero(~(np.abs(force) <= most))
+            end, half = (int(beyond[0]) if beyond.size else len(force)), len(force) // 2
+            grows = beyond.size or np.max(np.abs(force[half:])) > _GROWS * np.max(np.abs(force[:half]))
+            data = _over_time(run.time_s[:end], force[:end])
+            data["text"] = [""] * (len(data["x"]) - 1) + ["diverges" if grows else "does not settle"]
+        sender.put(self.sources["diverging"], data=data)
 
     def show(self, view: View, sender: Sender) -> None:
         """Show one view; an unstable loop has no transient and no requirement."""
@@ -250,6 +295,7 @@ class Figures:
             sender.put(self.sources[name], data=data)
 
         run = view.transient
+        self._show_diverging(view, sender)
         if run is None:
             for name in ("contact", "sensor", "peak"):
                 put(name, **_EMPTY)

@@ -1,5 +1,6 @@
 """Build the page: sliders and figures, computed again when a slider moves."""
 
+from dataclasses import replace
 from functools import lru_cache
 from importlib.resources import files
 from typing import Any
@@ -11,19 +12,46 @@ from bokeh.models import CustomJS, CustomJSTickFormatter, InlineStyleSheet
 from bokeh.models.widgets import Button, Div, Select, Slider
 from jinja2 import Environment, StrictUndefined, Template
 
-from autotune.formats.units import axis_units
+from autotune.formats.units import ROTATIONAL_AXES, axis_units
+from autotune.tuning.search import SearchResult
+from problems.arrays import FloatArray
+from problems.design.problem import DesignProblem
 from problems.errors import AutotuneError
 
 from . import words
 from .figures import KEYS, Figures, Sender
+from .kept import Keeper
 from .saving import Saver, Target, refused_line
-from .sliders import STEPS, SliderRange, build_gain_sliders, build_plant_sliders, nominal_values, scenario_at
-from .source import AxisStart, Exploration
-from .view import MapWindow, PreparedView, View, build_window, compute_map, compute_view, map_pairs, prepare_view
+from .searching import Searcher, SearchTask
+from .sliders import (
+    ASKED,
+    STEPS,
+    SliderRange,
+    build_gain_sliders,
+    build_plant_sliders,
+    build_requirement_sliders,
+    nominal_values,
+    requirements_at,
+    scenario_at,
+    shown_thresholds,
+)
+from .source import AxisStart, Exploration, with_requirements, worst_few
+from .view import (
+    DesignMap,
+    MapWindow,
+    PreparedView,
+    View,
+    build_window,
+    compute_map,
+    compute_view,
+    map_pairs,
+    prepare_view,
+)
+from .way_back import find_way_back
 
-_COLUMNS, _ROWS, _FINER = 20, 15, 2
-# How long a hand rests before the map is drawn more finely.
-_RESTS_MS = 350
+_COLUMNS, _ROWS = 10, 8
+# How many times as fine the map becomes, and how long the hand rests before that.
+_FINER_AFTER_MS = {1: 0, 2: 60, 4: 350}
 _LOGARITHMIC = "return String(Number((10 ** tick).toPrecision(4)));"
 _PLAIN = "return String(Number(tick.toPrecision(4)));"
 _MAP_CAPTION = (
@@ -38,6 +66,15 @@ p { margin: 0.2rem 0; overflow-wrap: anywhere; }
 dl { display: flex; flex-wrap: wrap; gap: 0.5rem 1.6rem; margin: 0; }
 dt { color: var(--soft); font-size: 0.82rem; } dd { margin: 0; font-size: 1.2rem; font-variant-numeric: tabular-nums; }
 .bk-slider-title { white-space: normal; }
+.bk-slider-value { display: none; }
+:host, .bk-clearfix { min-width: 0; max-width: 100%; }
+.table { overflow-x: auto; } table { border-collapse: collapse; font-size: 0.9rem; font-variant-numeric: tabular-nums; }
+th { color: var(--soft); font-weight: normal; text-align: right; white-space: nowrap; }
+th, td { padding: 0.1rem 0.6rem 0.1rem 0; }
+td { text-align: right; white-space: nowrap; }
+td button { min-width: 1.8rem; color: var(--ink); background: var(--pale); border: 1px solid var(--line);
+  border-radius: 0.25rem; font: inherit; cursor: pointer; }
+pre { margin: 0.2rem 0; overflow-x: auto; font-size: 0.85rem; }
 .bk-slider-title, label { color: var(--ink); font-size: 0.85rem; }
 select.bk-input { color: var(--ink); background-color: var(--pale); border-color: var(--line); }
 .bk-btn { color: var(--ink); background: var(--pale); border-color: var(--line); white-space: normal; }
@@ -57,17 +94,28 @@ class ExplorePage:
         self.axis = next(iter(exploration.axes))
         self.designs = {name: np.array(start.design) for name, start in exploration.axes.items()}
         self.plants = {name: nominal_values(start.problem) for name, start in exploration.axes.items()}
+        kinds: dict[bool, dict[str, float]] = {}
+        # Axes of a kind share what is asked, as they do in a certificate.
+        self.asked_now = {
+            name: kinds.setdefault(name in ROTATIONAL_AXES, shown_thresholds(start.problem.requirements))
+            for name, start in exploration.axes.items()
+        }
+        self.scenarios = {name: start.scenarios for name, start in exploration.axes.items()}
         self.figures = Figures()
         self.ranges: dict[str, SliderRange] = {}
         self.window: MapWindow | None = None
         self.prepared: tuple[object, PreparedView] | None = None
-        self.mapped: object = None
+        self.mapped: tuple[PreparedView, object, int] | None = None
+        self.map: DesignMap | None = None
+        self.limits: object = None
         self.asked = self.is_updating = False
         self.resting: Any = None
         look: dict[str, Any] = {"sizing_mode": "stretch_width", "stylesheets": [InlineStyleSheet(css=_STYLE)]}
         self._build_widgets(look)
-        self.saver = Saver(exploration, target, document, self.designs, look)
-        changing = [self.verdict, self.facts, self.saver.status, self.saver.held]
+        self.saver = Saver(self.present, target, document, self.designs, look)
+        self.searcher = Searcher(document, look, self._search_task, self._found)
+        self.keeper = Keeper(look, self._take, self.update)
+        changing = [self.verdict, self.facts, self.saver.status, self.saver.held, self.way_back, self.keeper.table]
         self.sender = Sender(document, [*self.figures.changing(), *changing], self.verdict)
         self.saver.connect(self.sender)
         self._show_axis()
@@ -77,34 +125,50 @@ class ExplorePage:
         """The axis that is shown, as it began."""
         return self.exploration.axes[self.axis]
 
+    @property
+    def problem(self) -> DesignProblem:
+        """The problem of the axis that is shown, under the requirements that are set."""
+        return self._problem(self.axis)
+
+    def _problem(self, axis: str) -> DesignProblem:
+        problem = self.exploration.axes[axis].problem
+        asked = requirements_at(problem.requirements, self.asked_now[axis])
+        return problem if asked == problem.requirements else replace(problem, requirements=asked)
+
+    def present(self) -> Exploration:
+        """Return the exploration under the requirements that are set."""
+        asked = {name: self._problem(name).requirements for name in self.exploration.axes}
+        return with_requirements(self.exploration, asked)
+
     def _build_widgets(self, look: dict[str, Any]) -> None:
-        names = {
-            span.name: span
-            for axis, start in self.exploration.axes.items()
-            for span in (*build_gain_sliders(start.problem, axis), *build_plant_sliders(start.problem, axis))
-        }
+        names = {span.name: span for axis, start in self.exploration.axes.items() for span in _spans(start, axis)}
         self.sliders = {name: Slider(start=0.0, end=1.0, value=0.0, step=0.01, name=name, **look) for name in names}
         for slider in self.sliders.values():
             slider.on_change("value", self._slider_moved)
         self.verdict, self.facts = (Div(name=key, **look) for key in ("verdict", "facts"))
-        self.back = Button(label="Back to the start", name="back", button_type="default", **look)
+        labels = {"back": "Back to the start", "keep": "Keep this design", "way-back": "To the nearest feasible design"}
+        self.back, self.keep, self.way_back = (
+            Button(label=label, name=name, button_type="default", **look) for name, label in labels.items()
+        )
         axes: Any = list(self.exploration.axes)
         self.choice = Select(title="Axis", name="axis", value=self.axis, options=axes, **look)
         self.over = Select(title="Map over", name="over", **look)
         self.back.on_click(self._go_back)
+        self.keep.on_click(self._keep)
+        self.way_back.on_click(self._go_to_feasible)
         self.choice.on_change("value", self._axis_chosen)
         self.over.on_change("value", self._map_chosen)
 
     def roots(self) -> list[Any]:
         """Return everything that the page places by its name."""
         saving = [self.saver.status, self.saver.button, self.saver.held]
-        widgets = [self.verdict, self.facts, self.back, self.choice, self.over]
-        return [*saving, *widgets, *self.sliders.values(), *self.figures.plots.values()]
+        widgets = [self.verdict, self.facts, self.back, self.keep, self.way_back, self.choice, self.over]
+        moving = [self.searcher.button, self.searcher.status, self.keeper.table]
+        return [*saving, *widgets, *moving, *self.sliders.values(), *self.figures.plots.values()]
 
     def _show_axis(self) -> None:
         problem = self.start.problem
-        gains, plant = build_gain_sliders(problem, self.axis), build_plant_sliders(problem, self.axis)
-        self.ranges = {span.name: span for span in (*gains, *plant)}
+        self.ranges = {span.name: span for span in _spans(self.start, self.axis)}
         pairs = map_pairs(problem)
         self.choice.visible = len(self.exploration.axes) > 1
         titles = [(",".join(pair), " and ".join(self.ranges[name].label for name in pair)) for pair in pairs]
@@ -115,7 +179,7 @@ class ExplorePage:
         self.saver.note(self.start.note)
         view = compute_view(self._prepare(), self.start.design)
         self.figures.begin(problem, self.axis, view)
-        self.window = None
+        self.window = self.map = None
         self._set_ranges()
         self._set_sliders()
         self.update()
@@ -130,14 +194,17 @@ class ExplorePage:
                 continue
             low, high = span.ends
             form = CustomJSTickFormatter(code=_LOGARITHMIC if span.logarithmic else _PLAIN)
-            slider.update(title=span.title, start=low, end=high, step=(high - low) / STEPS, format=form)
+            # What a number that is typed beside it means.
+            told = {"logarithmic": span.logarithmic, "low": span.low, "high": span.high}
+            slider.update(title=span.title, start=low, end=high, step=(high - low) / STEPS, format=form, tags=[told])
         self.is_updating = False
 
     def _set_sliders(self) -> None:
-        values = {**dict(zip(self.start.problem.variables, self.designs[self.axis], strict=True)), **self._plant()}
+        gains = dict(zip(self.start.problem.variables, self.designs[self.axis], strict=True))
+        values = {**gains, **self._plant(), **self.asked_now[self.axis]}
         self.is_updating = True
         for name, value in values.items():
-            if self.sliders[name].visible:
+            if name in self.ranges and self.sliders[name].visible:
                 self.sliders[name].value = self.ranges[name].position(float(value))
         self.is_updating = False
 
@@ -162,6 +229,11 @@ class ExplorePage:
                 self.designs[self.axis][i] = self.ranges[name].value(float(self.sliders[name].value))
         for name in self._plant():
             self._plant()[name] = self.ranges[name].value(float(self.sliders[name].value))
+        asked = self.asked_now[self.axis]
+        for name in asked:
+            if name in self.ranges:
+                asked[name] = self.ranges[name].value(float(self.sliders[name].value))
+        self.searcher.forget()
         self.update()
 
     def update(self) -> None:
@@ -169,16 +241,31 @@ class ExplorePage:
         try:
             prepared = self._prepare()
             view = compute_view(prepared, self.designs[self.axis])
+            self._show_limits(prepared)
             self.figures.show(view, self.sender)
             self._show_words(view, len(prepared.scenarios))
             self._show_map(prepared)
             self._show_own(view)
+            self._show_kept(prepared)
+            self.sender.put(self.way_back, visible=not view.evaluation.is_feasible)
             self.view = view
         except AutotuneError as error:
             refused = refused_line(str(error)).replace("Not written.", "No picture.")
             self.sender.put(self.verdict, text=refused)
         self.saver.follow()
         self.sender.send()
+
+    def _show_limits(self, prepared: PreparedView) -> None:
+        asked = prepared.problem.requirements
+        if self.limits != (self.axis, asked):
+            self.limits = self.axis, asked
+            self.figures.show_limits(asked, self.sender)
+
+    def _show_kept(self, prepared: PreparedView) -> None:
+        gains = build_gain_sliders(self.start.problem, self.axis)
+        views = self.keeper.follow(self.axis, prepared, gains, axis_units(self.axis), self.sender)
+        if views is not None:
+            self.figures.show_kept(views, self.sender)
 
     def _show_words(self, view: View, count: int) -> None:
         law = self.start.problem.controller(view.design)
@@ -189,10 +276,11 @@ class ExplorePage:
         self.sender.put(self.facts, text=words.facts(view, axis_units(self.axis), hand), tags=[positions])
 
     def _prepare(self) -> PreparedView:
-        scenario = scenario_at(self.start.problem, self._plant())
-        key = self.axis, scenario
+        problem, scenarios = self.problem, self.scenarios[self.axis]
+        scenario = scenario_at(problem, self._plant())
+        key = self.axis, scenario, problem.requirements, scenarios
         if self.prepared is None or self.prepared[0] != key:
-            self.prepared = key, prepare_view(self.start.problem, scenario, self.start.scenarios)
+            self.prepared = key, prepare_view(problem, scenario, scenarios)
         return self.prepared[1]
 
     def _show_map(self, prepared: PreparedView, finer: int = 1) -> None:
@@ -208,14 +296,18 @@ class ExplorePage:
         ):
             self.window = build_window(problem, design, (x, y), columns=_COLUMNS, rows=_ROWS)
             self.figures.show_window(self.window, self.ranges[x], self.ranges[y])
-        key = prepared.scenario, self.axis, self.window, tuple(v for name, v in values.items() if name not in {x, y})
-        if self.mapped in {(key, _FINER), (key, finer)}:
-            return
-        self.figures.show_map(compute_map(prepared, design, self.window.finer(finer)), self.sender)
-        self.mapped = key, finer
+        key = self.window, tuple(v for name, v in values.items() if name not in {x, y})
+        if self.mapped is not None:
+            of, known, level = self.mapped
+            if of is prepared and known == key and level >= finer:
+                return
+        self.map = compute_map(prepared, design, self.window.finer(finer))
+        self.figures.show_map(self.map, self.sender)
+        self.mapped = prepared, key, finer
         if self.resting is not None:
             self.document.remove_timeout_callback(self.resting)
-        self.resting = None if finer > 1 else self.document.add_timeout_callback(self._rest, _RESTS_MS)
+        waits = _FINER_AFTER_MS.get(2 * finer)
+        self.resting = None if waits is None else self.document.add_timeout_callback(self._rest, waits)
 
     def _show_own(self, view: View) -> None:
         """Show what the design itself is, on the plants of the map: a cell is judged elsewhere than at the star."""
@@ -223,12 +315,12 @@ class ExplorePage:
             x, y = (
                 float(view.design[self.start.problem.variables.index(name)]) for name in (self.window.x, self.window.y)
             )
-            self.figures.show_own(view, (x, y), self.window, self.sender)
+            self.figures.show_own(view, (x, y), self.window.finer(2), self.sender)
 
     def _rest(self) -> None:
         self.resting = None
-        if not self.asked:
-            self._show_map(self._prepare(), _FINER)
+        if not self.asked and self.mapped is not None:
+            self._show_map(self._prepare(), 2 * self.mapped[2])
             self._show_own(self.view)
             self.sender.send()
 
@@ -243,8 +335,58 @@ class ExplorePage:
     def _go_back(self) -> None:
         self.designs[self.axis] = np.array(self.start.design)
         self.plants[self.axis] = nominal_values(self.start.problem)
+        self.asked_now[self.axis].update(shown_thresholds(self.start.problem.requirements))
+        self.searcher.forget()
         self._set_sliders()
         self.update()
+
+    def _take(self, design: FloatArray) -> None:
+        """Show another design of the axis."""
+        self.designs[self.axis] = np.array(design)
+        self.searcher.forget()
+        self._set_sliders()
+        self.update()
+
+    def _keep(self) -> None:
+        self.searcher.say(words.plain_line(self.keeper.keep(self.axis, self.designs[self.axis])))
+        self.update()
+
+    def _go_to_feasible(self) -> None:
+        prepared, design = self._prepare(), self.designs[self.axis]
+        found = find_way_back(prepared, design, self.start.design, self.map)
+        if found is None:
+            told = (
+                "Neither the way to the start nor the map has a design that meets everything: search, or ask for less."
+            )
+            self.searcher.say(words.line("warn", told))
+            return
+        self._take(found.design)
+        self.searcher.say(words.line("good", f"Moved to {found.found}."))
+
+    def _search_task(self) -> SearchTask:
+        return SearchTask(axis=self.axis, problem=self.problem, design=np.array(self.designs[self.axis]))
+
+    def _found(self, task: SearchTask, found: SearchResult) -> str:
+        """Take what a search found, unless something else is asked by now; return what to say of it."""
+        if self._problem(task.axis) != task.problem:
+            return "Other requirements are set by now, so what was found for the earlier ones is not taken."
+        self.designs[task.axis] = np.array(found.design)
+        # What the search found worst belongs to what is looked at.
+        self.scenarios[task.axis] = tuple(dict.fromkeys((*self.scenarios[task.axis], *worst_few(found))))
+        if task.axis == self.axis:
+            self._take(found.design)
+        force = axis_units(task.axis).force
+        return (
+            f"Axis {task.axis}: {found.evaluation.objective_cost:.4g} {force} in the worst case over the whole set, "
+            f"the best of {found.evaluations} designs (seed 0)."
+        )
+
+
+def _spans(start: AxisStart, axis: str) -> tuple[SliderRange, ...]:
+    """Return the ranges of all sliders of an axis: gains, plant, requirements."""
+    problem = start.problem
+    gains, plant = build_gain_sliders(problem, axis), build_plant_sliders(problem, axis)
+    return (*gains, *plant, *build_requirement_sliders(problem.requirements, axis))
 
 
 def build_page(exploration: Exploration, target: Target, document: Document) -> ExplorePage:
@@ -252,7 +394,9 @@ def build_page(exploration: Exploration, target: Target, document: Document) -> 
     page = ExplorePage(exploration, target, document)
     for root in page.roots():
         document.add_root(root)
-    gains = [name for name in page.sliders if name not in page.plants[page.axis]]
+    asked = [name for name in page.sliders if name.startswith(ASKED)]
+    gains = [name for name in page.sliders if name not in {*page.plants[page.axis], *asked}]
+    document.on_session_destroyed(lambda _context: page.searcher.cancel())
     document.title = f"autotune explore {exploration.path.name}"
     # A page whose server has gone says so and stops; a new server would know nothing of its designs.
     document.config.update(reconnect_session=False, notify_connection_status=False)
@@ -261,6 +405,7 @@ def build_page(exploration: Exploration, target: Target, document: Document) -> 
     document.template = _template()
     document.template_variables.update(
         gains=gains,
+        asked=asked,
         plant=list(page.plants[page.axis]),
         figures=_descriptions(exploration),
         keys=KEYS,

@@ -5,6 +5,7 @@ import contextlib
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from html import escape
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -13,7 +14,7 @@ from bokeh.document import Document
 from bokeh.models.widgets import Button, Div
 
 from autotune.errors import AutotuneError, CertificateError, InfeasibleError, UsageError
-from autotune.formats.canonical import short
+from autotune.formats.canonical import dump_yaml, short
 from autotune.formats.controller import read_controller, write_controller
 from autotune.formats.controller_record import Controller
 from autotune.formats.units import ROTATIONAL_AXES
@@ -22,13 +23,15 @@ from autotune.tuning.optimize import certify
 from autotune.tuning.search import SearchResult
 from autotune.validation.axis_proof import ProofOptions
 from problems.arrays import FloatArray
+from problems.design.requirements import Requirements
 from problems.progress import Progress
 
 from .figures import Sender
-from .source import Exploration, keep_deadband
+from .source import ASKED_BY_HAND, Exploration, keep_deadband
 from .words import line, plain_line
 
 Designs = Mapping[str, FloatArray]
+Asked = Mapping[str, Requirements]
 _Result = TypeVar("_Result")
 
 BUSY = '<p class="quiet busy">Judging the design over the whole set, proving, validating …</p>'
@@ -163,16 +166,24 @@ class Saver:
     """
 
     def __init__(
-        self, exploration: Exploration, target: Target, document: Document, designs: Designs, look: Mapping[str, Any]
+        self,
+        present: Callable[[], Exploration],
+        target: Target,
+        document: Document,
+        designs: Designs,
+        look: Mapping[str, Any],
     ) -> None:
-        """Prepare to save `designs`, which the page goes on changing; `look` is how widgets look."""
-        self._exploration, self._target, self._document, self._designs = exploration, target, document, designs
+        """Prepare to save `designs`, which the page goes on changing, for what `present` then returns.
+
+        `look` is how widgets look.
+        """
+        self._present, self._target, self._document, self._designs = present, target, document, designs
         self.button = Button(label=f"Validate and save {target.path.name}", name="save", button_type="default", **look)
         self.status, self.held = Div(name="status", **look), Div(name="held", **look)
         self._expected = target.existing()
         self.held.text = held_line(target.path, self._expected)
         self._text = ""
-        self._of: Designs | None = None
+        self._of: tuple[Designs, Asked] | None = None
         self._is_busy = False
         self.button.on_click(self._asked)
 
@@ -181,8 +192,8 @@ class Saver:
         self._sender = sender
 
     def show(self, text: str, of: Designs | None = None) -> None:
-        """Put a line on the page, which is about the designs `of`, or about none."""
-        self._text, self._of = text, of
+        """Put a line on the page, which is about the designs `of` and what is asked now, or about none."""
+        self._text, self._of = text, None if of is None else (of, asked_of_axes(self._present()))
         self.follow()
 
     def note(self, text: str) -> None:
@@ -192,8 +203,11 @@ class Saver:
 
     def follow(self) -> None:
         """Say of a line about other designs than the present ones that it is so."""
-        of = self._of
-        is_earlier = of is not None and any(not np.array_equal(of[name], now) for name, now in self._designs.items())
+        is_earlier = False
+        if self._of is not None:
+            designs, asked = self._of
+            is_earlier = asked != asked_of_axes(self._present())
+            is_earlier |= any(not np.array_equal(designs[name], now) for name, now in self._designs.items())
         self._sender.put(self.status, text=earlier_line(self._text) if is_earlier else self._text)
 
     def _snapshot(self) -> dict[str, FloatArray]:
@@ -209,21 +223,30 @@ class Saver:
 
     async def save(self) -> None:
         """Save beside the event loop, so that the connection stays alive; the page waits for the answer."""
-        designs, expected = self._snapshot(), self._expected
+        designs, exploration, expected = self._snapshot(), self._present(), self._expected
         try:
-            saved = await _run_in_thread(lambda: save_controller(self._exploration, designs, self._target, expected))
+            saved = await run_in_thread(lambda: save_controller(exploration, designs, self._target, expected))
             first = "N·m" if set(designs) <= ROTATIONAL_AXES else "N"
-            self.show(saved_line(saved, first), designs)
+            text = saved_line(saved, first) + changed_lines(exploration)
         except AutotuneError as error:
-            self.show(refused_line(str(error)), designs)
+            text = refused_line(str(error))
         finally:
             self._is_busy = False
+        self.show(text, designs)
+        # What was asked when the button was pressed, whatever was turned meanwhile.
+        self._of = designs, asked_of_axes(exploration)
+        self.follow()
         self._expected = self._target.existing()
         self._sender.put(self.held, text=held_line(self._target.path, self._expected))
         self._sender.send()
 
 
-async def _run_in_thread(work: Callable[[], _Result]) -> _Result:
+def asked_of_axes(exploration: Exploration) -> dict[str, Requirements]:
+    """Return what is asked on every axis."""
+    return {name: start.problem.requirements for name, start in exploration.axes.items()}
+
+
+async def run_in_thread(work: Callable[[], _Result]) -> _Result:
     """Run `work` in a thread that nobody waits for at the end of the process, and return what it returns."""
     loop = asyncio.get_running_loop()
     future: asyncio.Future[_Result] = loop.create_future()
@@ -242,7 +265,7 @@ async def _run_in_thread(work: Callable[[], _Result]) -> _Result:
             else:
                 loop.call_soon_threadsafe(answer, future.set_result, result)
 
-    threading.Thread(target=run, name="save", daemon=True).start()
+    threading.Thread(target=run, name="beside the page", daemon=True).start()
     return await future
 
 
@@ -255,6 +278,15 @@ def saved_line(saved: Saved, force: str) -> str:
         f"Validated ({saved.checks} checks) and written: {saved.path}, checksum {saved.checksum}{replaced}. "
         f"Worst peak: {peaks}.",
     )
+
+
+def changed_lines(exploration: Exploration) -> str:
+    """Return what was asked by hand as lines for problem.yaml; "" where nothing was."""
+    asked = exploration.provenance["options"].get(ASKED_BY_HAND)
+    if asked is None:
+        return ""
+    told = plain_line("Its certificate states what is asked here, which differs from the file. In problem.yaml:")
+    return f"{told}<pre>{escape(dump_yaml(asked))}</pre>"
 
 
 def held_line(path: Path, existing: str) -> str:

@@ -4,18 +4,24 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from autotune.formats.units import axis_units
+from autotune.formats.units import ROTATIONAL_AXES, axis_units
 from autotune.tuning.bounds import bounds_of, linear_variables
+from problems.design.evaluation import CustomRequirement
 from problems.design.problem import DesignProblem
+from problems.design.requirements import Requirements
 from problems.design.uncertainty import ALWAYS_UNCERTAIN, MASS, STIFFNESS, SYMBOLS, Scenario
 from problems.model.plant_parameters import PARAMETERS
 
 STEPS = 1000
+ASKED = "asked-"
+"""What the name of a requirement's slider begins with."""
 _SURFACES, _PAYLOADS, _FACTOR, _SPEEDS = 4.0, 2.0, 3.0, 2.0
 # The least range of a damping, as a share of that of the payload on the coupling.
 _DAMPING_SHARE = 0.2
 _LEAST_DELAY_SAMPLES = 6.0
 _SAME = 1e-9
+# How much more or less of a requirement can be asked for, and how near its limit.
+_ASKED_FACTOR, _BELOW_LIMIT = 5.0, 0.98
 _GAINS = {
     "mass": ("M_a", "admittance mass"),
     "damping": ("B_a", "admittance damping"),
@@ -138,3 +144,45 @@ def scenario_at(problem: DesignProblem, values: Mapping[str, float]) -> Scenario
         payload_mass_kg=values["payload_mass_kg"],
         **further,
     )
+
+
+def build_requirement_sliders(asked: Requirements, axis: str) -> tuple[SliderRange, ...]:
+    """Return a range around the threshold of each requirement that is asked, in the unit in which it is shown.
+
+    One that another package computes as a ratio has no threshold of its own, and gets none.
+    """
+    turning = axis in ROTATIONAL_AXES
+    return tuple(
+        SliderRange(
+            name=f"{ASKED}{name}",
+            symbol=kind.title[:1].upper() + kind.title[1:],
+            label="at most" if kind.is_upper_limit else "at least",
+            unit=kind.unit_on(turning=turning),
+            low=shown / _ASKED_FACTOR,
+            high=min(shown * _ASKED_FACTOR, max(limit, shown)),
+            logarithmic=True,
+        )
+        for name in asked.asked()
+        for kind in [asked.kind(name)]
+        if not isinstance(kind, CustomRequirement)
+        for shown in [float(f"{kind.shown_scale * asked.threshold(name):.6g}")]
+        for limit in [math.inf if kind.must_be_below is None else _BELOW_LIMIT * kind.must_be_below[0]]
+    )
+
+
+def shown_thresholds(asked: Requirements) -> dict[str, float]:
+    """Return the threshold of each requirement as its slider shows it, by the slider's name."""
+    return {
+        f"{ASKED}{name}": float(f"{asked.kind(name).shown_scale * asked.threshold(name):.6g}") for name in asked.asked()
+    }
+
+
+def requirements_at(asked: Requirements, shown: Mapping[str, float]) -> Requirements:
+    """Return the requirements with the thresholds `shown` of the sliders; one that was not moved stays as it is."""
+    before = shown_thresholds(asked)
+    for name, value in asked.asked().items():
+        key, kind = f"{ASKED}{name}", asked.kind(name)
+        if key in shown and shown[key] != before[key]:
+            threshold = float(f"{shown[key] / kind.shown_scale:.9g}")
+            asked = asked.with_asked(name, kind.with_threshold(value, threshold))
+    return asked

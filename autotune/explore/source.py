@@ -14,6 +14,7 @@ from autotune.formats.controller_record import AxisGains, Controller, RuntimePay
 from autotune.formats.limits import CollisionResponse
 from autotune.formats.plant_file import read_plant
 from autotune.formats.problem import ProblemSpec, read_problem
+from autotune.formats.records import record_tree, rename_axis_keys
 from autotune.formats.units import ROTATIONAL_AXES
 from autotune.formats.yaml12 import kind_of_file
 from autotune.tuning.bounds import Box
@@ -29,6 +30,7 @@ from problems.arrays import FloatArray
 from problems.design.evaluation import build_scenarios
 from problems.design.objectives import force_of
 from problems.design.problem import DEFAULT_BOUNDS, FURTHER_VARIABLES, VARIABLES, DesignProblem
+from problems.design.requirements import Requirements
 from problems.design.uncertainty import Scenario
 from problems.frozen import freeze
 from problems.model.controller import AdmittanceController
@@ -38,6 +40,8 @@ _GRID = (3, 2)
 _MOST_TIGHT, _MOST_HARD = 3, 1
 # Bounds of the gains about a rotational axis, as a factor on those of the file.
 _GAIN_FACTOR = 10.0
+ASKED_BY_HAND = "asked_by_hand"
+"""The option of a provenance that says which requirements were set in the page, as lines of `problem.yaml`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,6 +116,38 @@ def _from_identified(path: Path, problem_path: Path | None, progress: Progress) 
     )
 
 
+def with_requirements(exploration: Exploration, asked: Mapping[str, Requirements]) -> Exploration:
+    """Return the same with other requirements of each axis; the provenance says what is asked otherwise by hand."""
+    axes = {
+        name: replace(start, problem=replace(start.problem, requirements=asked[name]))
+        for name, start in exploration.axes.items()
+        if asked[name] != start.problem.requirements
+    }
+    if not axes:
+        return exploration
+    tree: dict[str, Any] = {}
+    for name, start in axes.items():
+        changed = _changed(exploration.axes[name].problem.requirements, start.problem.requirements)
+        renamed = rename_axis_keys(name, {"requirements": changed}, reading=False)
+        tree |= {"rotational": renamed} if name in ROTATIONAL_AXES else renamed
+    options = {**exploration.provenance.get("options", {}), ASKED_BY_HAND: tree}
+    return replace(
+        exploration, axes={**exploration.axes, **axes}, provenance={**exploration.provenance, "options": options}
+    )
+
+
+def _changed(before: Requirements, now: Requirements) -> dict[str, Any]:
+    """Return what is asked otherwise than before, as `problem.yaml` has it."""
+    old, changed = before.asked(), {}
+    for name, value in now.asked().items():
+        if value != old.get(name):
+            tree = record_tree(value, name)
+            if name in now.soft_n:
+                tree = {**(tree if isinstance(tree, dict) else {"value": tree}), "soft_n": now.soft_n[name]}
+            changed[name] = tree
+    return changed
+
+
 def _by_hand(provenance: Mapping[str, Any]) -> dict[str, Any]:
     """Return a provenance that says that nobody searched these gains."""
     return {**provenance, "options": {**provenance["options"], "gains": "chosen by hand in autotune explore"}}
@@ -127,10 +163,10 @@ def _searched(problem: DesignProblem, progress: Progress) -> AxisStart:
         middle = Box(problem).design(np.full(len(problem.variables), 0.5))
         return AxisStart(problem=shown, design=middle, scenarios=grid, note=str(error))
     # What the search found worst belongs to what is looked at, or designs that fail there would look good.
-    return AxisStart(problem=shown, design=found.design, scenarios=tuple(dict.fromkeys((*grid, *_worst_few(found)))))
+    return AxisStart(problem=shown, design=found.design, scenarios=tuple(dict.fromkeys((*grid, *worst_few(found)))))
 
 
-def _worst_few(found: SearchResult) -> list[Scenario]:
+def worst_few(found: SearchResult) -> list[Scenario]:
     """Return the plants beyond K_e and M_p that hold the best design back most; few, for each costs time at a turn."""
     further = [each for each in found.active.scenarios if each.further()]
     judged = [build_scenarios(found.problem, [each]).evaluate(found.design, peaks_if_missed=True) for each in further]

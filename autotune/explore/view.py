@@ -19,6 +19,8 @@ from problems.stability.margins import Margins, PreparedMargins, frequency_grid
 _POINTS = 300
 _LOWEST_HZ, _HIGHEST_HZ = 0.02, 100.0
 _SMALLER, _LARGER, _LEAST = 0.6, 1.6, 0.1
+# How long an unstable contact is followed.
+_DIVERGES_S = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,13 +54,15 @@ class View:
 
     `admittance_m_s_per_n` (k,) at `admittance_hz`; `at_force`, `at_command` (l,) at `frequency_hz`. `radius` is the
     largest |z| of the plant that is looked at; `transient` and `margins` are None where that is unstable. `margins` are
-    the smaller ones of contact and free space. `evaluation` is over all plants on which designs are judged.
+    the smaller ones of contact and free space. `diverging` is the contact's beginning where the loop in contact is
+    unstable: it has no peak. `evaluation` is over all plants on which designs are judged.
     """
 
     design: FloatArray
     scenario: Scenario
     radius: float
     transient: ContactTransient | None
+    diverging: ContactTransient | None
     margins: Margins | None
     admittance_hz: FloatArray
     admittance_m_s_per_n: FloatArray
@@ -160,11 +164,13 @@ def compute_view(prepared: PreparedView, design: FloatArray) -> View:
     radii = [spectral_radius(build_loop(plant.sampled, law)) for plant in plants]
     is_stable = max(radii) < 1.0
     margins = [plant.find(law, radius) for plant, radius in zip(plants, radii, strict=True)] if is_stable else []
+    samples = max(2, round(_DIVERGES_S / h))
     return View(
         design=np.array(design),
         scenario=prepared.scenario,
         radius=max(radii),
         transient=transient_from(pair, law, problem.approach) if is_stable else None,
+        diverging=None if radii[0] < 1.0 else transient_from(pair, law, problem.approach, samples=samples),
         margins=_smaller(margins) if margins else None,
         admittance_hz=prepared.band.frequency_rad_per_s / (2.0 * np.pi),
         admittance_m_s_per_n=np.abs(rendered_admittance(prepared.band, law, h)),

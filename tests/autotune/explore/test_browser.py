@@ -98,6 +98,8 @@ def test_the_hand_is_followed_and_what_holds_is_saved(browser: Any, served: tupl
     turned = handle.get_attribute("aria-valuetext")
     assert turned is not None
     assert float(turned.removesuffix(" N·s/m")) > small_controller().axes["x"].damping
+    field = page.get_by_role("textbox", name="B_a admittance damping")
+    assert float(field.input_value()) == pytest.approx(float(turned.removesuffix(" N·s/m")), rel=1e-3)
     # The map lies further down, and follows once the hand rests.
     page.wait_for_function(STAR, arg=float(turned.removesuffix(" N·s/m")))
     save = page.get_by_role("button", name="Validate and save tried.yaml")
@@ -114,6 +116,58 @@ def test_the_hand_is_followed_and_what_holds_is_saved(browser: Any, served: tupl
     assert read.controller.axes == small_controller().axes
     page.get_by_text(f"Replaces tried.yaml, the controller of checksum {short(read.checksum)}.").wait_for()
     assert visit.complaints == []
+
+
+def test_a_number_that_is_typed_moves_its_slider_and_what_is_none_is_put_back(
+    browser: Any, served: tuple[str, Path]
+) -> None:
+    visit = visit_of(browser, served[0], 1280, "light")
+    page = visit.page
+    field, handle = (page.get_by_role(role, name="B_a admittance damping") for role in ("textbox", "slider"))
+    field.fill("1412")
+    field.press("Enter")
+    page.wait_for_function(STAR, arg=1412.0)
+    assert handle.get_attribute("aria-valuetext") == "1412 N·s/m"
+    for typed in ("1e9", "12,5", "", "fast"):
+        field.fill(typed)
+        field.press("Tab")
+        told = page.get_by_text(f"must be a number from 100 to 10000; “{typed}” was put back.")
+        told.wait_for()
+        assert (field.input_value(), field.get_attribute("aria-invalid")) == ("1412", "true")
+    field.fill("1300")
+    field.press("Tab")
+    page.wait_for_function(STAR, arg=1300.0)
+    assert not told.is_visible()
+    # A requirement is typed alike, and the circle of the picture follows.
+    margin = page.get_by_role("textbox", name="Modulus margin at least")
+    margin.fill("0.9")
+    margin.press("Enter")
+    page.get_by_text("misses modulus margin").wait_for()
+    assert visit.complaints == []
+    page.close()
+
+
+def test_a_kept_design_is_returned_to_and_removed_by_a_click(browser: Any, served: tuple[str, Path]) -> None:
+    visit = visit_of(browser, served[0], 390, "light")
+    page = visit.page
+    keep, field = (
+        page.get_by_role("button", name="Keep this design"),
+        page.get_by_role("textbox", name="B_a admittance"),
+    )
+    began = field.input_value()
+    keep.click()
+    back = page.get_by_role("button", name="Return to design 1")
+    back.wait_for()
+    field.fill("1500")
+    field.press("Enter")
+    page.wait_for_function(STAR, arg=1500.0)
+    back.click()
+    page.wait_for_function(STAR, arg=float(began))
+    assert field.input_value() == began
+    page.get_by_role("button", name="Remove design 1").click()
+    back.wait_for(state="detached")
+    visit.check()
+    page.close()
 
 
 def test_a_server_that_has_gone_is_told_and_nothing_can_be_turned(browser: Any, served: tuple[str, Path]) -> None:

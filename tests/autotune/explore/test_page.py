@@ -77,7 +77,14 @@ def test_an_unstable_design_shows_no_peak_and_says_so(page: ExplorePage) -> None
     assert "|z|" in page.verdict.text
     assert len(data(page, "contact")) == len(data(page, "peak")) == 0
     assert "peak at the contact</dt><dd>–" in page.facts.text
+    diverging = page.figures.sources["diverging"].data
+    assert len(diverging["x"]) > 10
+    assert diverging["text"][-1] in {"diverges", "does not settle"}
+    assert np.max(np.abs(diverging["y"])) <= page.figures.largest_n
+    offered = [page.way_back.visible]
     page._go_back()
+    assert len(data(page, "diverging")) == 0
+    assert [*offered, page.way_back.visible] == [True, False]
     assert "Meets every requirement" in page.verdict.text
     assert page.designs["x"].tolist() == small_exploration().axes["x"].design.tolist()
 
@@ -157,6 +164,39 @@ def test_a_page_about_torques_says_so(tmp_path: Path) -> None:
         exploration = replace(small_exploration(), axes=dict.fromkeys(names, axes["x"]))
         build_page(exploration, Target(tmp_path / "controller.yaml"), document)
         assert document.template_variables["figures"]["contact"][1].startswith(told)
+
+
+def test_requirements_that_are_set_are_judged_drawn_and_shared_by_axes_of_a_kind(page: ExplorePage) -> None:
+    before = np.nan_to_num(page.figures.sources["map"].data["peak"][0])
+    circle, limit = data(page, "circle"), data(page, "target")
+    assert (circle.max(), limit.tolist()) == (pytest.approx(0.4), [6.5e-4] * 2)
+    turn(page, "asked-modulus_margin", 0.9)
+    assert "misses modulus margin" in page.verdict.text
+    assert data(page, "circle").max() == pytest.approx(0.9)
+    assert not np.array_equal(np.nan_to_num(page.figures.sources["map"].data["peak"][0]), before)
+    turn(page, "asked-free_space_admittance", 1e-3)
+    assert data(page, "target").tolist() == [1e-3] * 2
+    assert "free-space admittance" in page.verdict.text
+    for name in ("x", "y"):
+        asked = page.present().axes[name].problem.requirements
+        assert asked.modulus_margin == 0.9
+        assert asked.free_space_admittance is not None
+        assert asked.free_space_admittance.min_m_s_per_n == 1e-3
+    page._go_back()
+    assert page.present() is page.exploration
+    assert "Meets every requirement" in page.verdict.text
+
+
+def test_the_nearest_feasible_design_is_one_and_is_told(page: ExplorePage) -> None:
+    page.sliders["lead_s"].value = page.ranges["lead_s"].position(0.0)
+    turn(page, "damping", 450.0)
+    assert "Meets" not in page.verdict.text
+    page._go_to_feasible()
+    assert "Meets every requirement" in page.verdict.text
+    assert "Moved to the nearest feasible cell of the map." in page.searcher.status.text
+    assert not page.way_back.visible
+    turn(page, "damping", 1310.0)
+    assert page.searcher.status.text == ""
 
 
 def test_text_from_files_is_text() -> None:

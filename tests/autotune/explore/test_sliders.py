@@ -4,7 +4,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from autotune.explore.sliders import SliderRange, build_gain_sliders, build_plant_sliders, nominal_values, scenario_at
+from autotune.explore.sliders import (
+    SliderRange,
+    build_gain_sliders,
+    build_plant_sliders,
+    build_requirement_sliders,
+    nominal_values,
+    requirements_at,
+    scenario_at,
+    shown_thresholds,
+)
+from problems.design.problem import Requirements
 from problems.design.uncertainty import UNCERTAIN
 from tests.autotune.tuning.cases import design_problem
 
@@ -38,3 +48,22 @@ def test_what_is_nominal_stays_unsaid() -> None:
     rounded = {name: float(f"{value:.6g}") for name, value in values.items()}
     assert not scenario_at(problem, rounded).further()
     assert scenario_at(problem, {**values, "delay_s": 3e-3}).further() == {"delay_s": 3e-3}
+
+
+@pytest.mark.parametrize(("axis", "unit"), [("x", "m/s/N"), ("rx", "rad/s/(N·m)")])
+def test_a_requirement_is_set_in_the_unit_in_which_it_is_shown(axis: str, unit: str) -> None:
+    asked = Requirements(delay_margin_s=1.5e-3, max_peak_force_n=60.0)
+    spans = {span.name: span for span in build_requirement_sliders(asked, axis)}
+    shown = shown_thresholds(asked)
+    assert set(spans) == set(shown)
+    assert (spans["asked-delay_margin_s"].unit, shown["asked-delay_margin_s"]) == ("ms", 1.5)
+    assert spans["asked-free_space_admittance"].unit == unit
+    assert "at most" in spans["asked-max_peak_force_n"].title
+    # |1 + L| tends to 1, so no more can be asked.
+    assert spans["asked-modulus_margin"].high < 1.0
+    assert requirements_at(asked, shown) == asked
+    changed = requirements_at(asked, {**shown, "asked-delay_margin_s": 2.0, "asked-free_space_admittance": 5e-4})
+    assert changed.delay_margin_s == 2e-3
+    assert changed.free_space_admittance is not None
+    assert changed.free_space_admittance.min_m_s_per_n == 5e-4
+    assert changed.gain_margin_db == asked.gain_margin_db

@@ -9,14 +9,16 @@ import pytest
 from autotune.errors import CertificateError, InfeasibleError, UsageError
 from autotune.explore import saving as save_module
 from autotune.explore import source as source_module
-from autotune.explore.saving import Target, save_controller
-from autotune.explore.source import problem_of, read_exploration
+from autotune.explore.saving import Target, changed_lines, save_controller
+from autotune.explore.source import problem_of, read_exploration, with_requirements
 from autotune.formats.certificate_record import SoftRequirement
 from autotune.formats.controller import read_controller, write_controller
 from autotune.formats.controller_record import Controller, ControllerStatus
+from autotune.formats.problem import read_problem
 from autotune.tuning.record import build_domain
 from autotune.tuning.threshold import ThresholdSettings
 from problems.design.evaluation import build_scenarios
+from problems.design.problem import AdmittanceTarget
 from problems.model.plant import WrenchFilter
 from tests.autotune.explore.start import solved_exploration
 from tests.autotune.tuning.cases import FAST_PROBLEM_YAML, FAST_REQUIREMENTS, FURTHER, fast_optimized, write_plant
@@ -144,6 +146,28 @@ def test_what_is_saved_is_an_ordinary_controller(tmp_path: Path) -> None:
     assert read.controller.provenance["collision"]["response"] == "none"
     told = read.controller.predicted["x"].scenarios
     assert saved.peak_n["x"] == pytest.approx(max(each.peak_contact_force_n for each in told), rel=1e-3)
+
+
+def test_a_saved_file_states_the_requirements_that_were_set_by_hand(tmp_path: Path) -> None:
+    exploration = solved_exploration()
+    asked = exploration.axes["x"].problem.requirements
+    assert with_requirements(exploration, {"x": asked}) is exploration
+    target = AdmittanceTarget(min_m_s_per_n=4e-4)
+    changed = with_requirements(exploration, {"x": replace(asked, modulus_margin=0.4, free_space_admittance=target)})
+    path = tmp_path / "controller.yaml"
+    # More damping than the file's requirements allow.
+    design = exploration.axes["x"].design * np.array([1.0, 1.15, 1.0, 1.0])
+    save_controller(changed, {"x": design}, Target(path))
+    read = read_controller(path).controller
+    assert read.certificate.requirements["modulus_margin"] == 0.4
+    assert read.certificate.requirements["free_space_admittance"] == target
+    by_hand = read.provenance["options"]["asked_by_hand"]
+    said = tmp_path / "problem.yaml"
+    said.write_text(changed_lines(changed).partition("<pre>")[2].removesuffix("</pre>"), encoding="utf-8")
+    spec = read_problem(said)
+    assert by_hand["requirements"]["modulus_margin"] == spec.requirements.modulus_margin == 0.4
+    assert spec.requirements.free_space_admittance == target
+    assert changed_lines(exploration) == ""
 
 
 @pytest.mark.parametrize(
