@@ -13,6 +13,7 @@ _COVERED = (0.90, 0.99)
 
 _HEAD = """# How accurate identification is
 
+Errors and stated intervals of every parameter beside the truth, for who decides whether to trust `identify`.
 Measured over {cells} simulated cells by `python benchmarks/bench_identification.py --table docs/accuracy.md`, through
 log files and the library call behind `autotune identify --allow-partial`.
 
