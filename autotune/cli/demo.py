@@ -122,6 +122,11 @@ def _print(found: "DemoResult", page: Path | None) -> None:
 
     from ._optimized import active_lines, default_lines, print_before_after
 
+    print_message(
+        "A cell was simulated and its log written; everything below was found from that log alone. The truth is shown "
+        "beside it."
+    )
+    print_message()
     print_before_after(found.optimized.before_after)
     _heading("Identified from the log, beside the truth of the simulation")
     rows: list[tuple[str, ...]] = [("parameter", "identified", "± std", "truth", "error", "unit", "verdict")]
@@ -131,8 +136,8 @@ def _print(found: "DemoResult", page: Path | None) -> None:
     for name, gains in controller.axes.items():
         _heading(f"Controller chosen for axis {name}")
         print_message(
-            f"  M_a {gains.mass:g} kg, B_a {gains.damping:g} N·s/m, K_l {1e3 * gains.lead_s:g} ms, "
-            f"B_fb {1e3 * gains.feedback_damping_s:g} ms"
+            f"  admittance mass M_a {gains.mass:g} kg, damping B_a {gains.damping:g} N·s/m, "
+            f"lead K_l {1e3 * gains.lead_s:g} ms, feedback damping B_fb {1e3 * gains.feedback_damping_s:g} ms"
         )
         worst = max(controller.predicted[name].scenarios, key=lambda s: s.peak_contact_force_n)
         print_message(
@@ -152,7 +157,7 @@ def _print(found: "DemoResult", page: Path | None) -> None:
         ("identified plant", found.files.identified),
         ("controller for the cell", found.files.controller),
         ("its JSON twin", found.files.twin),
-        ("report with figures", page),
+        ("report, to open first", page),
     ):
         if path is not None:
             print_message(f"  {name:24}{path}")

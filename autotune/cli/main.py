@@ -32,9 +32,14 @@ PROGRAM = "autotune"
 _GARBAGE = 50_000
 _EPILOG = """\b
 Examples:
-  autotune demo
+  autotune demo                     # start here: every step on a simulated cell
+  autotune inspect run7.mcap        # your log: what it holds and what is missing
   autotune identify run7.mcap && autotune optimize identified.yaml
   autotune validate controller.yaml --identified identified.yaml
+
+\b
+Exit codes: 2 usage, 3 log unusable, 4 the log does not show enough, 5 no controller
+meets the requirements, 6 a claim does not hold or a file was altered.
 
 \b
 Colour and progress are for terminals; NO_COLOR=1 switches colour off, FORCE_COLOR=1 on.
