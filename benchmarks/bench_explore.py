@@ -25,8 +25,9 @@ from autotune.explore.source import AxisStart, read_exploration
 from autotune.explore.view import build_window, compute_map, compute_view, prepare_view
 from benchmarks.timing import best
 
-COLUMNS, ROWS = 20, 15
+COLUMNS, ROWS = 10, 8
 RUNS = 20
+RESTS_S = 1.0
 # A slider is moved in the page, and the clock stops when the loop's new curve (or the new map) has arrived, and again
 # once a frame with it has been drawn.
 MOVE = """([slider, source, share]) => new Promise(done => {
@@ -88,7 +89,8 @@ def steps(start: AxisStart) -> dict[str, Callable[[], object]]:
         "a gain of the map's axes: the view": lambda: compute_view(ready, design),
         "another gain: view and map": gain,
         "the plant: sampling, view and map": plant,
-        "at rest: the finer map": lambda: compute_map(ready, design, window.finer(2)),
+        "a moment later: the map twice as fine": lambda: compute_map(ready, design, window.finer(2)),
+        "at rest: the map four times as fine": lambda: compute_map(ready, design, window.finer(4)),
     }
 
 
@@ -116,7 +118,8 @@ def round_trips(source: Path, folder: Path) -> dict[str, list[list[float]]]:
                 page.evaluate("key => document.getElementById(key).scrollIntoView()", figure)
                 for share in np.linspace(0.3, 0.6, RUNS):
                     found[name].append(page.evaluate(MOVE, [slider, shown, float(share)]))
-                    time.sleep(0.05)
+                    # Until the finer maps of this move are there, of which none may be taken for that of the next one.
+                    time.sleep(RESTS_S)
             browser.close()
         server.terminate()
     return found

@@ -78,6 +78,7 @@ pre { margin: 0.2rem 0; overflow-x: auto; font-size: 0.85rem; }
 .bk-slider-title, label { color: var(--ink); font-size: 0.85rem; }
 select.bk-input { color: var(--ink); background-color: var(--pale); border-color: var(--line); }
 .bk-btn { color: var(--ink); background: var(--pale); border-color: var(--line); white-space: normal; }
+.bk-btn:hover:not([disabled]) { color: var(--ink); background: var(--line); border-color: var(--soft); }
 .bk-btn[disabled], .noUi-target[disabled], select[disabled] { opacity: 0.4; }
 .bk-btn[disabled] { color: var(--ink); background: var(--pale); }
 """
