@@ -27,6 +27,7 @@ _LARGEST, _LARGEST_PART = 0.3, (0.05, 0.15, 0.03)
 MOST_SHARE, MOST_RATIO, _LOWEST_HZ, _HIGHEST_SHARE = 0.3, 0.15, 3.0, 0.45
 _HALVINGS, _CONVERGED, _EASIEST, _DAMPING_STEP = 8, 0.05, 1e-6, 10.0
 _STEPS_AGAIN, _ROUNDS = 8, 2
+_LEAST_EXPLAINED, _PATH_TIMES = 0.25, 2.0
 _MOST_SAMPLES = 20_000
 LATENCY_SAMPLES = 0.5
 
@@ -56,12 +57,15 @@ class ExtendedProblem:
 
     θ: how far K_s, B_s, B_p, M_p and the robot are from `point`, counted as the steps of the joint fit are (logarithms
     of what is positive, else in its sizes); the wrench's latency or time constant, and behind a filter its delay too,
-    in samples; share, logarithm of the frequency [Hz] and damping ratio of a part; F_c [N] of friction.
+    in samples; share, logarithm of the frequency [Hz] and damping ratio of a part; F_c [N] of friction. `quiet_rms_n`
+    is the force's noise at rest, `is_held` whether the robot answers to a held command, so that its path is exact.
     """
 
     problem: Problem
     point: Point
     latency_std_samples: float
+    quiet_rms_n: float
+    is_held: bool
 
     @cached_property
     def spans(self) -> tuple[int, ...]:
@@ -279,8 +283,40 @@ def with_own_noise(of: ExtendedProblem, candidate: PayloadFit) -> PayloadFit:
 
 
 def gained(of: ExtendedProblem, more: PayloadFit, less: PayloadFit) -> float:
-    """Return by how much −2 log L prefers `more`, both fitted under the noise that it leaves."""
-    return descended(of, replace(less, noise=more.noise), _STEPS_AGAIN).cost - more.cost
+    """Return by how much −2 log L prefers `more`, both fitted under the noise that it leaves.
+
+    `less` is looked for from where it is and from where `more` ended: what the shared parameters win alone is no gain.
+    """
+    starts = less, without(of, more, less.kind)
+    cost = min(descended(of, replace(start, noise=more.noise), _STEPS_AGAIN).cost for start in starts)
+    return cost - more.cost
+
+
+def without(of: ExtendedProblem, more: PayloadFit, kind: PayloadKind) -> PayloadFit:
+    """Return the start of a fit of a smaller kind where one of a larger kind ended."""
+    first = of.shared + of.lags
+    beside = [*range(first, first + 3)] if more.kind.part and not kind.part else []
+    beside += [len(more.theta) - 1] if more.kind.friction and not kind.friction else []
+    width = OWN_WITH_PART if kind.part else OWN
+    return replace(more, kind=kind, theta=np.delete(more.theta, beside), own=tuple(o[:width] for o in more.own))
+
+
+def explains_misfit(of: ExtendedProblem, more: PayloadFit, less: PayloadFit) -> bool:
+    """Whether `more` explains a quarter at least of what `less` leaves beyond the noise, and more than its path may.
+
+    Without a held command the path is not known within a sample, and a force on its mean there is off by h² F''/24.
+    """
+    signals, errors = of.problem.signals, of.errors(less.theta, less.own, less.kind)
+    left = float(np.mean(np.concatenate(errors) ** 2))
+    explained = left - float(np.mean(np.concatenate(of.errors(more.theta, more.own, more.kind)) ** 2))
+    if explained <= _LEAST_EXPLAINED * max(left - of.quiet_rms_n**2, 0.0):
+        return False
+    if of.is_held:
+        return True
+    known = signals.sensor_dynamics.unknown(signals.period_s)
+    forces = [error + signals.force_n[s.slice][known:] for error, s in zip(errors, of.segments, strict=True)]
+    off = np.concatenate([np.diff(force, 2) for force in forces]) / 24.0
+    return explained > _PATH_TIMES**2 * float(np.mean(off**2))
 
 
 def beginning(of: ExtendedProblem) -> PayloadFit:

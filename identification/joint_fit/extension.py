@@ -15,6 +15,7 @@ from .extended_fit import (
     PayloadKind,
     beginning,
     descended,
+    explains_misfit,
     gained,
     linearised,
     scorer,
@@ -59,16 +60,26 @@ class Extended:
     friction_n: tuple[float, float] | None = None
 
 
-def extend_payload(problem: Problem, point: Point, latency: WrenchLatency) -> Extended | None:
+def extend_payload(
+    problem: Problem, point: Point, latency: WrenchLatency, *, quiet_rms_n: float, is_held: bool
+) -> Extended | None:
     """Return what a part that swings, and dry friction in the coupling, change of a joint fit; None where nothing.
 
     Each is fitted to free motion beside everything else. Told is what −2 log L prefers by 60 under the noise that it
     leaves, and only a part of less than three tenths of the mass and 15 % of critical damping, since a wider one may be
-    anything. From 30 on, and where the part is none, the values stay, and hold the move in their deviations.
+    anything. From 30 on, and where the part is none, the values stay, and hold the move in their deviations. What
+    explains less than a quarter of the misfit beyond `quiet_rms_n` is no part. Where no command `is_held`, that, and
+    what explains no more than the path within a sample may do, leaves the deviations, too: it is another misfit.
     """
     period = problem.signals.period_s
     lag_s = _FILTER_SHARE * latency.seconds if latency.is_filter else _LATENCY_STDS * latency.std_s
-    of = ExtendedProblem(problem=problem, point=point, latency_std_samples=max(lag_s / period, _LEAST_LATENCY))
+    of = ExtendedProblem(
+        problem=problem,
+        point=point,
+        latency_std_samples=max(lag_s / period, _LEAST_LATENCY),
+        quiet_rms_n=quiet_rms_n,
+        is_held=is_held,
+    )
     begun = here = beginning(of)
     moves = _moved_by_yielding(of, begun)
     rubbing = _friction(of, here)
@@ -77,7 +88,7 @@ def extend_payload(problem: Problem, point: Point, latency: WrenchLatency) -> Ex
         here = rubbing
     swinging, gain = _part(of, here)
     if swinging is not None:
-        is_part = gain >= _TOLD and not _is_at_bound(of, swinging)
+        is_part = gain >= _TOLD and not _is_at_bound(of, swinging) and explains_misfit(of, swinging, here)
         share = _MOVED_SHARE if is_part and rubbing is None else 1.0
         moves.append(share * _moved(of, swinging, here))
         here = swinging if is_part else here
@@ -102,7 +113,9 @@ def _friction(of: ExtendedProblem, at: PayloadFit) -> PayloadFit | None:
     if score(with_more(of, at, kind, (0.0,)), with_more(of, at, kind, (_NUDGE_N,)))[0] < _WORTH_A_LOOK:
         return None
     found = with_own_noise(of, descended(of, with_more(of, at, kind, (_START_FRICTION_N,)), _STEPS))
-    return found if gained(of, found, at) >= _TOLD else None
+    # Less than the noise does not show in any one motion: it is what the path leaves.
+    is_seen = found.theta[-1] > of.quiet_rms_n and (of.is_held or explains_misfit(of, found, at))
+    return found if is_seen and gained(of, found, at) >= _TOLD else None
 
 
 def _part(of: ExtendedProblem, at: PayloadFit) -> tuple[PayloadFit | None, float]:
@@ -131,7 +144,10 @@ def _part(of: ExtendedProblem, at: PayloadFit) -> tuple[PayloadFit | None, float
     for noise in (at.noise, Whitener(coefficients=np.ones(1), rms=rms)):
         ends = [descended(of, replace(start, noise=noise), _STEPS) for start in starts]
         best = with_own_noise(of, min(ends, key=lambda end: end.cost))
-        found.append((gained(of, best, at), best))
+        if of.is_held or explains_misfit(of, best, at):
+            found.append((gained(of, best, at), best))
+    if not found:
+        return None, 0.0
     inside = [each for each in found if each[0] >= _TOLD and not _is_at_bound(of, each[1])]
     gain, best = max(inside or found, key=lambda each: each[0])
     return (best, gain) if gain >= _OPEN else (None, gain)

@@ -89,14 +89,9 @@ def _identify(data: JointData, begin: _Beginning, progress: ProgressSlice) -> Jo
     point, competing = compare_delay_hypotheses(problem, point)
     _require_mass(problem, float(point.values[3]))
     resting = np.concatenate([detrended(data.force_n[s]) for s in quiet_rests(data)])
+    rest_rms_n = max(float(np.std(resting)), data.least_noise_n)
     fit = build_joint_fit(
-        problem,
-        point,
-        found,
-        competing,
-        command=data.command,
-        latency=latency,
-        rest_rms_n=max(float(np.std(resting)), data.least_noise_n),
+        problem, point, found, competing, command=data.command, latency=latency, rest_rms_n=rest_rms_n
     )
     if not np.all(np.isfinite(fit.covariance)) or fit.quality.explained_free < _LEAST_EXPLAINED:
         explained = 100.0 * max(fit.quality.explained_free, 0.0)
@@ -106,7 +101,8 @@ def _identify(data: JointData, begin: _Beginning, progress: ProgressSlice) -> Jo
             "without a hand on the payload, with the command that the robot receives. If the log has one: a filter in "
             "the sensor or its driver, or a robot that is not one of one or two poles, does this too."
         )
-    return with_extension(fit, extend_payload(problem, point, latency))
+    is_held = data.robot_order > 0 and not blurred
+    return with_extension(fit, extend_payload(problem, point, latency, quiet_rms_n=rest_rms_n, is_held=is_held))
 
 
 def _require_mass(problem: Problem, mass_kg: float) -> None:
