@@ -1,6 +1,6 @@
 """A part that swings on the payload, and dry friction of the coupling: another simulation within what is stated."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -96,6 +96,16 @@ def test_a_part_that_swings_is_told_and_leaves_the_coupling_right() -> None:
     assert fit.values[0] == pytest.approx(STIFFNESS, rel=0.015)
     assert fit.std[0] < 0.05 * STIFFNESS
     assert np.all(np.abs(deviations(fit)) < 2.5)
+
+
+def test_a_part_is_not_told_beside_a_larger_misfit() -> None:
+    """Ten times the noise at rest shakes the force in motion, so what fits a part may be some of that."""
+    data = logged(Cell(share=0.1))
+    shaken, moving = data.force_n.copy(), data.moving[0].slice
+    shaken[moving] += np.random.default_rng(5).standard_normal(len(shaken[moving]))
+    fit = identify_joint(replace(data, force_n=shaken))
+    assert fit.part is None
+    assert fit.friction_n is None
 
 
 def test_friction_in_the_coupling_is_told_and_widens_what_it_moves() -> None:
