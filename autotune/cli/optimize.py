@@ -211,8 +211,9 @@ def _tree(
 
 
 def _certified_for(output: Output, target: str, found: "Optimized", out: Path) -> "tuple[Optimized, Rendered]":
-    """Certify the design as the target runs it, and note the target in the controller's provenance."""
+    """Certify the design as the target runs it, and note the target and its peaks in the controller's provenance."""
     from autotune.export.designing import certify_for, lacking_gains
+    from autotune.prediction.before_after import AsRunBy
 
     made = found.controller
     provenance = {**made.provenance, "options": {**made.provenance["options"], "for": target}}
@@ -222,9 +223,22 @@ def _certified_for(output: Output, target: str, found: "Optimized", out: Path) -
             f"lacks; its law does it without."
         )
         provenance["notes"] = [*provenance.get("notes", ()), told]
-    noted = replace(found, controller=replace(made, provenance=provenance))
+    noted = replace(made, provenance=provenance)
     with output.progress(f"certifying for {target}", 1.0) as advance:
-        return noted, certify_for(TARGETS[target], noted.controller, out, advance)
+        reached = certify_for(TARGETS[target], noted, out, advance)
+    before_after = {
+        name: each.designed_for(
+            AsRunBy(
+                target=target,
+                peak=reached.tree["axes"][name]["peak_contact_force"],
+                own_peak=reached.tree["axes"][name]["peak_contact_force_before"],
+            )
+        )
+        for name, each in found.before_after.items()
+    }
+    provenance["before_after"] = {name: each.to_dict() for name, each in before_after.items()}
+    done = replace(noted, provenance=provenance)
+    return replace(found, controller=done, before_after=before_after), reached
 
 
 def _print_target(found: "Optimized", reached: "Rendered") -> None:
@@ -277,6 +291,8 @@ def print_optimized(found: "Optimized", out: Path, checksum: str, present: "Pres
 
     controller = found.controller
     print_before_after(found.before_after)
+    if "for" in controller.provenance["options"]:
+        print_message("Our own law, from which it was translated or tuned:")
     for name, compliance in found.compliance.items():
         print_compliance(name, compliance, found.searches[name].problem)
     for name, gains in controller.axes.items():

@@ -32,6 +32,24 @@ if TYPE_CHECKING:
 # Free motion that changes by less, and speeds that differ by less, are told as the same.
 _SAME_SHARE, _SAME_SPEED = 0.005, 0.1
 _SETTLED_SHARE = 0.02
+_OWN_LAW = "our own law"
+
+
+@dataclass(frozen=True, kw_only=True)
+class AsRunBy:
+    """What an export target is certified to do with its law: the largest peak at the contact, and ours [N, N·m]."""
+
+    target: str
+    peak: float
+    own_peak: float
+
+    def text(self, axis: str) -> str:
+        """Say both peaks."""
+        unit = axis_units(axis).force
+        return (
+            f"as {self.target} runs it, certified: at most {self.peak:.1f} {unit} at the contact instead of "
+            f"{self.own_peak:.1f} {unit} with {_OWN_LAW}"
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,13 +57,15 @@ class ReplayedSurface:
     """The contacts of a log with one surface, and the hardest of them with the new controller at the same speed.
 
     `touches` are all of them; `after` is the hardest one as predicted with the new gains, `before` the same with the
-    gains that ran, None where nobody says them or that loop is unstable. Peaks are at the sensor [N, N·m].
+    gains that ran, None where nobody says them or that loop is unstable. Peaks are at the sensor [N, N·m]. `law` is
+    what the new controller is called.
     """
 
     touches: tuple[Touch, ...]
     after: ComparedTouch
     before: ContactTransient | None = None
     before_peak: float | None = None
+    law: str = "this controller"
 
     @property
     def measured(self) -> tuple[float, float]:
@@ -70,8 +90,8 @@ class ReplayedSurface:
         upper = "and more" if ends[1] is None else f"{ends[1]:.{digits}f}"
         count = "1 contact" if len(self.touches) == 1 else f"{len(self.touches)} contacts"
         return (
-            f"in your log {peaks} {unit} ({count} on {predicted.surface}, {_span_text(speeds, unit)}); with this "
-            f"controller {where} {predicted.peak_sensor_force:.{digits}f} {unit} [{ends[0]:.{digits}f}, {upper}]"
+            f"in your log {peaks} {unit} ({count} on {predicted.surface}, {_span_text(speeds, unit)}); with "
+            f"{self.law} {where} {predicted.peak_sensor_force:.{digits}f} {unit} [{ends[0]:.{digits}f}, {upper}]"
         )
 
 
@@ -95,6 +115,8 @@ class BeforeAndAfter(Shown):
         Where the gains of today are from, "" for nowhere.
     notes
         What of the log could not be replayed and why, and which surface no certificate speaks of, a sentence each.
+    as_run_by
+        What the export target that the controller was designed for does; everything else is then of our own law.
 
     """
 
@@ -104,6 +126,12 @@ class BeforeAndAfter(Shown):
     worst: tuple[float | None, float]
     label: str = ""
     notes: tuple[str, ...] = ()
+    as_run_by: AsRunBy | None = None
+
+    def designed_for(self, target: AsRunBy) -> "BeforeAndAfter":
+        """Return the same with what an export target does, and the replay named as that of our own law."""
+        surfaces = tuple(replace(each, law=_OWN_LAW) for each in self.surfaces)
+        return replace(self, surfaces=surfaces, as_run_by=target)
 
     @property
     def free_motion_change(self) -> float | None:
@@ -114,12 +142,20 @@ class BeforeAndAfter(Shown):
     @property
     def is_empty(self) -> bool:
         """Whether there is nothing to compare with: no contact that could be replayed, and no gains of today."""
-        return not self.surfaces and self.hand[0] is None
+        return not self.surfaces and self.hand[0] is None and self.as_run_by is None
 
     def sentence(self) -> str:
-        """Return the outcome in a sentence: the contacts of the log, else the certified ones, and free motion."""
+        """Return the outcome in a sentence: the contacts of the log, else the certified ones, and free motion.
+
+        Of a controller for an export target, what that does comes first.
+        """
         first = self.surfaces[0].text() if self.surfaces else self._worst_text()
-        return "; ".join(part for part in (first or NOTHING_BEFORE, self._free_text(bool(first))) if part)
+        target = "" if self.as_run_by is None else self.as_run_by.text(self.axis)
+        return "; ".join(part for part in (target, first or NOTHING_BEFORE, self._free_text(bool(first))) if part)
+
+    @property
+    def _law(self) -> str:
+        return "this controller" if self.as_run_by is None else _OWN_LAW
 
     def further(self) -> Iterator[str]:
         """Yield the other surfaces, a sentence each."""
@@ -132,16 +168,17 @@ class BeforeAndAfter(Shown):
         if before is None:
             return ""
         if math.isinf(before):
-            return f"the gains of today are unstable on a certified plant; this controller: at most {after:.1f} {unit}"
-        return f"gains of today: up to {before:.1f} {unit} on a certified plant; this controller: {after:.1f} {unit}"
+            return f"the gains of today are unstable on a certified plant; {self._law}: at most {after:.1f} {unit}"
+        return f"gains of today: up to {before:.1f} {unit} on a certified plant; {self._law}: {after:.1f} {unit}"
 
     def _free_text(self, has_contacts: bool) -> str:
         change = self.free_motion_change
         if change is None:
             return NO_GAINS_BEFORE if has_contacts else ""
+        whose = "" if self.as_run_by is None else f" with {_OWN_LAW}"
         if abs(change) < _SAME_SHARE:
-            return "free motion as before"
-        return f"free motion {100.0 * abs(change):.0f} % {'lighter' if change < 0.0 else 'heavier'}"
+            return f"free motion as before{whose}"
+        return f"free motion {100.0 * abs(change):.0f} % {'lighter' if change < 0.0 else 'heavier'}{whose}"
 
     def _headline(self) -> str:
         return f"before → after, axis {self.axis}: {self.sentence()}"
@@ -167,7 +204,7 @@ class BeforeAndAfter(Shown):
             f"speed [{speed}]",
             f"measured [{unit}]",
             f"predicted with the gains that ran [{unit}]",
-            f"with this controller [{unit}]",
+            f"with {self._law} [{unit}]",
             f"interval [{unit}]",
         )
         if rows:
@@ -199,6 +236,7 @@ class BeforeAndAfter(Shown):
             ],
             "free_motion": {"before": self.hand[0], "after": self.hand[1]},
             "largest_certified_peak": {"before": before, "after": after},
+            **({} if self.as_run_by is None else {"as_run_by": plain_tree(self.as_run_by)}),
             "notes": list(self.notes),
         }
 
@@ -236,7 +274,8 @@ def compare_before_after(
     """Replay the contacts that `source` holds with a controller, axis by axis, at their measured speeds.
 
     After the impact acts the F^d of the log, or else the force that it held at rest. Replayed is the hardest contact of
-    each surface. `worst_before` is the largest peak of the present gains on the certified plants [N, N·m].
+    each surface. `worst_before` is the largest peak of the present gains on the certified plants [N, N·m]. What a file
+    for an export target says of that target's law is kept.
     """
     found = {}
     for axis, domain in controller.certificate.domain.items():
@@ -245,7 +284,7 @@ def compare_before_after(
         surfaces, passed = _replayed_surfaces(source, axis, law, today, controller.sample_time_s)
         outside = [outside_domain(domain, each.after.predicted) for each in surfaces]
         nominal = domain.plants.nominal
-        found[axis] = BeforeAndAfter(
+        compared = BeforeAndAfter(
             axis=axis,
             surfaces=surfaces,
             hand=(
@@ -262,6 +301,8 @@ def compare_before_after(
                 *passed,
             ),
         )
+        said = controller.provenance.get("before_after", {}).get(axis, {}).get("as_run_by")
+        found[axis] = compared if said is None else compared.designed_for(AsRunBy(**said))
     return found
 
 
@@ -329,10 +370,14 @@ def before_after_chart(surface: ReplayedSurface) -> Chart:
     predicted, units = surface.after.predicted, axis_units(surface.after.touch.axis)
     contact, band = predicted.contact, predicted.band
     end = _until(contact, surface.before)
-    used = contact.time_s <= end
+    used, after = contact.time_s <= end, _OWN_LAW if surface.law == _OWN_LAW else "after"
     elements: list[Element] = [
         Band(
-            x=1e3 * band.time_s[used], low=band.low[used], high=band.high[used], label="after, interval", role="after"
+            x=1e3 * band.time_s[used],
+            low=band.low[used],
+            high=band.high[used],
+            label=f"{after}, interval",
+            role="after",
         ),
     ]
     if surface.before is not None:
@@ -340,7 +385,7 @@ def before_after_chart(surface: ReplayedSurface) -> Chart:
         time = 1e3 * surface.before.time_s[shown]
         elements.append(Line(x=time, y=surface.before.sensor_force_n[shown], label="before, predicted", role="before"))
     elements.append(
-        Line(x=1e3 * contact.time_s[used], y=contact.sensor_force_n[used], label="after, predicted", role="after")
+        Line(x=1e3 * contact.time_s[used], y=contact.sensor_force_n[used], label=f"{after}, predicted", role="after")
     )
     seen = [(touch.peak_s - touch.onset_s, touch) for touch in surface.touches if touch.onset_s is not None]
     if seen:

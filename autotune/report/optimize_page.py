@@ -107,7 +107,8 @@ def _lead(controller: Controller, designs: Sequence[AxisDesign]) -> str:
         f"modulus margin {each.margins.modulus:.3f}"
         for each in designs
     )
-    certified = f"{controller.status.value} over all that is certified: {'; '.join(axes)}"
+    whose = "our own law is " if "for" in controller.provenance.get("options", {}) else ""
+    certified = f"{whose}{controller.status.value} over all that is certified: {'; '.join(axes)}"
     limits = [note.text for note in active_notes(controller)]
     sentences = ("; ".join(changes), certified, *((" ".join(limits),) if limits else ()))
     return " ".join(f"{each[0].upper()}{each[1:]}".rstrip(".") + "." for each in sentences)
@@ -118,6 +119,10 @@ def _first_blocks(
 ) -> Iterator[Block]:
     """Yield the figure of the hardest contact before and after, of the log or else of the certified plants."""
     found = replayed.get(design.name)
+    if found is not None and found.as_run_by is not None:
+        # In front of the figure, whose curves are not what will run.
+        text = f"Axis {design.name}: figures, gains and certificate on this page are those of our own law; "
+        yield Note(text=f"{text}{found.as_run_by.text(design.name)}.", kind="note")
     chart = None if found is None else found.chart()
     if found is None or chart is None:
         chart = contact_chart(design, law_before(old, design.name))

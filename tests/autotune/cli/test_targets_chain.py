@@ -50,6 +50,9 @@ def test_the_demo_s_controller_reaches_every_target_by_the_commands_that_a_refus
         done = run_cli(*shlex.split(command)[1:])
         assert done.returncode == 0, f"{command}\n{done.stderr}"
         if command.startswith("autotune optimize"):
+            # What will run comes first, and no number of our own law goes by its name.
+            assert f"before → after, axis x: as {target} runs it, certified: at most" in done.stdout.splitlines()[0]
+            assert "with this controller" not in done.stdout
             assert f"As {target} runs it, certified:" in done.stdout
             assert f"next: autotune export for_target.yaml --target {target}" in done.stderr
     assert (tmp_path / out).is_file()

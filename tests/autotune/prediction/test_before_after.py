@@ -12,7 +12,7 @@ from autotune.formats.cell import read_cell
 from autotune.formats.controller_record import Controller
 from autotune.formats.identified import IdentifiedFile
 from autotune.pipeline import IdentifyOptions, identify_log
-from autotune.prediction.before_after import BeforeAndAfter, compare_before_after
+from autotune.prediction.before_after import AsRunBy, BeforeAndAfter, compare_before_after
 from autotune.prediction.law import PresentGains, law_of_gains
 from autotune.prediction.said_gains import present_gains
 from identification.result import Timeline, Touch, TouchCause
@@ -82,6 +82,24 @@ def test_the_sentence_says_both_peaks_and_by_how_much_free_motion_changes() -> N
     assert found.sentence().startswith(f"in your log {0.97 * measured:.1f}–{measured:.1f} N (2 contacts on surface, ")
     assert f"with this controller at the same speed {after:.1f} N [" in found.sentence()
     assert found.sentence().endswith(f"free motion {heavier:.0f} % heavier")
+
+
+def test_what_an_export_target_does_comes_first_and_the_replay_is_named_as_our_own_law_s() -> None:
+    """Nothing of our own law's replay is called that of this controller; a report made later says the same."""
+    file, made = source(touch(peak_of(13.0, 1000.0, 0.02))), controller()
+    own = compare_before_after(file, made, present=today())["x"]
+    found = own.designed_for(AsRunBy(target="crisp", peak=56.94, own_peak=39.2))
+    assert found.sentence().startswith(
+        "as crisp runs it, certified: at most 56.9 N at the contact instead of 39.2 N with our own law; in your log "
+    )
+    peak = own.surfaces[0].after.predicted.peak_sensor_force
+    assert f"; with our own law at the same speed {peak:.1f} N [" in found.sentence()
+    chart = found.chart()
+    assert chart is not None
+    assert "our own law, predicted" in {each.label for each in chart.panels[0].elements}
+    assert "this controller" not in f"{found}{chart}"
+    noted = replace(made, provenance={**made.provenance, "before_after": {"x": found.to_dict()}})
+    assert compare_before_after(file, noted, present=today())["x"].sentence() == found.sentence()
 
 
 def test_the_figure_shows_what_the_sentence_says() -> None:
