@@ -20,7 +20,7 @@ _REWORDED = (
     # Arguments are in SI: there is no unit that could be said.
     (re.compile(r" If it is meant, say its unit: --\S+ \S+?\.(?=\s|$)"), ""),
     (re.compile(r"--environment-stiffness LO:HI"), "environment_stiffness=(low, high)"),
-    (re.compile(r"--compare mass=(\d+),damping=(\d+)"), r'compare={"mass": \1, "damping": \2}'),
+    (re.compile(r"--(compare|gains) mass=(\d+),damping=(\d+)"), r'\1={"mass": \2, "damping": \3}'),
     (re.compile(r"`?--salvage`?"), "salvage=True (an argument of read_log)"),
     (re.compile(r"--allow-partial"), "allow_partial=True"),
     (re.compile(r"--given ([\w.{}]+)=([A-Z]+)"), r'given={"\1": \2}'),
@@ -28,22 +28,24 @@ _REWORDED = (
 )
 
 
-def in_arguments(text: str) -> str:
-    """Return a sentence in which options of the command line are arguments of Python."""
+def in_arguments(text: str, *, compare: str = "compare") -> str:
+    """Return a sentence in which options of the command line are arguments of Python, --compare being `compare`."""
     commands = _COMMAND.findall(text)
-    parts = _COMMAND.split(text)
+    parts = _COMMAND.split(text.replace("--compare", f"--{compare}"))
     for pattern, said in _REWORDED:
         parts = [pattern.sub(said, part) for part in parts]
     return "".join(part + command for part, command in zip(parts, [*commands, ""], strict=True))
 
 
 @contextmanager
-def errors_in_arguments() -> Iterator[None]:
-    """Let errors of the block speak of arguments."""
+def errors_in_arguments(*, compare: str = "compare") -> Iterator[None]:
+    """Let errors of the block speak of arguments; `compare` is that of --compare."""
     try:
         yield
     except AutotuneError as error:
-        error.args = tuple(in_arguments(each) if isinstance(each, str) else each for each in error.args)
+        error.args = tuple(
+            in_arguments(each, compare=compare) if isinstance(each, str) else each for each in error.args
+        )
         raise
 
 

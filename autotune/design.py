@@ -1,18 +1,19 @@
 """What a design is, and what it predicts."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from autotune.arguments import count, file_path, in_arguments
+from autotune.arguments import count, errors_in_arguments, file_path, in_arguments
 from autotune.errors import CertificateError, UsageError
 from autotune.formats.atomic import check_target
 from autotune.formats.controller import ControllerFile, controller_tree, write_controller
 from autotune.formats.controller_record import Controller
 from autotune.formats.identified import IN_MEMORY
+from autotune.formats.plant import Plant
 from autotune.formats.units import axis_units
 from autotune.formats.yaml12 import dump_yaml
 from autotune.results import Identification, Validation
@@ -111,8 +112,14 @@ class Design(Shown):
         from autotune.prediction.before_after import compare_before_after  # noqa: PLC0415 - compiles
         from autotune.prediction.said_gains import present_gains  # noqa: PLC0415
 
+        if not isinstance(plant, Identification | Plant):
+            raise UsageError(f"plant must be what identify returns or a Plant, found {plant!r}.")
         file, said = plant.file(), gains.as_file() if isinstance(gains, Design) else gains
-        return compare_before_after(file, self.controller, present=present_gains(said, file, tuple(self.gains)))
+        with errors_in_arguments(compare="gains"):
+            found = compare_before_after(file, self.controller, present=present_gains(said, file, tuple(self.gains)))
+        return {
+            name: replace(each, example=in_arguments(each.example, compare="gains")) for name, each in found.items()
+        }
 
     def _headline(self) -> str:
         listed = "; ".join(_gains_text(name, gains) for name, gains in self.gains.items())
@@ -196,7 +203,10 @@ class Design(Shown):
         return self.notes
 
     def summary(self) -> None:
-        """Print what it changes, gains, margins, predicted contacts, what is proved, and what not to overlook."""
+        """Print what it changes, gains, margins, predicted contacts, what is proved, and what not to overlook.
+
+        It returns nothing: call it, do not print it.
+        """
         for name, text in self.before_after.items():
             print(f"before → after, axis {name}: {text}")
         print()

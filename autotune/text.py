@@ -19,11 +19,11 @@ from problems.design.uncertainty import Scenario
 from problems.model.axis_kind import AxisKind
 from problems.model.plant_parameters import PARAMETERS
 
+COMPARE_EXAMPLE = "--compare mass=10,damping=1500"
 NOTHING_BEFORE = (
-    "nothing to compare with: say the gains that run now, as in --compare mass=10,damping=1500, or identify a log with "
-    "contacts"
+    f"nothing to compare with: say the gains that run now, as in {COMPARE_EXAMPLE}, or identify a log with contacts"
 )
-NO_GAINS_BEFORE = "for free motion beside today's say the gains that run now, as in --compare mass=10,damping=1500"
+NO_GAINS_BEFORE = f"for free motion beside today's say the gains that run now, as in {COMPARE_EXAMPLE}"
 _MOST_DECIMALS = 6
 _SMALL = 1e-3
 

@@ -8,11 +8,11 @@ import click
 from click.shell_completion import BashComplete, CompletionItem, add_completion_class
 
 from autotune.errors import UsageError
+from autotune.formats.kinds import LOG, check_kind
 from identification.errors import LogError
 from problems.frozen import FrozenDict
 
 from ._common import Delivery, page_stays
-from ._kinds import LOG, check_kind
 
 SETTINGS = (".yaml", ".yml")
 LOGS = (".mcap", ".bag", ".db3", ".csv", ".parquet")
@@ -26,7 +26,7 @@ _LAST = "Messages and output"
 class FilePath(click.Path):
     """A file to be read whose name ends in one of `endings`; the shell proposes those, and folders on the way to them.
 
-    One that is not there, or plainly of another kind than one of `kinds` (`_kinds`), is noticed before any work.
+    One that is not there, or plainly of another kind than one of `kinds` (`formats.kinds`), is noticed before any work.
     """
 
     def __init__(self, *endings: str, kinds: Sequence[str] = (), **options: Any) -> None:
@@ -65,6 +65,8 @@ class PresentType(FilePath):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Return gains and the word as text, and a file as its path."""
+        if isinstance(value, str) and not value.strip():
+            self.fail("must be gains as in mass=10,damping=1500, log or a file; found an empty text.", param, ctx)
         is_text = isinstance(value, str) and ("=" in value or value == "log")
         return value if is_text else super().convert(value, param, ctx)
 

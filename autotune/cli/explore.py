@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 
 import click
 
+from autotune.formats.kinds import PLANTS
 from problems.errors import require_extra
 
 from ._common import Output, output_options
-from ._kinds import PLANTS
 from ._options import SETTINGS, FilePath, GroupedCommand, output_option
 
 if TYPE_CHECKING:

@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from autotune.formats.kinds import LOG
+
 from ._common import Output, output_options
-from ._kinds import LOG
 from ._options import (
     LOGS,
     FilePath,

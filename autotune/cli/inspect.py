@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from autotune.errors import UsageError
+from autotune.formats.kinds import LOG
 
 from ._common import Output, output_options
-from ._kinds import LOG
 from ._options import LOGS, FilePath, GroupedCommand, cell_option, salvage_option, span_options, urdf_options
 from ._terminal import print_message, print_table
 

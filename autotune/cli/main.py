@@ -19,10 +19,10 @@ import click
 from click.shell_completion import CompletionItem
 
 from autotune.cli._common import Delivery, discard_output, json_text, say
-from autotune.cli._kinds import check_kind
 from autotune.cli._terminal import detect_terminal, wrap_lines
 from autotune.cli.completion import COMPLETE_VARIABLE
 from autotune.errors import CertificateError, InfeasibleError, UsageError
+from autotune.formats.kinds import check_kind
 from autotune.version import __version__
 from identification.errors import EstimateError, LogError
 from problems.errors import MissingExtraError, ParameterError

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from autotune.export.targets import TARGETS
+from autotune.formats.kinds import PLANTS
 
 from ._common import Output, output_options
-from ._kinds import PLANTS
 from ._optimized import (
     active_lines,
     active_tree,

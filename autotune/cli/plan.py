@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from autotune.formats.kinds import PLANTS
+
 from ._common import Output, output_options
-from ._kinds import PLANTS
 from ._options import SETTINGS, FilePath, GroupedCommand, QuantityRange, output_option
 from ._terminal import print_message, print_table, printable
 

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from autotune.formats.kinds import LOG, PLANTS
+
 from ._common import Output, output_options
-from ._kinds import LOG, PLANTS
 from ._options import LOGS, SETTINGS, FilePath, GroupedCommand, cell_option, span_options, urdf_options
 from ._report import check_report, print_report_path, report_option, report_refusal, write_report
 from ._terminal import print_message, print_table

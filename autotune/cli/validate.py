@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from autotune.formats.kinds import LOG
 from autotune.formats.units import ROTATIONAL_AXES, axis_units
 
 from ._common import Output, output_options
-from ._kinds import LOG
 from ._optimized import limit_lines
 from ._options import KEYS, LOGS, SETTINGS, FilePath, GroupedCommand, cell_option, span_options, urdf_options
 from ._report import check_report, print_report_path, report_option, report_refusal, write_report

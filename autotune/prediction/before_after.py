@@ -12,7 +12,7 @@ from autotune.formats.controller_record import Controller
 from autotune.formats.identified import IdentifiedFile
 from autotune.formats.units import axis_units
 from autotune.shown import ResultTable, Shown, plain_tree
-from autotune.text import NO_GAINS_BEFORE, NOTHING_BEFORE
+from autotune.text import COMPARE_EXAMPLE, NO_GAINS_BEFORE, NOTHING_BEFORE
 from identification.result import Touch, TouchCause
 from problems.contact.transient import ContactTransient
 from problems.errors import AutotuneError
@@ -117,6 +117,8 @@ class BeforeAndAfter(Shown):
         What of the log could not be replayed and why, and which surface no certificate speaks of, a sentence each.
     as_run_by
         What the export target that the controller was designed for does; everything else is then of our own law.
+    example
+        How gains of today are said, named where there are none.
 
     """
 
@@ -132,6 +134,7 @@ class BeforeAndAfter(Shown):
         """Return the same with what an export target does, and the replay named as that of our own law."""
         surfaces = tuple(replace(each, law=_OWN_LAW) for each in self.surfaces)
         return replace(self, surfaces=surfaces, as_run_by=target)
+    example: str = COMPARE_EXAMPLE
 
     @property
     def free_motion_change(self) -> float | None:
@@ -151,7 +154,8 @@ class BeforeAndAfter(Shown):
         """
         first = self.surfaces[0].text() if self.surfaces else self._worst_text()
         target = "" if self.as_run_by is None else self.as_run_by.text(self.axis)
-        return "; ".join(part for part in (target, first or NOTHING_BEFORE, self._free_text(bool(first))) if part)
+        text = "; ".join(part for part in (target, first or NOTHING_BEFORE, self._free_text(bool(first))) if part)
+        return text.replace(COMPARE_EXAMPLE, self.example)
 
     @property
     def _law(self) -> str:

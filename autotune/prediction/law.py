@@ -12,6 +12,7 @@ from autotune.formats.controller_record import Controller, admittance_controller
 from autotune.formats.units import AXES
 from identification.result import Identified
 from problems.contact.nonlinearities import Deadband, DeadbandType
+from problems.errors import ParameterError
 from problems.model.controller import AdmittanceController
 
 from .contact import Law
@@ -48,7 +49,13 @@ def law_of_gains(gains: Mapping[str, float | str]) -> Law:
     numbers = {field: _number(name, gains[name]) for name, field in GAINS.items() if name in gains}
     width = _number("deadband", gains.get("deadband", 0.0))
     kind = str(gains.get("deadband_type", DeadbandType.SUBTRACTIVE))
-    return Law(controller=AdmittanceController(**numbers), deadband=Deadband(width_n=width, kind=DeadbandType(kind)))  # type: ignore[arg-type]
+    try:
+        controller = AdmittanceController(**numbers)  # type: ignore[arg-type]
+        deadband = Deadband(width_n=width, kind=DeadbandType(kind))
+    except ParameterError as error:
+        named = {field: name for name, field in GAINS.items()} | {"width_n": "deadband"}
+        raise ParameterError(f"The gain {named.get(error.name, error.name)}", error.value, error.must) from error
+    return Law(controller=controller, deadband=deadband)
 
 
 def _number(name: str, value: float | str) -> float:

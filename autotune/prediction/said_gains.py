@@ -9,6 +9,7 @@ from autotune.errors import UsageError
 from autotune.formats.cell import read_cell
 from autotune.formats.controller import ControllerFile, read_controller
 from autotune.formats.identified import IdentifiedFile
+from autotune.formats.kinds import check_kind
 from autotune.formats.units import ROTATIONAL_AXES
 from autotune.formats.yaml12 import kind_of_file
 from autotune.quantities import parse_quantity
@@ -79,7 +80,10 @@ def _said_gains(said: Mapping[str, Any] | str, axes: Sequence[str]) -> PresentGa
 def _gains_of_file(said: ControllerFile | str | Path, axes: Sequence[str]) -> PresentGains:
     if isinstance(said, ControllerFile):
         return PresentGains.of_file(said)
-    path = file_path("compare", said)
+    if isinstance(said, str) and not said.strip():
+        raise UsageError("--compare must be gains as in mass=10,damping=1500, log or a file; found an empty text.")
+    path = file_path("--compare", said)
+    check_kind(path, ("controller", "cell"))
     if kind_of_file(path) == "cell":
         return PresentGains.of_cell(read_cell(path), axes)
     return PresentGains.of_file(read_controller(path))

@@ -417,7 +417,11 @@ def _orientation(vector: NamedVector, turns: FloatArray) -> tuple[str, str]:
     if turns.shape[1] == 4:
         if vector.components == "xyzw":
             return "quaternion_xyzw", "by name"
-        return "quaternion_xyzw", "or quaternion_wxyz: identify compares both with the weight where the tool tilts"
+        counted = "four counted parts do not say whether w is first or last; " if vector.words else ""
+        return (
+            "quaternion_xyzw",
+            f"{counted}or quaternion_wxyz: identify compares both with the weight where the tool tilts",
+        )
     if vector.components == "abc":
         return "euler_ZYX", "A, B and C as KUKA's: about z, y and x of the moved axes"
     if vector.components == "rpy" or {"rpy", "euler"} & {*vector.words}:

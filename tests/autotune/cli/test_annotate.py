@@ -85,8 +85,10 @@ def test_times_are_those_of_the_log_where_the_pose_begins_later(run_cli: RunCli,
 def test_only_annotations_are_replaced(run_cli: RunCli, good_log: Path, tmp_path: Path) -> None:
     own = tmp_path / "own.mcap"
     own.write_bytes(good_log.read_bytes())
+    (tmp_path / "text.mcap").write_text("hello\n")
     for target, told in (
         ("own.mcap", "own.mcap exists"),
+        ("text.mcap", "text.mcap exists"),
         ("seen.bag", "must end in .mcap"),
         ("no/seen.mcap", "folder"),
     ):
@@ -95,5 +97,6 @@ def test_only_annotations_are_replaced(run_cli: RunCli, good_log: Path, tmp_path
         assert told in done.stderr
         assert not (tmp_path / "identified.yaml").exists()
     assert own.read_bytes() == good_log.read_bytes()
+    assert (tmp_path / "text.mcap").read_text() == "hello\n"
     for _ in range(2):
         assert run_cli("identify", good_log, "--annotate", "seen.mcap", "--quiet").returncode == 0

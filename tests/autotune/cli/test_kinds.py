@@ -10,6 +10,7 @@ from autotune.cli._terminal import Screen
 from autotune.cli.main import main
 
 FILES = {
+    "cell.yaml": b"format: autotune/cell\nversion: 1\n",
     "run 7.mcap": b"\x89MCAP0\r\n rest",
     "run.bag": b"#ROSBAG V2.0\n",
     "identified.yaml": b"format: autotune/identified\nversion: 1\n",
@@ -41,6 +42,12 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         (["inspect", "controller.json"], 2, "is a controller, not a log: run `autotune validate controller.json`."),
         (["validate", "controller.json", "--log", "none.mcap"], 3, "none.mcap cannot be read: No such file"),
         (["optimize", "identified.yaml", "--compare", "run.bag"], 2, "is a log, not a controller or a cell.yaml"),
+        (["optimize", "identified.yaml", "--compare", ""], 2, "found an empty text"),
+        (
+            ["optimize", "cell.yaml"],
+            2,
+            "is a description of a cell, not an identified plant or a plant: run `autotune identify LOG --cell ",
+        ),
         (["optimize", "none.yaml"], 2, "none.yaml cannot be read: No such file"),
         (["optimise", "identified.yaml"], 2, "Did you mean `autotune optimize`?"),
         (["run.bag"], 2, "run.bag is a log, not a command: run `autotune identify run.bag`."),

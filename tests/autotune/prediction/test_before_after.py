@@ -16,6 +16,7 @@ from autotune.prediction.before_after import AsRunBy, BeforeAndAfter, compare_be
 from autotune.prediction.law import PresentGains, law_of_gains
 from autotune.prediction.said_gains import present_gains
 from identification.result import Timeline, Touch, TouchCause
+from problems.errors import ParameterError
 from tests.autotune.formats.samples import make_identified
 from tests.autotune.prediction.pressing import Cell, contact_peak
 from tests.autotune.prediction.test_contact import plant_of
@@ -167,6 +168,27 @@ def test_gains_of_a_cell_are_those_of_its_axes(tmp_path: Path) -> None:
     found = present_gains(path, replace(source(), result=make_identified()), ("z", "rx"))
     assert found is not None
     assert {axis: law.controller.mass_kg for axis, law in found.laws.items()} == {"z": 3.0, "rx": 4.0}
+
+
+def test_what_are_no_gains_is_named_as_it_was_typed(tmp_path: Path) -> None:
+    with pytest.raises(ParameterError, match=r"The gain damping must be .*found -5"):
+        present_gains("mass=13,damping=-5", source())
+    with pytest.raises(UsageError, match="found an empty text"):
+        present_gains("", source())
+    log = tmp_path / "run7.mcap"
+    log.write_bytes(b"\x89MCAP0\r\n" + bytes(2_000_000))
+    with pytest.raises(UsageError, match=r"is a log, not a controller or a cell\.yaml"):
+        present_gains(log, source())
+
+
+def test_a_design_names_its_own_argument() -> None:
+    design = at.Design(controller=controller())
+    with pytest.raises(UsageError, match="plant must be what identify returns"):
+        design.compare(None)  # type: ignore[arg-type]
+    found = design.compare(plant_of(CELL))["x"]
+    assert 'as in gains={"mass": 10, "damping": 1500}' in str(found)
+    with pytest.raises(UsageError, match=r'as in gains=\{"mass": 10'):
+        design.compare(plant_of(CELL), "log")
 
 
 @pytest.mark.skipif(not NJ60.is_dir(), reason="needs the shared logs")

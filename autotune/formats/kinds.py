@@ -11,6 +11,14 @@ from problems.frozen import FrozenDict
 LOG = "log"
 PLANTS = ("identified", "plant")
 _HEAD_BYTES = 4096
+_FILES: Mapping[str, str] = FrozenDict(
+    {
+        "cell": "a description of a cell",
+        "problem": "a description of a problem",
+        "plan": "a plan of a recording",
+        "pareto": "a Pareto front",
+    }
+)
 _LOG_BEGINS = (b"\x89MCAP0\r\n", b"#ROSBAG", b"SQLite format 3", b"PAR1", b"\x28\xb5\x2f\xfd")
 _FORMAT = re.compile(rb"""^\s*[{]?\s*["']?format["']?\s*:\s*["']?autotune/([a-z_]+)""", re.MULTILINE)
 _COMMANDS: Mapping[str, str] = FrozenDict(
@@ -21,9 +29,10 @@ _COMMANDS: Mapping[str, str] = FrozenDict(
         "controller": "autotune validate {}",
         "schedule": "autotune validate {}",
         "pareto": "autotune report {}",
+        "cell": "autotune identify LOG --cell {}",
+        "problem": "autotune optimize identified.yaml --problem {}",
     }
 )
-_FILES = ("cell", "problem", "plan", "pareto")
 
 
 def kind_of_path(path: Path) -> str:
@@ -52,7 +61,7 @@ def check_kind(path: Path, kinds: Sequence[str]) -> None:
     wanted = " or ".join(_name(kind) for kind in kinds)
     command = _COMMANDS.get(found)
     advice = "" if command is None else f": run `{command.format(shlex.quote(str(path)))}`"
-    raise UsageError(f"{path} is {_name(found)}, not {wanted}{advice}.")
+    raise UsageError(f"{path} is {_FILES.get(found) or _name(found)}, not {wanted}{advice}.")
 
 
 def _name(kind: str) -> str:
