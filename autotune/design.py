@@ -92,7 +92,7 @@ class Design(Shown):
         return {name: in_arguments(text) for name, text in texts.items()}
 
     def compare(
-        self, plant: Identification, gains: "Mapping[str, Any] | Design | str | Path | None" = None
+        self, plant: Identification | Plant, gains: "Mapping[str, Any] | Design | str | Path | None" = None
     ) -> "dict[str, BeforeAndAfter]":
         """Replay the contacts of a log with this design, beside what was measured.
 

@@ -17,12 +17,13 @@ from identification.result import Touch, TouchCause
 from problems.contact.transient import ContactTransient
 from problems.errors import AutotuneError
 from problems.model.response import hand_force_per_speed
+from problems.stability.margins import UnstableLoopError
 
 from .against_touches import ComparedTouch, Running, compare_touches, plants_of_touch, touch_time_s
 from .certified import outside_domain
-from .contact import Law, nominal_contact, with_blow
+from .contact import Law
 from .law import PresentGains, law_of, law_of_gains
-from .result import interval_notes
+from .result import interval_notes, predict_contact
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -32,6 +33,8 @@ if TYPE_CHECKING:
 # Free motion that changes by less, and speeds that differ by less, are told as the same.
 _SAME_SHARE, _SAME_SPEED = 0.005, 0.1
 _SETTLED_SHARE = 0.02
+# A plant without deviations predicts an interval without width: peaks that close to it are no contradiction.
+_SAME_PEAK = 0.05
 _OWN_LAW = "our own law"
 
 
@@ -57,8 +60,9 @@ class ReplayedSurface:
     """The contacts of a log with one surface, and the hardest of them with the new controller at the same speed.
 
     `touches` are all of them; `after` is the hardest one as predicted with the new gains, `before` the same with the
-    gains that ran, None where nobody says them or that loop is unstable. Peaks are at the sensor [N, N·m]. `law` is
-    what the new controller is called.
+    gains that ran, None where nobody says them or that loop is unstable. `before_interval` is where the peak with the
+    gains that ran lies, None for a high end that is none. Peaks are at the sensor [N, N·m]. `law` is what the new
+    controller is called.
     """
 
     touches: tuple[Touch, ...]
@@ -66,6 +70,27 @@ class ReplayedSurface:
     before: ContactTransient | None = None
     before_peak: float | None = None
     law: str = "this controller"
+    before_interval: tuple[float, float | None] | None = None
+    is_before_unstable: bool = False
+
+    def contradiction(self) -> str:
+        """Say where the gains that are said to have run do not predict what the log shows, "" where they do."""
+        unit, (low, high) = axis_units(self.after.touch.axis).force, self.measured
+        if self.is_before_unstable:
+            return (
+                f"before: unstable, no contact force on {self.after.predicted.surface}, where your log shows "
+                f"{_range_text(low, high)} {unit}: these gains did not run there, or the model misses"
+            )
+        if self.before_peak is None or self.before_interval is None:
+            return ""
+        least, most = self.before_interval
+        if high >= (1.0 - _SAME_PEAK) * least and (most is None or low <= (1.0 + _SAME_PEAK) * most):
+            return ""
+        digits = 1 if high >= 10.0 else 2
+        return (
+            f"these gains predict {self.before_peak:.{digits}f} {unit} on {self.after.predicted.surface}, your log "
+            f"shows {_range_text(low, high)} {unit}: they did not run there, or the model misses"
+        )
 
     @property
     def measured(self) -> tuple[float, float]:
@@ -78,11 +103,6 @@ class ReplayedSurface:
         predicted, unit = self.after.predicted, axis_units(self.after.touch.axis).force
         (low, high), speed = self.measured, self.after.predicted.contact.contact_speed_m_s
         digits = 1 if high >= 10.0 else 2
-        peaks = (
-            f"{low:.{digits}f}–{high:.{digits}f}"
-            if f"{low:.{digits}f}" != f"{high:.{digits}f}"
-            else f"{high:.{digits}f}"
-        )
         speeds = [touch.approach_speed for touch in self.touches if touch.approach_speed is not None]
         is_same = not speeds or max(speeds) - min(speeds) <= _SAME_SPEED * max(speeds)
         where = "at the same speed" if is_same else f"at the hardest one's {_speed_text(speed, unit)}"
@@ -90,8 +110,9 @@ class ReplayedSurface:
         upper = "and more" if ends[1] is None else f"{ends[1]:.{digits}f}"
         count = "1 contact" if len(self.touches) == 1 else f"{len(self.touches)} contacts"
         return (
-            f"in your log {peaks} {unit} ({count} on {predicted.surface}, {_span_text(speeds, unit)}); with "
-            f"{self.law} {where} {predicted.peak_sensor_force:.{digits}f} {unit} [{ends[0]:.{digits}f}, {upper}]"
+            f"in your log {_range_text(low, high)} {unit} ({count} on {predicted.surface}, "
+            f"{_span_text(speeds, unit)}); with {self.law} {where} "
+            f"{predicted.peak_sensor_force:.{digits}f} {unit} [{ends[0]:.{digits}f}, {upper}]"
         )
 
 
@@ -129,12 +150,12 @@ class BeforeAndAfter(Shown):
     label: str = ""
     notes: tuple[str, ...] = ()
     as_run_by: AsRunBy | None = None
+    example: str = COMPARE_EXAMPLE
 
     def designed_for(self, target: AsRunBy) -> "BeforeAndAfter":
         """Return the same with what an export target does, and the replay named as that of our own law."""
         surfaces = tuple(replace(each, law=_OWN_LAW) for each in self.surfaces)
         return replace(self, surfaces=surfaces, as_run_by=target)
-    example: str = COMPARE_EXAMPLE
 
     @property
     def free_motion_change(self) -> float | None:
@@ -154,7 +175,9 @@ class BeforeAndAfter(Shown):
         """
         first = self.surfaces[0].text() if self.surfaces else self._worst_text()
         target = "" if self.as_run_by is None else self.as_run_by.text(self.axis)
-        text = "; ".join(part for part in (target, first or NOTHING_BEFORE, self._free_text(bool(first))) if part)
+        doubt = self.surfaces[0].contradiction() if self.surfaces else ""
+        parts = (target, first or NOTHING_BEFORE, doubt, self._free_text(bool(first)))
+        text = "; ".join(part for part in parts if part)
         return text.replace(COMPARE_EXAMPLE, self.example)
 
     @property
@@ -164,7 +187,7 @@ class BeforeAndAfter(Shown):
     def further(self) -> Iterator[str]:
         """Yield the other surfaces, a sentence each."""
         for each in self.surfaces[1:]:
-            yield each.text()
+            yield "; ".join(filter(None, (each.text(), each.contradiction())))
 
     def _worst_text(self) -> str:
         before, after = self.worst
@@ -233,6 +256,8 @@ class BeforeAndAfter(Shown):
                     "approach_speed": each.after.predicted.contact.contact_speed_m_s,
                     "measured_peaks": list(each.measured),
                     "predicted_before": each.before_peak,
+                    "interval_before": plain_tree(each.before_interval),
+                    "contradiction": each.contradiction() or None,
                     "predicted_after": each.after.predicted.peak_sensor_force,
                     "interval": plain_tree(each.after.predicted.interval.sensor),
                 }
@@ -254,6 +279,13 @@ class BeforeAndAfter(Shown):
 
         chart = self.chart()
         return None if chart is None else show(chart, ax)
+
+
+def _range_text(low: float, high: float) -> str:
+    """Return a range of peaks, one number where both ends are written alike."""
+    digits = 1 if high >= 10.0 else 2
+    ends = [f"{low:.{digits}f}", f"{high:.{digits}f}"]
+    return "–".join(dict.fromkeys(ends))
 
 
 def _speed_text(speed: float, force: str) -> str:
@@ -328,10 +360,8 @@ def _replayed_surfaces(
         except AutotuneError as error:
             passed.append(str(error))
             continue
-        before, peak = _before(source, hardest[1], today, sample_time_s)
-        surfaces.append(
-            ReplayedSurface(touches=tuple(each for _, each in group), after=after, before=before, before_peak=peak)
-        )
+        whole = ReplayedSurface(touches=tuple(each for _, each in group), after=after)
+        surfaces.append(_with_before(whole, source, today, sample_time_s))
     surfaces.sort(key=lambda each: -each.measured[1])
     return tuple(surfaces), tuple(passed)
 
@@ -348,25 +378,29 @@ def _running(law: Law) -> Running:
     return Running(law=law, mass=controller.mass_kg, damping=controller.damping_n_s_per_m, lead_s=controller.lead_s)
 
 
-def _before(
-    source: IdentifiedFile, touch: Touch, today: Law | None, sample_time_s: float
-) -> tuple[ContactTransient | None, float | None]:
-    """Return the touch as predicted with the gains that ran, the log's or else those of today, and its peak.
+def _with_before(
+    surface: ReplayedSurface, source: IdentifiedFile, today: Law | None, sample_time_s: float
+) -> ReplayedSurface:
+    """Return a surface with its hardest contact as predicted with the gains that ran, the log's or else those of today.
 
-    None where nobody says them, and where that loop is unstable.
+    Without them where nobody says them.
     """
+    touch = surface.after.touch
     if touch.mass is not None and touch.damping is not None:
         running = Running(law=law_of_gains({"mass": 1.0, "damping": 1.0}) if today is None else today)
     elif today is not None:
         running = _running(today)
     else:
-        return None, None
+        return surface
     try:
         plants = plants_of_touch(source, touch, sample_time_s=sample_time_s)
-        found = nominal_contact(plants, running.law_at(touch), running.approach_at(touch))
+        found = predict_contact(plants, running.law_at(touch), running.approach_at(touch))
+    except UnstableLoopError:
+        return replace(surface, is_before_unstable=True)
     except AutotuneError:
-        return None, None
-    return found, with_blow(found.peak_sensor_force_n, plants.blow, found)
+        return surface
+    peak, ends = found.peak_sensor_force, found.interval.sensor
+    return replace(surface, before=found.contact, before_peak=peak, before_interval=ends)
 
 
 def before_after_chart(surface: ReplayedSurface) -> Chart:

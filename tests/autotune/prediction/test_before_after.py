@@ -170,6 +170,20 @@ def test_gains_of_a_cell_are_those_of_its_axes(tmp_path: Path) -> None:
     assert {axis: law.controller.mass_kg for axis, law in found.laws.items()} == {"z": 3.0, "rx": 4.0}
 
 
+def test_gains_that_do_not_predict_the_log_are_doubted() -> None:
+    """Peaks of the gains that ran are not doubted; half as much again is, and so is a loop that is unstable."""
+    measured = peak_of(13.0, 1000.0, 0.02)
+    assert "model misses" not in replayed().sentence()
+    hard = source(touch(1.5 * measured), touch(1.49 * measured))
+    found = compare_before_after(hard, controller(), present=today())["x"]
+    shown = f"{1.49 * measured:.1f}–{1.5 * measured:.1f} N"
+    said = f"these gains predict {found.surfaces[0].before_peak:.1f} N on surface, your log shows {shown}"
+    assert f"{said}: they did not run there, or the model misses" in found.sentence()
+    unstable = compare_before_after(hard, controller(), present=today(mass=0.001, damping=1.0, lead=0.0))["x"]
+    assert f"before: unstable, no contact force on surface, where your log shows {shown}" in unstable.sentence()
+    assert unstable.surfaces[0].before_peak is None
+
+
 def test_what_are_no_gains_is_named_as_it_was_typed(tmp_path: Path) -> None:
     with pytest.raises(ParameterError, match=r"The gain damping must be .*found -5"):
         present_gains("mass=13,damping=-5", source())
