@@ -1,7 +1,7 @@
 """Numbers, parameters and plants as people read them: rounded to their deviation, with symbol and unit."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -341,3 +341,24 @@ def scenario_text(scenario: Scenario, units: AxisKind) -> str:
         value_text("payload_mass_kg", scenario.payload_mass_kg, units),
     )
     return ", ".join(part for part in (*always, off_nominal(scenario, units)) if part)
+
+
+def range_text(low: float, high: float) -> str:
+    """Return a range of peaks, one number where both ends are written alike."""
+    digits = 1 if high >= 10.0 else 2
+    ends = [f"{low:.{digits}f}", f"{high:.{digits}f}"]
+    return "–".join(dict.fromkeys(ends))
+
+
+def speed_text(speed: float, force: str) -> str:
+    """Return a speed in thousandths, straight or turning as the unit of force says."""
+    return f"{1e3 * speed:.3g} {'mm/s' if force == 'N' else 'mrad/s'}"
+
+
+def span_text(speeds: Sequence[float], force: str) -> str:
+    """Return the range of speeds, in thousandths."""
+    if not speeds:
+        return "of unknown speed"
+    low, high = (f"{1e3 * each:.3g}" for each in (min(speeds), max(speeds)))
+    unit = "mm/s" if force == "N" else "mrad/s"
+    return f"{high} {unit}" if low == high else f"{low} to {high} {unit}"

@@ -12,7 +12,7 @@ from autotune.formats.controller_record import Controller
 from autotune.formats.identified import IdentifiedFile
 from autotune.formats.units import axis_units
 from autotune.shown import ResultTable, Shown, plain_tree
-from autotune.text import COMPARE_EXAMPLE, NO_GAINS_BEFORE, NOTHING_BEFORE
+from autotune.text import COMPARE_EXAMPLE, NO_GAINS_BEFORE, NOTHING_BEFORE, range_text, span_text, speed_text
 from identification.result import Touch, TouchCause
 from problems.contact.transient import ContactTransient
 from problems.errors import AutotuneError
@@ -79,7 +79,7 @@ class ReplayedSurface:
         if self.is_before_unstable:
             return (
                 f"before: unstable, no contact force on {self.after.predicted.surface}, where your log shows "
-                f"{_range_text(low, high)} {unit}: these gains did not run there, or the model misses"
+                f"{range_text(low, high)} {unit}: these gains did not run there, or the model misses"
             )
         if self.before_peak is None or self.before_interval is None:
             return ""
@@ -89,7 +89,7 @@ class ReplayedSurface:
         digits = 1 if high >= 10.0 else 2
         return (
             f"these gains predict {self.before_peak:.{digits}f} {unit} on {self.after.predicted.surface}, your log "
-            f"shows {_range_text(low, high)} {unit}: they did not run there, or the model misses"
+            f"shows {range_text(low, high)} {unit}: they did not run there, or the model misses"
         )
 
     @property
@@ -105,13 +105,13 @@ class ReplayedSurface:
         digits = 1 if high >= 10.0 else 2
         speeds = [touch.approach_speed for touch in self.touches if touch.approach_speed is not None]
         is_same = not speeds or max(speeds) - min(speeds) <= _SAME_SPEED * max(speeds)
-        where = "at the same speed" if is_same else f"at the hardest one's {_speed_text(speed, unit)}"
+        where = "at the same speed" if is_same else f"at the hardest one's {speed_text(speed, unit)}"
         ends = predicted.interval.sensor
         upper = "and more" if ends[1] is None else f"{ends[1]:.{digits}f}"
         count = "1 contact" if len(self.touches) == 1 else f"{len(self.touches)} contacts"
         return (
-            f"in your log {_range_text(low, high)} {unit} ({count} on {predicted.surface}, "
-            f"{_span_text(speeds, unit)}); with {self.law} {where} "
+            f"in your log {range_text(low, high)} {unit} ({count} on {predicted.surface}, "
+            f"{span_text(speeds, unit)}); with {self.law} {where} "
             f"{predicted.peak_sensor_force:.{digits}f} {unit} [{ends[0]:.{digits}f}, {upper}]"
         )
 
@@ -281,25 +281,6 @@ class BeforeAndAfter(Shown):
         return None if chart is None else show(chart, ax)
 
 
-def _range_text(low: float, high: float) -> str:
-    """Return a range of peaks, one number where both ends are written alike."""
-    digits = 1 if high >= 10.0 else 2
-    ends = [f"{low:.{digits}f}", f"{high:.{digits}f}"]
-    return "–".join(dict.fromkeys(ends))
-
-
-def _speed_text(speed: float, force: str) -> str:
-    return f"{1e3 * speed:.3g} {'mm/s' if force == 'N' else 'mrad/s'}"
-
-
-def _span_text(speeds: Sequence[float], force: str) -> str:
-    if not speeds:
-        return "of unknown speed"
-    low, high = (f"{1e3 * each:.3g}" for each in (min(speeds), max(speeds)))
-    unit = "mm/s" if force == "N" else "mrad/s"
-    return f"{high} {unit}" if low == high else f"{low} to {high} {unit}"
-
-
 def compare_before_after(
     source: IdentifiedFile,
     controller: Controller,
@@ -435,7 +416,7 @@ def before_after_chart(surface: ReplayedSurface) -> Chart:
                 names=tuple(f"{touch.axis} at {touch_time_s(touch):.2f} s" for _, touch in seen),
             )
         )
-    speed = _speed_text(contact.contact_speed_m_s, units.force)
+    speed = speed_text(contact.contact_speed_m_s, units.force)
     return Chart(
         key=f"{predicted.axis}-before-after",
         title=f"Before and after: the hardest contact on {predicted.surface}, at {speed}",
