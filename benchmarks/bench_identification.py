@@ -58,7 +58,7 @@ def main() -> int:
         jobs += [
             partial(run_cell, seed, case)
             for case in range(len(CASES))
-            for seed in range(options.seed, options.seed + options.unclear)
+            for seed in range(options.seed, options.seed + options.insufficient)
         ]
         done = _tell(_run_all(jobs, options.processes), len(jobs), options.records)
         runs = sorted(done, key=lambda run: (run.case, run.seed))
