@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from identification.logs.roles.orientation import make_continuous
 from identification.signals.recording import PoseSignal, Recording, WrenchSignal
 from problems.arrays import FloatArray
 from problems.compiled import compiled
@@ -213,7 +214,7 @@ def _pose(topic: str, stamps: NDArray[np.int64], position: FloatArray, orientati
         frame_id="base",
         stamp_ns=stamps,
         position_m=position,
-        quaternion_xyzw=orientation.as_quat(canonical=True),
+        quaternion_xyzw=make_continuous(orientation.as_quat(canonical=True)),
     )
 
 

@@ -26,7 +26,8 @@ from problems.model.sampled import build_sampled_plant
 RunCli = Callable[..., "subprocess.CompletedProcess[str]"]
 PUBLIC = (
     *("AdmittanceTarget", "Approach", "AutotuneError", "CertificateError", "Check", "Design", "Estimate"),
-    *("EstimateError", "Finding", "Identification", "InfeasibleError", "Log", "LogError", "NoiseLimit"),
+    *("EstimateError", "Finding", "Identification", "InfeasibleError", "Log", "LogError"),
+    *("MultiplicativeError", "NoiseLimit"),
     *("ParameterError", "PassivityTarget", "Plant", "PredictedContact", "Problem", "Requirements", "Robot", "Status"),
     *("Uncertain", "UnstableLoopError", "UsageError", "Validation", "__version__", "from_control", "identify"),
     *("load", "optimize", "predict", "read_log", "simulate_log"),

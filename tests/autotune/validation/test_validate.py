@@ -186,7 +186,7 @@ FALSE_CLAIMS: dict[str, tuple[Change, str, str]] = {
     "weight that is not certified": (
         lambda c: replace(c, payload=replace(c.payload, mass_kg=2.0 * c.payload.mass_kg)),
         "payload",
-        r"compensates \d+ kg, which is outside the certified",
+        r"takes off the weight of \d+ kg, which is outside the certified",
     ),
     "longer delay than certified gains allow": (domain(delay_s=8e-3), "delay", r"delay_samples says 3, .* has 10"),
     "requirement missed": (
