@@ -14,7 +14,7 @@ from .errors import LogError
 from .given import Given
 from .payload.gravity import orientation_spread_rad
 from .rebuilt_command import rebuilt_command
-from .result import Finding
+from .result import AxisEstimate, Finding
 from .robot.admittance_estimates import AdmittanceRobots
 from .signals.aligned import AlignedLog, edges_of, on_one_clock
 from .signals.recording import AXES, AppliedDeadband, Recording
@@ -33,10 +33,24 @@ _LAG_OF_ONE_STAMP_S = (0.0, 3e-3)
 
 @dataclass(frozen=True, kw_only=True)
 class CompensatedAxes:
-    """The axes along which the tool moved, by name, and what to know about them."""
+    """The axes along which the tool moved, by name, what to know about them, and the signals that they share."""
 
     axes: Mapping[str, AxisResult]
     findings: tuple[Finding, ...]
+    cell: CellSignals | None = None
+
+    @property
+    def fitted(self) -> Mapping[str, AxisResult]:
+        """Return the axes on which a fit behind the logged command knows moving mass and coupling."""
+        if self.cell is None or self.cell.recording.command is None or self.cell.recording.keeps_holes:
+            return {}
+        return {name: axis for name, axis in self.axes.items() if axis.fit is not None and _is_fitted(axis.estimate)}
+
+
+def _is_fitted(estimate: AxisEstimate) -> bool:
+    """Return whether moving mass and coupling are known."""
+    mass = estimate.mass_kg
+    return mass is not None and mass.value is not None and estimate.coupling.stiffness_n_per_m.value is not None
 
 
 def identify_compensated_axes(
@@ -81,7 +95,7 @@ def identify_compensated_axes(
         for axis in _other_axes(log, motion, force, [name for name in measured if name not in axes]):
             axes[axis.name] = identify_axis_robot(cell, axis)
     about = tuple(finding for axis in axes.values() for finding in axis.findings)
-    return CompensatedAxes(axes=axes, findings=(*findings, *about))
+    return CompensatedAxes(axes=axes, findings=(*findings, *about), cell=cell)
 
 
 def _is_force_known(deadband: AppliedDeadband | None) -> bool:

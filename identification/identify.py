@@ -1,6 +1,6 @@
 """Identification of plant parameters from one recording: the driver over all estimators."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -8,11 +8,12 @@ import numpy as np
 from problems.arrays import FloatArray
 from problems.progress import ProgressSlice, no_progress
 
-from .axes.straight import AXIS_NAMES, find_axes
-from .axes.turning import LEVER_M, find_turns
+from .axes.straight import find_axes
+from .axes.turning import find_turns
 from .axis_estimate import AxisResult, CellSignals, axis_evidence, identify_axis
 from .conventions.choice import read_by_weight
 from .evidence import Evidence
+from .fitted_timeline import account_for_log, hand_findings, with_surfaces, without_surface
 from .given import Given, settle_cell
 from .joint_fit.latency import find_wrench_filter
 from .partial import identify_partial
@@ -22,16 +23,12 @@ from .payload.inertia import InertiaFit, identify_inertia
 from .rebuilt_command import rebuilt_command
 from .rests import at_rest_only, identify_from_rows
 from .result import (
-    AxisEstimate,
-    EnvironmentEstimate,
     Estimate,
     Finding,
     Identified,
     InertiaEstimate,
     PayloadEstimate,
     Status,
-    Timeline,
-    Touch,
     WrenchFilterEstimate,
 )
 from .robot.admittance_estimates import AdmittanceRobots, identify_admittance_robots
@@ -42,11 +39,6 @@ from .signals.frames import Frames
 from .signals.recording import PoseSignal, Recording
 from .signals.repairs import restore_commands, without_spikes
 from .signals.segments import MotionSpans, find_motion
-from .timeline.contacts import find_contacts
-from .timeline.left_contacts import Accounted, ObservedAxis, account_for_contacts
-from .timeline.payload import observe_payload
-from .timeline.timeline import build_timeline, name_surfaces
-from .timeline.touches import touches_of
 from .turn_estimate import identify_turn, unidentified_turn
 from .verdicts import missing
 
@@ -140,8 +132,7 @@ def _identify(
         turns=find_turns(recording, log, motion, gravity),
     )
     results, about_axes = _identify_axes(cell, inertia, lambda share: report(_AXES_SHARE * share))
-    accounted, touches = _accounted(cell, results, gravity.mass_kg)
-    timeline = Timeline(phases=accounted.phases, touches=touches)
+    accounted, timeline = account_for_log(cell, results, gravity.mass_kg)
     sensor, about_sensor = describe_sensor(read, gravity, frames)
     late, about_late = _late_wrench(results, recording, log.period_s)
     report(1.0 - _WEIGHING_SHARE - _AXES_SHARE)
@@ -150,15 +141,15 @@ def _identify(
         payload=PayloadEstimate(
             mass_kg=mass_estimate(gravity), com_m=com_estimate(gravity), inertia_kg_m2=_inertia(inertia)
         ),
-        axes={name: _with_surfaces(axis.estimate, accounted.surfaces[name]) for name, axis in results.items()},
+        axes={name: with_surfaces(axis.estimate, accounted.surfaces[name]) for name, axis in results.items()},
         sensor=replace(sensor, wrench_filter=late),
         findings=(
             *about_spikes,
             *read.findings,
             *robots.findings,
-            *_without_surface(about_axes, accounted),
+            *without_surface(about_axes, accounted),
             *accounted.findings,
-            *_hands(timeline),
+            *hand_findings(timeline),
             *gravity_findings(gravity),
             *about_sensor,
             *about_late,
@@ -250,65 +241,6 @@ def _identify_axes(
             axes[turn.name] = turned
         part.finish()
     return axes, [*findings, *(finding for axis in axes.values() for finding in axis.findings)]
-
-
-def _accounted(
-    cell: CellSignals, results: Mapping[str, AxisResult], mass_kg: float
-) -> tuple[Accounted, tuple[Touch, ...]]:
-    """Return what happened when, contacts with the names of their surfaces and those that no fit used, and touches."""
-    contacts, period = [axis.contacts for axis in results.values()], cell.log.period_s
-    payloads = [observe_payload(of, period) for of in contacts]
-    pressed = [find_contacts(of, seen, cell.motion, period) for of, seen in zip(contacts, payloads, strict=True)]
-    phases = build_timeline(cell.log, cell.motion, cell.force_S_n, contacts, cell.recording.command, mass_kg, pressed)
-    axes = []
-    for (name, axis), payload, found in zip(results.items(), payloads, pressed, strict=True):
-        surfaces = () if axis.fit is None else axis.fit.surfaces
-        # What the fit leaves without a stiffness is none of its surfaces: the slope of force over depth may show one.
-        known = [each.stiffness_n_per_m.value is not None for each in axis.estimate.environments]
-        onsets = [[t * period for t in each.onsets] if ok else [] for each, ok in zip(surfaces, known, strict=True)]
-        phases = name_surfaces(phases, name, onsets)
-        signs = [surface.sign for surface in surfaces]
-        axes.append(
-            ObservedAxis(
-                of=axis.contacts,
-                payload=payload,
-                pressed=found,
-                coupling=axis.estimate.coupling.stiffness_n_per_m,
-                surfaces=tuple(zip(signs, axis.estimate.environments, strict=True)),
-                lever_m=1.0 if name in AXIS_NAMES else LEVER_M,
-            )
-        )
-    accounted = account_for_contacts(phases, axes, period)
-    return accounted, touches_of(cell.recording, cell.log, axes, accounted.phases)
-
-
-def _with_surfaces(axis: AxisEstimate, added: Sequence[EnvironmentEstimate]) -> AxisEstimate:
-    """Return the axis with the surfaces that slopes show, in place of those that the fit leaves without a stiffness."""
-    fitted = [each for each in axis.environments if not added or each.stiffness_n_per_m.value is not None]
-    return replace(axis, environments=(*fitted, *added))
-
-
-def _without_surface(findings: Sequence[Finding], accounted: Accounted) -> Iterator[Finding]:
-    """Yield the findings without those that no contact was found where a slope shows the surface."""
-    return (each for each in findings if each.code != "no-contact" or not accounted.surfaces.get(each.axis or ""))
-
-
-def _hands(timeline: Timeline) -> list[Finding]:
-    """Report of contacts during which somebody pushed."""
-    pushed = [p for p in timeline.phases if p.contact is not None and p.contact.hand_suspected]
-    if not pushed:
-        return []
-    when = ", ".join(f"{phase.start_s:.1f} s" for phase in pushed)
-    return [
-        Finding(
-            code="hand-in-contact",
-            severity="warning",
-            message=f"During the contact at {when} the force does not follow depth and speed as on a surface: a hand "
-            "may have pushed, or what is touched gave way.",
-            advice="Keep hands off the payload while it touches, clamp what it presses on, and record these contacts "
-            "again.",
-        )
-    ]
 
 
 def _led_robots(

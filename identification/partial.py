@@ -7,6 +7,7 @@ import numpy as np
 
 from .compensated import CompensatedAxes, identify_compensated_axes
 from .errors import EstimateError
+from .fitted_timeline import account_for_log, hand_findings, with_surfaces, without_surface
 from .given import Given
 from .result import (
     AxisEstimate,
@@ -16,6 +17,7 @@ from .result import (
     Finding,
     Identified,
     PayloadEstimate,
+    PhaseKind,
     RobotEstimate,
     SensorEstimate,
     Status,
@@ -23,7 +25,8 @@ from .result import (
 from .robot.admittance_estimates import AdmittanceRobots, identify_admittance_robots
 from .robot.logged_command import TICK_S
 from .signals.recording import AXES, Recording
-from .touches.surfaces import identify_touches, no_contact
+from .touches.inertia import KnownMotion
+from .touches.surfaces import Touched, identify_touches, no_contact
 from .verdicts import (
     missing,
     unidentifiable,
@@ -52,7 +55,7 @@ def identify_partial(
     found = CompensatedAxes(axes={}, findings=())
     if recording.command is not None or not recording.pose.is_displacement:
         found = identify_compensated_axes(recording, led, given or {})
-    touched = identify_touches(recording)
+    found, touched = _touched(recording, found)
     axes = {
         axis: _axis(
             found.axes[axis].estimate if axis in found.axes else None,
@@ -87,6 +90,29 @@ def identify_partial(
         sensor=_sensor(recording),
         findings=tuple(findings),
         timelines=(touched.timeline,),
+    )
+
+
+def _touched(recording: Recording, found: CompensatedAxes) -> tuple[CompensatedAxes, Touched]:
+    """Return the axes with the surfaces of all contacts, and the touches: by the fits, elsewhere by the force alone."""
+    fitted = found.fitted
+    if found.cell is None or not fitted:
+        return found, identify_touches(recording)
+    mass_kg = _moving_mass({name: axis.estimate for name, axis in fitted.items()}).value or 0.0
+    accounted, timeline = account_for_log(found.cell, fitted, mass_kg)
+    turning = tuple((each.start_s, each.stop_s) for each in timeline.phases if each.kind is PhaseKind.TURNING)
+    others = identify_touches(recording, KnownMotion(axes=frozenset(fitted), turning_s=turning))
+    touches = sorted(
+        (*timeline.touches, *others.timeline.touches),
+        key=lambda touch: (touch.peak_s if touch.onset_s is None else touch.onset_s, touch.axis),
+    )
+    axes = {
+        name: replace(axis, estimate=with_surfaces(axis.estimate, accounted.surfaces[name]))
+        for name, axis in fitted.items()
+    }
+    about = (*without_surface(found.findings, accounted), *accounted.findings, *hand_findings(timeline))
+    return replace(found, axes={**found.axes, **axes}, findings=about), replace(
+        others, timeline=replace(timeline, touches=tuple(touches))
     )
 
 

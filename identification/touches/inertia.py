@@ -9,7 +9,7 @@ from scipy.signal import savgol_filter
 
 from ..result import Finding, TouchCause
 from ..signals.segments import Span
-from .find import AxisTouches, FoundTouch
+from .find import LONGEST_SWING_S, AxisTouches, FoundTouch
 
 # Over this long a motion is taken as even acceleration: a payload on its gripper swings faster than 10 Hz.
 _EVEN_S, _FEWEST = 0.04, 5
@@ -27,6 +27,48 @@ class PayloadForce:
     drag_n_s_per_m: float
     explained: float
     spans: tuple[Span, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class KnownMotion:
+    """What fits explain of a log: all on `axes`, and on the others the `turning_s` (start, stop) of the tool.
+
+    A payload that turns presses with its inertia about a centre of mass that a log without weight does not show.
+    """
+
+    axes: frozenset[str]
+    turning_s: tuple[tuple[float, float], ...]
+
+
+def without_known(
+    found: Sequence[AxisTouches], known: KnownMotion | None
+) -> tuple[tuple[AxisTouches, ...], tuple[Finding, ...]]:
+    """Leave out what fits explain, or where they know nothing, what `without_inertia` does."""
+    if known is None:
+        return without_inertia(found)
+    others, findings = without_inertia([axis for axis in found if axis.signals.axis not in known.axes])
+    kept = tuple(
+        replace(axis, touches=tuple(each for each in axis.touches if not _is_turned(each, known))) for axis in others
+    )
+    turned = [each for axis in others for each in axis.touches if _is_turned(each, known)]
+    return kept, (*findings, *([_about_turning(turned)] if turned else []))
+
+
+def _is_turned(each: FoundTouch, known: KnownMotion) -> bool:
+    peak_s = each.touch.peak_s
+    return any(start - LONGEST_SWING_S <= peak_s <= stop + LONGEST_SWING_S for start, stop in known.turning_s)
+
+
+def _about_turning(turned: Sequence[FoundTouch]) -> Finding:
+    largest = max(each.touch.peak_force for each in turned)
+    times = "once" if len(turned) == 1 else f"{len(turned)} times"
+    return Finding(
+        code="payload-inertia",
+        severity="info",
+        message=f"While the tool turned, {times} a force of up to {largest:.1f} N is what the payload's inertia about "
+        "its centre of mass makes, as far as this log shows it, and is not listed as a touch.",
+        advice="",
+    )
 
 
 def without_inertia(found: Sequence[AxisTouches]) -> tuple[tuple[AxisTouches, ...], tuple[Finding, ...]]:

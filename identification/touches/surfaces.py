@@ -13,7 +13,7 @@ from ..result import EnvironmentEstimate, Estimate, Finding, LogPhase, Timeline,
 from ..signals.recording import Recording
 from ..verdicts import judged, missing, unidentifiable
 from .find import AxisTouches, FoundTouch, find_touches, first_fall, touch_peak
-from .inertia import without_inertia
+from .inertia import KnownMotion, without_known
 from .phases import build_phases
 from .signals import AxisSignals, axis_signals
 from .signs import check_desired_force, check_force_sign
@@ -66,17 +66,18 @@ class Touched:
         return bool(self.surfaces) or (bool(touches) and not any(touch.is_led for touch in touches))
 
 
-def identify_touches(recording: Recording) -> Touched:
+def identify_touches(recording: Recording, known: KnownMotion | None = None) -> Touched:
     """Find the touches of a log without the payload's mass, and what they show of the surfaces.
 
     A displacement is a trace of one contact. A surface is what walls on one side of an axis are touched at one place,
-    or with one stiffness; touches whose cause is not known are named in a finding. Raises EstimateError where each held
-    force points along the approach, and where F^d points away from what is met.
+    or with one stiffness; touches whose cause is not known are named in a finding. What `known` explains is no touch
+    here. Raises EstimateError where each held force points along the approach, and where F^d points away from what is
+    met.
     """
     signals = axis_signals(recording)
     if not recording.pose.is_displacement:
         check_force_sign(signals)
-    found, about_payload = without_inertia(find_touches(signals, is_contact=recording.pose.is_displacement))
+    found, about_payload = without_known(find_touches(signals, is_contact=recording.pose.is_displacement), known)
     check_desired_force(found)
     surfaces: dict[str, tuple[EnvironmentEstimate, ...]] = {}
     names: dict[tuple[str, float], str] = {}

@@ -54,6 +54,8 @@ def test_robot_coupling_and_moving_mass_follow_from_command_pose_and_force(
     assert "its mass is what moves" in removed.message
     assert result.payload.com_m.status is Status.UNIDENTIFIABLE
     assert "no-command" not in {finding.code for finding in result.findings}
+    # Nothing was touched: all of the force is what the payload makes of its motion.
+    assert result.timelines[0].touches == ()
 
 
 def test_a_robot_that_gives_way_to_its_payload_biases_nothing() -> None:
