@@ -13,6 +13,7 @@ from .signals.segments import Span
 _MASS_DISAGREEMENT_STDS = 3.0
 _MASS_DISAGREEMENT_SHARE = 0.02
 _MORE_THAN_NOISE = 1.5
+_NO_LATENCY_STDS = 2.0
 # What a force must exceed to count as a touch.
 _LEFT_AT_REST_N = 2.0
 _OFF_ADVICE = (
@@ -92,7 +93,8 @@ def mass_findings(axis: str, gravity: GravityFit, fit: JointFit) -> list[Finding
 
 def latency_findings(axis: str, fit: JointFit) -> list[Finding]:
     """Return the finding that the wrench was late, or early, against the motion; it was taken out."""
-    if fit.latency.is_filter or fit.latency.applied_s == 0.0:
+    is_none = abs(fit.latency.seconds) <= _NO_LATENCY_STDS * fit.latency.std_s
+    if fit.latency.is_filter or fit.latency.applied_s == 0.0 or is_none:
         return []
     late = "late" if fit.latency.seconds > 0.0 else "early"
     return [
@@ -136,6 +138,15 @@ _NOT_DESIGNED_FOR = (
 def payload_findings(axis: str, fit: JointFit) -> list[Finding]:
     """Return what the payload has beside one mass on one spring, of which the coupling is free."""
     findings = []
+    if fit.is_payload_unclear:
+        findings.append(
+            Finding.warning(
+                "payload-unclear",
+                f"Axis {axis}: there is something beside one mass on one spring, dry friction in the coupling or a "
+                "part that swings; the log does not tell how much of which, so neither has a value.",
+                _NOT_DESIGNED_FOR,
+            )
+        )
     if fit.part is not None:
         (share, share_std), (at, at_std), (ratio, _) = (
             fit.part.mass_share,

@@ -6,7 +6,7 @@ import numpy as np
 
 from problems.arrays import FloatArray
 
-from ..verdicts import TWO_SIDED
+from ..verdicts import TWO_SIDED, WEAK_SHARE
 from .extended_fit import (
     MOST_RATIO,
     MOST_SHARE,
@@ -224,6 +224,9 @@ def with_extension(fit: JointFit, found: Extended | None) -> JointFit:
         reach = TWO_SIDED * float(stds[i])
         ci95[name] = max(min(low, float(values[i]) - reach), 0.0), max(high, float(values[i]) + reach)
     robot = slice(len(COUPLING_NAMES), count)
+    told = found.part is not None, found.friction_n is not None
+    # Friction and a part explain each other's force; beside a coupling without a value neither has one.
+    is_unclear = any(told) and (all(told) or float(stds[0]) > WEAK_SHARE * float(values[0]))
     return replace(
         fit,
         values=values,
@@ -233,8 +236,9 @@ def with_extension(fit: JointFit, found: Extended | None) -> JointFit:
         surfaces=tuple(_followed(surface, values, covariance) for surface in fit.surfaces),
         quality=replace(fit.quality, wrench_lag_s=found.latency.seconds, wrench_lag_std_s=found.latency.std_s),
         latency=found.latency,
-        part=found.part,
-        friction_n=found.friction_n,
+        part=None if is_unclear else found.part,
+        friction_n=None if is_unclear else found.friction_n,
+        is_payload_unclear=is_unclear,
     )
 
 

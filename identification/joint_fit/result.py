@@ -84,7 +84,8 @@ class JointFit:
     `ci95` holds intervals where plus and minus two deviations would be wrong (a damping or mass near 0); `latency` is
     the wrench's against pose and command. `is_weighed` where ringing alone gave the coupling, with the mass from
     gravity. `spans` are what was fitted, span by span. `part` swings on the payload and `friction_n`, value and
-    deviation, is in the coupling, where the log shows them; spans and quality are those of one payload on one spring.
+    deviation, is in the coupling, where the log shows them; `is_payload_unclear` where it shows either without a value.
+    Spans and quality are those of one payload on one spring.
     """
 
     names: tuple[str, ...]
@@ -100,6 +101,7 @@ class JointFit:
     held_out: tuple[HeldOutContact, ...] = ()
     part: PayloadPart | None = None
     friction_n: tuple[float, float] | None = None
+    is_payload_unclear: bool = False
 
     def __post_init__(self) -> None:
         freeze(self, "ci95")

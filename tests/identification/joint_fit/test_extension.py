@@ -5,12 +5,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
+from identification.axis_findings import latency_findings, payload_findings
 from identification.joint_fit.data import JointData, usual_coupling
 from identification.joint_fit.extended_payload import Extension, extended_force
+from identification.joint_fit.extension import Extended, with_extension
 from identification.joint_fit.fit import identify_joint
+from identification.joint_fit.latency import WrenchLatency
 from identification.joint_fit.noise import Smoother
 from identification.joint_fit.path import measured_path
-from identification.joint_fit.result import JointFit
+from identification.joint_fit.result import JointFit, PayloadPart
 from identification.signals.segments import Span
 from problems.arrays import FloatArray
 
@@ -134,3 +137,29 @@ def test_the_extended_force_is_that_of_fine_steps() -> None:
     force = extended_force(coupling, extension, np.zeros(5), path, used, PERIOD_S)
     expected = cell.run(x)[::FINER][used]
     assert float(np.std(force - expected)) < 0.05 * float(np.std(expected))
+
+
+@pytest.mark.parametrize(("both", "spread"), [(True, 0.01), (False, 0.6)])
+def test_friction_has_no_value_beside_a_part_or_a_coupling_without_one(both: bool, spread: float) -> None:
+    fit = identify_joint(logged(Cell()))
+    size = len(fit.values)
+    covariance = np.zeros((size, size))
+    covariance[0, 0] = (spread * STIFFNESS) ** 2
+    part = PayloadPart(mass_share=(0.1, 0.03), frequency_hz=(38.0, 1.0), damping_ratio=(0.03, 0.02))
+    found = Extended(
+        move=np.zeros(size),
+        covariance=covariance,
+        latency=fit.latency,
+        part=part if both else None,
+        friction_n=(0.23, 0.05),
+    )
+    told = with_extension(fit, found)
+    assert (told.part, told.friction_n) == (None, None)
+    assert [each.code for each in payload_findings("z", told)] == ["payload-unclear"]
+
+
+def test_a_latency_of_zero_within_two_deviations_is_not_told() -> None:
+    fit = identify_joint(logged(Cell()))
+    for seconds, codes in ((-1.8e-5, []), (-2.9e-4, ["wrench-lag"])):
+        late = WrenchLatency(seconds=seconds, std_s=3.5e-5, applied_s=seconds)
+        assert [each.code for each in latency_findings("z", replace(fit, latency=late))] == codes
