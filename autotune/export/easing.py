@@ -13,9 +13,10 @@ from typing import Any
 from autotune.errors import CertificateError, InfeasibleError
 from autotune.formats.certificate_record import Requirement
 from autotune.formats.records import record_tree, rename_axis_keys
-from autotune.formats.units import ROTATIONAL_AXES
+from autotune.formats.units import ROTATIONAL_AXES, axis_units
 from autotune.plugins import find_requirement
 from autotune.validation.law import LawCertificate
+from problems.design.requirements import AdmittanceTarget
 
 from .retune import ControllerStructure, nearest_design, retune
 
@@ -23,6 +24,8 @@ ADMITTANCE = "free_space_admittance"
 # What is asked is easier by these shares than what was reached: our own law must reach it too, and a search again.
 _EASIER = (0.03, 0.1, 0.2)
 _DIGITS = 3
+# A slow hand [m/s or rad/s], and by what factor less admittance makes leading by hand another thing.
+_HAND_SPEED, _HEAVIER = 0.1, 3.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,7 +38,11 @@ class Easing:
     certificate: LawCertificate
 
     def __str__(self) -> str:
-        return " and ".join(f"{name} {to:g} instead of {asked:g}" for name, asked, to in self.relaxations())
+        said = " and ".join(f"{name} {to:g} instead of {asked:g}" for name, asked, to in self.relaxations())
+        targets = [each.get(ADMITTANCE) for each in (self.asked, self.eased)]
+        asked, eased = (each.min_m_s_per_n if isinstance(each, AdmittanceTarget) else None for each in targets)
+        heavy = "" if asked is None or eased is None else heavier_hand(self.axis, asked, eased)
+        return f"{said}, with which {heavy}" if heavy else said
 
     def relaxations(self) -> tuple[tuple[str, float, float], ...]:
         """Return name, asked and enough, as `InfeasibleError` holds them."""
@@ -48,6 +55,19 @@ class Easing:
         said = {name: record_tree(value, name) for name, value in self.eased.items()}
         tree = rename_axis_keys(self.axis, {"requirements": said}, reading=False)
         return {"rotational": tree} if self.axis in ROTATIONAL_AXES else tree
+
+
+def heavier_hand(axis: str, asked: float, found: float) -> str:
+    """Return what a hand needs in free space where the admittance [m/s/N] is far below what was asked, else ""."""
+    if found * _HEAVIER >= asked:
+        return ""
+    units = axis_units(axis)
+    forces = (_HAND_SPEED / each for each in (found, asked))
+    needed, wanted = (f"{force:.0f}" if force >= 100.0 else f"{force:.3g}" for force in forces)
+    return (
+        f"a hand needs up to {needed} {units.force} at {_HAND_SPEED:g} {units.speed} instead of {wanted}: no longer "
+        "hand guiding"
+    )
 
 
 def find_easing(structure: ControllerStructure) -> Easing | None:

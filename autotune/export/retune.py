@@ -88,8 +88,8 @@ class ControllerStructure(Protocol):
 def lost_gains(task: AxisTask, gains: AxisGains, expressed: tuple[str, ...] = ()) -> tuple[str, ...]:
     """Say which gains of an axis have no place in a structure that expresses but the named ones beside M_a and B_a."""
     known = {
-        "lead_s": ("lead K_l", gains.lead_s, "s"),
-        "feedback_damping_s": ("feedback damping B_fb", gains.feedback_damping_s, "s"),
+        "lead_s": ("lead K_l", 1e3 * gains.lead_s, "ms"),
+        "feedback_damping_s": ("feedback damping B_fb", 1e3 * gains.feedback_damping_s, "ms"),
         "deadband": ("deadband", gains.deadband, "N·m" if task.axis.startswith("r") else "N"),
     }
     return tuple(

@@ -14,14 +14,15 @@ from autotune.formats.canonical import short
 from autotune.formats.controller import ControllerFile
 from autotune.formats.controller_record import AxisGains, Controller
 from autotune.formats.limits import CollisionResponse
-from autotune.formats.units import axis_units
+from autotune.formats.units import ROTATIONAL_AXES, axis_units
 from autotune.validation.bouncing import search_bouncing
 from autotune.validation.law import AxisTask, LawCertificate, certify_law
 from autotune.version import __version__
+from problems.design.requirements import AdmittanceTarget
 from problems.errors import ParameterError
 from problems.model.third_party_controllers import alternates
 
-from .easing import easing_message, find_easing, merged
+from .easing import easing_message, find_easing, heavier_hand, merged
 from .retune import ControllerStructure, Values, retune
 from .ros_yaml import Tree, check_joint_count, joint_notes, render_commented
 from .target import Rendered
@@ -223,6 +224,7 @@ def _certified(axis: ControllerStructure, joints: tuple[str, ...], common: bool)
         peak_before_n=task.promised_n(),
         notes=(
             *axis.notes(values),
+            *_hand_notes(task, found),
             *(() if reason is None else _bound_notes(axis, values)),
             *joint_notes(joints, axis.task.axis),
         ),
@@ -239,6 +241,15 @@ def _translated(axis: ControllerStructure) -> tuple[LawCertificate | None, str |
         return None, "the law itself would change the sign of its speed in every cycle at this update rate"
     found = certify_law(axis.task, law)
     return found, None if found.holds else found.missed[0]
+
+
+def _hand_notes(task: AxisTask, found: LawCertificate) -> Iterator[str]:
+    """Say what a hand needs where a straight axis moves far heavier than by the admittance that is usually asked."""
+    if task.axis in ROTATIONAL_AXES or found.admittance is None:
+        return
+    heavy = heavier_hand(task.axis, AdmittanceTarget().min_m_s_per_n, found.admittance.min_m_s_per_n)
+    if heavy:
+        yield f"axis {task.axis}: {heavy.replace(' instead of', ', with the usual admittance')}."
 
 
 def _bound_notes(axis: ControllerStructure, values: Values) -> Iterator[str]:

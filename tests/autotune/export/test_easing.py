@@ -7,7 +7,7 @@ import pytest
 
 from autotune.errors import InfeasibleError, UsageError
 from autotune.export.designing import certify_for, plant_for, specs_for
-from autotune.export.easing import find_easing, merged
+from autotune.export.easing import find_easing, heavier_hand, merged
 from autotune.export.export import export_controller
 from autotune.export.fzi_cartesian import FZI_CARTESIAN
 from autotune.export.retune import retune
@@ -54,6 +54,23 @@ def test_the_lines_are_those_of_a_problem_file_and_straight_axes_share_the_easie
     path.write_text(flow_text(merged([easing, easier])) + "\n", encoding="utf-8")
     asked = read_problem(path).requirements.free_space_admittance
     assert asked == replace(band, min_m_s_per_n=1e-4)
+
+
+def test_an_admittance_eased_by_more_than_three_says_what_a_hand_then_needs() -> None:
+    """F = v/|G|: 0.1 m/s at 5e-5 m/s/N take 2000 N."""
+    axis = Ros2Axis(task=task_of(peer_controller({"x": LEAD}, HARD)), gains=LEAD)
+    easing = find_easing(axis)
+    assert easing is not None
+    assert "hand" not in str(easing)
+    band = easing.eased["free_space_admittance"]
+    assert isinstance(band, AdmittanceTarget)
+    heavy = replace(easing, eased={"free_space_admittance": replace(band, min_m_s_per_n=5e-5)})
+    assert str(heavy).endswith(
+        "5e-05 instead of 0.0009, with which a hand needs up to 2000 N at 0.1 m/s instead of 111: no longer hand "
+        "guiding"
+    )
+    assert heavier_hand("rx", 0.3, 0.0999).startswith("a hand needs up to 1 N·m at 0.1 rad/s instead of 0.333: ")
+    assert heavier_hand("x", 3e-4, 1.01e-4) == ""
 
 
 def test_an_export_that_cannot_be_names_lines_and_both_commands(tmp_path: Path) -> None:

@@ -258,8 +258,8 @@ def test_the_header_names_source_version_rate_and_what_was_dropped(tmp_path: Pat
         "ros2_controllers admittance_controller 4.42.0 (jazzy)",
         digest,
         "an update rate of 1250 Hz",
-        "Dropped: axis x: lead K_l = 0.0209 s.",
-        "Dropped: axis x: feedback damping B_fb = 0.005 s.",
+        "Dropped: axis x: lead K_l = 20.9 ms.",
+        "Dropped: axis x: feedback damping B_fb = 5 ms.",
         "Dropped: axis x: deadband = 5 N.",
         "Dropped: sensor bias",
     ):
