@@ -1,4 +1,4 @@
-"""Build the wheel and check that it holds the three packages, their types, schemas and page, and nothing else.
+"""Build the wheel and check that it holds the three packages, their types, schemas, pages and templates, and nothing else.
 
 The build runs on a copy of the sources: files left over from an earlier build cannot get in, and none is left behind.
 """
@@ -15,7 +15,7 @@ PACKAGES = ("autotune", "identification", "problems")
 AROUND = ("pyproject.toml", "README.md", "LICENSE")
 TYPED = frozenset(f"{package}/py.typed" for package in PACKAGES)
 SCHEMAS = "autotune/formats/schemas/"
-PAGES = ("autotune/report/page.*", "autotune/explore/explore.*")
+PAGES = ("autotune/report/page.*", "autotune/explore/explore.*", "autotune/export/ros2/*.in")
 
 
 def expected_files(root: Path) -> frozenset[str]:
