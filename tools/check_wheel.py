@@ -1,4 +1,4 @@
-"""Build the wheel and check that it holds the three packages, their types, schemas, pages and templates, and nothing else.
+"""Build the wheel and check that it holds the packages, their types, schemas, pages and templates, and nothing else.
 
 The build runs on a copy of the sources: files left over from an earlier build cannot get in, and none is left behind.
 """
