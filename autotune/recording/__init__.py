@@ -1,6 +1,6 @@
 """Record a log as docs/recording.md asks: a recorder for any control loop, and the program of a first log.
 
-Needs `mcap-ros2-support` when the file is written, and no other library.
+Needs `mcap` when the file is written, and no other library.
 """
 
 from .first_log import FirstLog, FirstLogCommand

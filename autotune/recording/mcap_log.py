@@ -1,10 +1,11 @@
-"""Write stamped wrenches, poses and texts as a ROS 2 MCAP through the official writer library."""
+"""Write stamped wrenches, poses and texts as a ROS 2 MCAP; the official library writes the file's structure."""
 
+import struct
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
 from autotune.formats.atomic import sweep_leftovers, temporary_beside
 
@@ -44,13 +45,15 @@ int32 sec
 uint32 nanosec
 """
 _LOG_INFO = 20
+# What a message begins with: CDR of little-endian numbers. Alignment counts from behind it.
+_ENCAPSULATION = bytes((0, 1, 0, 0))
 
 
 class StampedKind(Enum):
-    """What a channel holds: name of the entry, definition of the message, and the parts of a row."""
+    """What a channel holds: name of the entry, definition of the message, and how many numbers a row has."""
 
-    WRENCH = ("wrench", _WRENCH_STAMPED, (("force", "xyz"), ("torque", "xyz")))
-    POSE = ("pose", _POSE_STAMPED, (("position", "xyz"), ("orientation", "xyzw")))
+    WRENCH = ("wrench", _WRENCH_STAMPED, 6)
+    POSE = ("pose", _POSE_STAMPED, 7)
 
     @property
     def type_name(self) -> str:
@@ -65,15 +68,7 @@ class StampedKind(Enum):
     @property
     def width(self) -> int:
         """How many numbers a row has."""
-        return sum(len(components) for _, components in self.value[2])
-
-    def body(self, row: Sequence[float]) -> dict[str, Any]:
-        """Return the entry of a message that holds a row."""
-        parts, at = {}, 0
-        for part, components in self.value[2]:
-            parts[part] = dict(zip(components, row[at : at + len(components)], strict=True))
-            at += len(components)
-        return parts
+        return self.value[2]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,11 +81,18 @@ class StampedChannel:
     stamps_ns: Sequence[int]
     row: Callable[[int], Sequence[float]]
 
-    def message(self, i: int) -> dict[str, Any]:
-        """Return the i-th message."""
-        stamp = {"sec": self.stamps_ns[i] // 10**9, "nanosec": self.stamps_ns[i] % 10**9}
-        header = {"stamp": stamp, "frame_id": self.frame_id}
-        return {"header": header, self.kind.value[0]: self.kind.body(self.row(i))}
+    def messages(self) -> Callable[[int], bytes]:
+        """Return the function that encodes the i-th message: header, then the row, whose numbers are aligned to 8."""
+        name = _string(self.frame_id)
+        head = struct.Struct("<iI")
+        row = struct.Struct(f"<{self.kind.width}d")
+        between = name + bytes(-(head.size + len(name)) % 8)
+
+        def encoded(i: int) -> bytes:
+            stamp = divmod(self.stamps_ns[i], 10**9)
+            return b"".join((_ENCAPSULATION, head.pack(*stamp), between, row.pack(*self.row(i))))
+
+        return encoded
 
 
 class TextKind(Enum):
@@ -119,13 +121,29 @@ class TextChannel:
     stamps_ns: Sequence[int]
     texts: Sequence[str]
 
-    def message(self, i: int) -> dict[str, Any]:
-        """Return the i-th message; a line of a log has its stamp and bears the name of this program."""
-        if self.kind is TextKind.STRING:
-            return {"data": self.texts[i]}
-        stamp = {"sec": self.stamps_ns[i] // 10**9, "nanosec": self.stamps_ns[i] % 10**9}
-        where = {"file": "", "function": "", "line": 0}
-        return {"stamp": stamp, "level": _LOG_INFO, "name": "autotune", "msg": self.texts[i], **where}
+    def messages(self) -> Callable[[int], bytes]:
+        """Return the function that encodes the i-th message; a line of a log bears the name of this program."""
+        return self._text if self.kind is TextKind.STRING else self._line
+
+    def _text(self, i: int) -> bytes:
+        return _ENCAPSULATION + _string(self.texts[i])
+
+    def _line(self, i: int) -> bytes:
+        body = struct.pack("<iIB", *divmod(self.stamps_ns[i], 10**9), _LOG_INFO)
+        for text in ("autotune", self.texts[i], "", ""):
+            body = _aligned(body) + _string(text)
+        return _ENCAPSULATION + _aligned(body) + struct.pack("<I", 0)
+
+
+def _string(text: str) -> bytes:
+    """Return the length, the text and the zero that ends it."""
+    data = text.encode() + b"\0"
+    return struct.pack("<I", len(data)) + data
+
+
+def _aligned(body: bytes) -> bytes:
+    """Return a message's content, filled up to where a length or a number of 4 bytes may begin."""
+    return body + bytes(-len(body) % 4)
 
 
 def write_channels(
@@ -148,23 +166,23 @@ def write_channels(
 def _write(
     stream: IO[bytes], channels: Sequence[StampedChannel | TextChannel], progress: Callable[[int], None] | None
 ) -> None:
-    from mcap_ros2.writer import Writer  # noqa: PLC0415 - not while the loop runs
+    from mcap.well_known import MessageEncoding, SchemaEncoding  # noqa: PLC0415 - not while the loop runs
+    from mcap.writer import Writer  # noqa: PLC0415
 
     writer = Writer(stream)
+    writer.start(profile="ros2")
     kinds: dict[StampedKind | TextKind, None] = dict.fromkeys(channel.kind for channel in channels)
-    registered = {kind: writer.register_msgdef(kind.type_name, kind.definition) for kind in kinds}
+    schemas = {
+        kind: writer.register_schema(kind.type_name, SchemaEncoding.ROS2, kind.definition.encode()) for kind in kinds
+    }
+    numbers = [
+        writer.register_channel(channel.topic, MessageEncoding.CDR, schemas[channel.kind]) for channel in channels
+    ]
+    encoders = [channel.messages() for channel in channels]
     order = sorted((stamp, c, i) for c, channel in enumerate(channels) for i, stamp in enumerate(channel.stamps_ns))
     since = 0
     for sequence, (stamp, c, i) in enumerate(order):
-        channel = channels[c]
-        writer.write_message(
-            topic=channel.topic,
-            schema=registered[channel.kind],
-            message=channel.message(i),
-            log_time=stamp,
-            publish_time=stamp,
-            sequence=sequence,
-        )
+        writer.add_message(numbers[c], stamp, encoders[c](i), stamp, sequence)
         since += 1
         if progress is not None and since == 5000:
             progress(since)
