@@ -1,9 +1,11 @@
 """Recommendations of what to record next, for every parameter that is weak or missing."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+
+from problems.model.axis_kind import STRAIGHT, TURNING, AxisKind, QuantityKind
 
 from .axes.straight import AXIS_NAMES
 from .experiment_design.sweep import SweepLimits, fastest_sweep
@@ -42,6 +44,15 @@ _PERIOD = (
 _CONTACTS = "Record 3 or more contacts on the same spot: 1 to 3 cm/s, 20 to 50 N, hold for 1 s, back off."
 _IMPACTS = "Record 3 or more contacts at 3 to 5 cm/s, as far as the predicted peak force allows."
 _SHARP_PERCENT = 5.0
+_QUANTITIES: Mapping[str, QuantityKind] = {
+    "T_d": "time",
+    "K_s": "stiffness",
+    "K_e": "stiffness",
+    "secant": "stiffness",
+    "B_s": "damping",
+    "B_p": "damping",
+    "B_e": "damping",
+}
 _DRIFT = "force-follows-drift"
 _DRIFTING = "The sensor drifts, which widens this: see to that first. "
 _COARSE = (
@@ -85,16 +96,15 @@ def advise(result: Identified) -> tuple[Finding, ...]:
         _Lack(name=name, estimate=each, advice=_TORQUE if each.note == WITHOUT_TORQUE else _POSES, needed=True)
         for name, each in payload.items()
     ]
-    findings = list(_findings("", lacks, first))
+    findings = list(_findings("", lacks, first, STRAIGHT))
     for name, axis in result.axes.items():
-        findings += _findings(
-            f"Axis {name}: ", list(_axis_lacks(name, axis, _sweep(result, name), result.sample_time_s.value)), first
-        )
+        lacks = list(_axis_lacks(name, axis, _sweep(result, name), result.sample_time_s.value))
+        findings += _findings(f"Axis {name}: ", lacks, first, STRAIGHT if name in AXIS_NAMES else TURNING)
     explained = any(f.severity == "error" for f in result.findings)
     return tuple(f for f in findings if not (explained and f.severity == "error"))
 
 
-def _findings(where: str, lacks: Sequence[_Lack], first: str) -> Iterator[Finding]:
+def _findings(where: str, lacks: Sequence[_Lack], first: str, units: AxisKind) -> Iterator[Finding]:
     for code, verb, severities in (
         ("unidentifiable", "not identified from the log", ("error", "info")),
         ("bounded", "known as an interval only", ("warning", "info")),
@@ -103,18 +113,23 @@ def _findings(where: str, lacks: Sequence[_Lack], first: str) -> Iterator[Findin
         for needed, severity in zip((True, False), severities, strict=True):
             mine = [lack for lack in lacks if lack.code == code and lack.needed is needed]
             for advice in dict.fromkeys(lack.advice for lack in mine):
-                shown = ", ".join(_text(lack) for lack in mine if lack.advice == advice)
+                shown = ", ".join(_text(lack, units) for lack in mine if lack.advice == advice)
                 text = first + advice
                 yield Finding(code=code, severity=severity, message=f"{where}{shown}: {verb}.", advice=text)
 
 
-def _text(lack: _Lack) -> str:
+def _text(lack: _Lack, units: AxisKind) -> str:
     estimate = lack.estimate
+    factor, unit = units.shown(_QUANTITIES.get(lack.name.split()[-1], "mass"))
     if isinstance(estimate, Estimate) and estimate.value is None and estimate.ci95 is not None:
-        return "{} ({:.3g} to {:.3g} with 95 %)".format(lack.name, *estimate.ci95)
-    if isinstance(estimate, VectorEstimate) or not estimate.value or estimate.std is None:
+        low, high = (factor * end for end in estimate.ci95)
+        return f"{lack.name} ({low:.3g} to {high:.3g} {unit} with 95 %)"
+    if isinstance(estimate, VectorEstimate) or estimate.value is None or estimate.std is None:
         return lack.name
-    share = 100.0 * estimate.std / abs(estimate.value)
+    if estimate.std > abs(estimate.value):
+        # A share of a number that may as well be 0 says nothing.
+        return f"{lack.name} (± {factor * estimate.std:.2g} {unit})"
+    share = 100.0 * estimate.std / abs(estimate.value) if estimate.value else 0.0
     # What is known sharply and weak all the same has its reason in the note.
     why = f"± {share:.0f} %" if share >= _SHARP_PERCENT or not estimate.note else estimate.note
     return f"{lack.name} ({why})"

@@ -74,7 +74,15 @@ def test_an_interval_is_a_warning() -> None:
     coupling = dataclasses.replace(axis.coupling, damping_n_s_per_m=bounded)
     (found,) = needed(advise(dataclasses.replace(told(), axes={"x": dataclasses.replace(axis, coupling=coupling)})))
     assert (found.code, found.severity) == ("bounded", "warning")
-    assert "B_s (0 to 63 with 95 %): known as an interval only" in found.message
+    assert "B_s (0 to 63 N·s/m with 95 %): known as an interval only" in found.message
+
+
+@pytest.mark.parametrize(("value", "said"), [(0.0, "± 61 ms"), (1e-12, "± 61 ms"), (0.05, "± 61 ms"), (0.61, "± 10 %")])
+def test_a_deviation_above_its_value_is_written_with_its_unit(value: float, said: str) -> None:
+    axis = told().axes["x"]
+    robot = dataclasses.replace(axis.robot, delay_s=weak(value, 0.061))
+    (found,) = needed(advise(dataclasses.replace(told(), axes={"x": dataclasses.replace(axis, robot=robot)})))
+    assert f"T_d ({said}): weak" in found.message
 
 
 def test_a_missing_number_is_not_told_twice() -> None:
