@@ -12,6 +12,7 @@ from identification.result import (
     Estimate,
     Identified,
     Timeline,
+    TouchCause,
     VectorEstimate,
     WrenchFilterEstimate,
 )
@@ -165,13 +166,13 @@ def touch_columns(timeline: Timeline) -> tuple[str, ...]:
         f"largest [{force}]",
         f"sensor's peak [{force}]",
         f"held [{force}]",
-        "bounces",
+        "later blows",
         "surface",
     )
 
 
 def touch_rows(timeline: Timeline) -> list[tuple[str, ...]]:
-    """Return a row of `touch_columns` for each touch of a log and each of its later blows."""
+    """Return a row of `touch_columns` for each touch of a log and each of its later blows, which only walls have."""
     rows: list[tuple[str, ...]] = []
     for touch in timeline.touches:
         start = touch.peak_s if touch.onset_s is None else touch.onset_s
@@ -184,7 +185,7 @@ def touch_rows(timeline: Timeline) -> list[tuple[str, ...]]:
                 "-" if touch.approach_speed is None else f"{1e3 * touch.approach_speed:.1f}",
                 *_peak_texts(touch.peak_force, touch.peak_interval),
                 "-" if touch.held_force is None else f"{touch.held_force:.1f}",
-                f"{len(touch.bounces_s)}",
+                f"{len(touch.later_blows)}" if touch.cause is TouchCause.WALL else "-",
                 surface,
             )
         )

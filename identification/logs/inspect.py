@@ -1,6 +1,7 @@
 """Summarise what logs hold, what each channel can be used for, and what is missing for `identify`."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -8,7 +9,7 @@ import numpy as np
 
 from ..errors import EstimateError, LogError, UntimedError
 from ..result import Finding
-from ..signals.recording import WEIGHT_NEEDS_ORIENTATION
+from ..signals.recording import WEIGHT_NEEDS_ORIENTATION, sampling_rate_hz
 from .checks.clocks import ChannelClock, clock_findings, compare_clocks, measure_clock
 from .checks.robot_state import without_zero_torques
 from .checks.samples import role_faults
@@ -66,6 +67,7 @@ def inspect_log(
         findings: list[Finding] = []
         series = _cut(_read_all(logs, findings), choices, span, logs.start_ns)
         channels = tuple(_summary(info, series[info.channel]) for info in infos)
+        roles = tuple(_with_rates(role, channels) for role in roles)
         numbers = tuple(found for part in logs.parts for found in number_fields(part))
         findings += [
             f for info in infos for f in _channel_findings(info, series[info.channel], logs.start_ns, salvage=salvage)
@@ -173,12 +175,17 @@ def _role_summary(role: Role, choice: Choice | None, reason: str, candidates: Se
     )
 
 
+def _with_rates(role: RoleSummary, channels: Sequence[ChannelSummary]) -> RoleSummary:
+    rates = {(channel.topic, channel.type): channel.rate_hz for channel in channels}
+    candidates = (replace(each, rate_hz=rates.get((each.topic, each.type))) for each in role.candidates)
+    return replace(role, candidates=tuple(candidates))
+
+
 def _candidate(info: ChannelInfo) -> Candidate:
     return Candidate(
         topic=info.channel.topic,
         type=info.channel.type_name,
         count=info.count,
-        rate_hz=info.rate_hz,
         frame=info.frame,
     )
 
@@ -280,7 +287,7 @@ def _summary(info: ChannelInfo, series: Series) -> ChannelSummary:
     clock = "recording"
     if headers is not None and headers.size and bool(np.any(headers != headers[0])):
         stamps, clock = headers, "header"
-    if info.columns and info.rate_hz is None:
+    if not info.is_timed:
         stamps = stamps[:0]  # rows without a time
     steps = np.diff(stamps)
     span_s = float(stamps.max() - stamps.min()) / 1e9 if stamps.size else 0.0
@@ -290,7 +297,7 @@ def _summary(info: ChannelInfo, series: Series) -> ChannelSummary:
         encoding=info.channel.encoding,
         count=series.log_ns.size,
         clock=clock,
-        rate_hz=(stamps.size - 1) / span_s if span_s > 0 else None,
+        rate_hz=sampling_rate_hz(stamps.size, span_s),
         median_gap_s=float(np.median(steps)) / 1e9 if steps.size else None,
         max_gap_s=float(steps.max()) / 1e9 if steps.size else None,
         backwards_steps=int(np.count_nonzero(steps < 0)),

@@ -231,11 +231,10 @@ def digests(paths: Sequence[Path]) -> dict[str, str]:
 
 
 def _merged(one: ChannelInfo, other: ChannelInfo) -> ChannelInfo:
-    rates = [rate for rate in (one.rate_hz, other.rate_hz) if rate is not None]
     return ChannelInfo(
         channel=one.channel,
         count=one.count + other.count,
-        rate_hz=float(np.mean(rates)) if rates else None,
+        is_timed=one.is_timed and other.is_timed,
         frame=one.frame if one.frame is not None else other.frame,
         has_header=one.has_header,
         columns=one.columns,

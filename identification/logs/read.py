@@ -5,9 +5,11 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
+import numpy as np
+
 from ..errors import LogError
 from ..result import Finding
-from ..signals.recording import Recording, join_recordings
+from ..signals.recording import Recording, StampArray, join_recordings, sampling_rate_hz
 from ..signals.repairs import without_pose_spikes
 from .checks.clocks import ChannelTimes, check_clocks
 from .checks.payload import check_payload
@@ -100,13 +102,14 @@ def _read(
         poses_of_joints(parts, choices, cell, chain)
         idle = (*drop_idle_command(parts), *drop_zero_torques(parts))
         clocks, about_clocks = chosen_clocks(parts, cell)
-        parts, about_span = cut_roles(parts, [role_stamps(part, clocks, cell) for part in parts], span, logs.name)
+        stamps = [role_stamps(part, clocks, cell) for part in parts]
+        chosen = [_chosen(choice, [part[role] for part in stamps if role in part]) for role, choice in choices.items()]
+        parts, about_span = cut_roles(parts, stamps, span, logs.name)
         times = _times(parts, clocks)
         about_samples = sample_findings(parts, clocks, cell, logs.start_ns, keeps_holes=salvage)
         recordings = [build_recording(part, clocks, cell) for part in parts]
         recording = _continuous(join_recordings(recordings))
         questions = open_questions(logs.infos, cell, logs.name)
-        chosen = map(_chosen, choices.values())
         about_log = logs.findings()
         about_log = (*about_log, *_about_what_is_left(about_log, recording, logs))
         findings = (*about_log, *about_span, *chosen, *cautions, *idle, *questions, *about_clocks, *about_samples)
@@ -205,8 +208,10 @@ def _about_what_is_left(findings: Sequence[Finding], recording: Recording, logs:
     )
 
 
-def _chosen(choice: Choice) -> Finding:
+def _chosen(choice: Choice, parts: Sequence[StampArray]) -> Finding:
+    count, span_s = sum(map(len, parts)), 1e-9 * sum(int(np.ptp(stamps)) for stamps in parts)
+    # From one recording to the next there is no step.
+    rate_hz = sampling_rate_hz(count - len(parts) + 1, span_s) if choice.info.is_timed else None
     pair = f", {choice.frames[1]} in {choice.frames[0]}" if choice.frames else ""
-    return Finding.info(
-        "channel-chosen", f"The {ROLES[choice.role].label} is read from {choice.info}{pair}: {choice.reason}.", ""
-    )
+    source = f"{choice.info.described(rate_hz)}{pair}"
+    return Finding.info("channel-chosen", f"The {ROLES[choice.role].label} is read from {source}: {choice.reason}.", "")

@@ -33,13 +33,13 @@ class ChannelSummary:
 
 @dataclass(frozen=True, kw_only=True)
 class Candidate:
-    """A channel that could serve a role; `rate_hz` is over the whole log, `frame` that of the first header."""
+    """A channel that could serve a role; `frame` is that of the first header."""
 
     topic: str
     type: str
     count: int
-    rate_hz: float | None
     frame: str | None
+    rate_hz: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

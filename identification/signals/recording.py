@@ -214,6 +214,14 @@ class Recording:
         _require_axes(what, self.pose.measured_axes, AXES[3:], WEIGHT_NEEDS_ORIENTATION)
 
 
+def sampling_rate_hz(count: int, span_s: float) -> float | None:
+    """Return the rate of a topic of `count` samples from the first to the last in `span_s`, None where there is none.
+
+    Holes count as time: it is (count − 1)/span.
+    """
+    return (count - 1) / span_s if count > 1 and span_s > 0.0 else None
+
+
 def _require_axes(what: str, measured: tuple[str, ...], needed: tuple[str, ...], advice: str) -> None:
     missing = [axis for axis in needed if axis not in measured]
     if missing:

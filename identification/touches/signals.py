@@ -9,7 +9,7 @@ from problems.arrays import FloatArray
 
 from ..signals.aligned import longest_whole
 from ..signals.contact_rule import CONTACT
-from ..signals.recording import AXES, GainsSignal, PoseSignal, Recording, StampArray, WrenchSignal
+from ..signals.recording import AXES, GainsSignal, PoseSignal, Recording, StampArray, WrenchSignal, sampling_rate_hz
 
 _NEAR_ZERO_SHARE = 0.05
 _NOISES = 6.0
@@ -42,6 +42,11 @@ class AxisSignals:
     desired_n: FloatArray
     lead_s: float | None = None
     commanded_m: FloatArray | None = None
+
+    @property
+    def rate_hz(self) -> float:
+        """How often force and travel were logged."""
+        return sampling_rate_hz(len(self.time_s), float(np.ptp(self.time_s))) or 0.0
 
     def speed_m_s(self) -> FloatArray:
         """Return how fast the flange is along the axis, over about 0.1 s (n,)."""

@@ -310,7 +310,7 @@ def _between_samples(axis: AxisTouches) -> list[Finding]:
     return [
         Finding.warning(
             "peak-between-samples",
-            f"Axis {axis.signals.axis}, sampled at {1.0 / axis.signals.period_s:.0f} Hz, force on the sensor: "
+            f"Axis {axis.signals.axis}, sampled at {axis.signals.rate_hz:.0f} Hz, force on the sensor: "
             f"{', '.join(narrow[:_MOST_LISTED])}{more}.",
             "Record the wrench faster, at 500 Hz or more.",
         )

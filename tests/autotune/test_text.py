@@ -7,7 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from autotune.formats.units import axis_units
-from autotune.text import off_nominal, rounded_to, scenario_text, with_deviation
+from autotune.text import off_nominal, rounded_to, scenario_text, touch_columns, touch_rows, with_deviation
+from identification.result import Blow, Timeline, Touch, TouchCause
 from problems.design.uncertainty import UNCERTAIN, Scenario
 
 
@@ -69,3 +70,22 @@ def test_every_value_has_its_symbol_and_the_unit_of_its_axis() -> None:
         "",
         "K_e 20 N/mm, M_p 16 kg",
     )
+
+
+@pytest.mark.parametrize(("cause", "count"), [(TouchCause.WALL, 2), (TouchCause.UNDETERMINED, 0)])
+def test_as_many_later_blows_are_counted_as_listed(cause: TouchCause, count: int) -> None:
+    """It left three times, and came back with two blows; of what may be a hand none is listed."""
+    blow = Blow(onset_s=1.2, peak_s=1.22, peak_force=10.0, approach_speed=0.02, peak_interval=(9.0, 11.0))
+    touch = Touch(
+        axis="z",
+        sign=1,
+        cause=cause,
+        peak_s=1.0,
+        peak_force=30.0,
+        bounces_s=(1.1, 1.3, 1.5),
+        later_blows=(blow,) * count,
+    )
+    timeline = Timeline(phases=(), touches=(touch,))
+    first, *others = touch_rows(timeline)
+    assert first[touch_columns(timeline).index("later blows")] == (str(count) if count else "-")
+    assert [row[1] for row in others] == [f"later blow {i + 1}" for i in range(count)]

@@ -39,11 +39,6 @@ class StampReport:
     gaps: tuple[tuple[int, float], ...]
     lost: int
 
-    @property
-    def rate_hz(self) -> float:
-        """Return messages per second outside gaps, 0 where the period is."""
-        return 1.0 / self.period_s if self.period_s > 0.0 else 0.0
-
 
 def report_stamps(stamp_ns: StampArray) -> StampReport:
     """Measure the steps of (n,) stamps, n ≥ 2."""

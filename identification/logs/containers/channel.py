@@ -63,23 +63,28 @@ class Held:
 
 @dataclass(frozen=True, kw_only=True)
 class ChannelInfo:
-    """A channel, its number of messages, its rate over the whole log, and the frame in its first header.
+    """A channel, its number of messages, and the frame in its first header.
 
-    `columns` are the names that a table has, empty for messages. `has_header` says whether messages start with one.
+    `columns` are the names that a table has, empty for messages. `has_header` says whether messages start with one;
+    rows of a table may have no time, and then it is not `is_timed`.
     """
 
     channel: Channel
     count: int
-    rate_hz: float | None = None
+    is_timed: bool = True
     frame: str | None = None
     has_header: bool = False
     columns: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         """Name the channel for a list to choose from."""
+        return self.described()
+
+    def described(self, rate_hz: float | None = None) -> str:
+        """Name the channel, with its rate where its stamps were read."""
         facts = [self.channel.type_name or "no type", f"{self.count} messages"]
-        if self.rate_hz is not None:
-            facts.append(f"{self.rate_hz:.1f} Hz")
+        if rate_hz is not None:
+            facts.append(f"{rate_hz:.1f} Hz")
         if self.frame:
             facts.append(f"frame {self.frame}")
         return f"{self.channel.topic} ({', '.join(facts)})"

@@ -135,17 +135,15 @@ def _holding(batch: Batch, block: bytes) -> Batch:
 
 def build_infos(survey: Survey) -> tuple[ChannelInfo, ...]:
     """Return what is known of each channel of a survey; a first message that cannot be decoded has no frame."""
-    span_s = (survey.end_ns - survey.start_ns) / 1e9
-    infos = [_info(held, span_s) for held in survey.held]
+    infos = map(_info, survey.held)
     return tuple(sorted(infos, key=lambda info: (info.channel.topic, info.channel.type_name)))
 
 
-def _info(held: Held, span_s: float) -> ChannelInfo:
+def _info(held: Held) -> ChannelInfo:
     is_headed = _has_header(held.channel)
     return ChannelInfo(
         channel=held.channel,
         count=held.count,
-        rate_hz=(held.count - 1) / span_s if held.count > 1 and span_s > 0 else None,
         frame=_frame(held) if is_headed and held.count else None,
         has_header=is_headed,
     )

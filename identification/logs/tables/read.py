@@ -176,9 +176,9 @@ class TableLog:
         """The one channel."""
         log_ns = self._times.log_ns
         span_s = float(log_ns[-1] - log_ns[0]) / 1e9
-        rate_hz = (log_ns.size - 1) / span_s if span_s > 0 and self._is_timed else None
+        is_timed = span_s > 0 and self._is_timed
         return (
-            ChannelInfo(channel=self._times.channel, count=int(log_ns.size), rate_hz=rate_hz, columns=self.columns),
+            ChannelInfo(channel=self._times.channel, count=int(log_ns.size), is_timed=is_timed, columns=self.columns),
         )
 
     @cached_property

@@ -39,6 +39,19 @@ def test_a_complete_log_lacks_nothing(tmp_path: Path) -> None:
     assert camera.frame_ids == ("camera",)
 
 
+def test_a_topic_has_one_rate_wherever_it_is_named(tmp_path: Path) -> None:
+    """It is (messages − 1)/(last − first stamp), also where other topics begin before and end after it."""
+    late = wrench_stream(rate_hz=500.0, duration_s=0.2)
+    late = replace(late, stamp_ns=late.stamp_ns + 90_000_000, log_ns=late.log_ns + 90_000_000)
+    path = write_mcap(tmp_path / "run.mcap", [late, pose_stream()])
+    summary = inspect_log(path)
+    (candidate,) = next(role for role in summary.roles if role.role is Role.WRENCH).candidates
+    (channel,) = (channel for channel in summary.channels if Role.WRENCH in channel.roles)
+    assert candidate.rate_hz == channel.rate_hz == pytest.approx(500.0)
+    (chosen,) = (f.message for f in read_recording(path).findings if "The wrench is read" in f.message)
+    assert "(geometry_msgs/msg/WrenchStamped, 100 messages, 500.0 Hz, frame tool0)" in chosen
+
+
 def test_dropped_samples_are_counted(tmp_path: Path) -> None:
     full = wrench_stream()
     kept = np.delete(np.arange(200), [*range(50, 54), 120])

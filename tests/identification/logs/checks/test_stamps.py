@@ -28,7 +28,7 @@ def test_a_regular_clock_has_no_fault() -> None:
     assert faults(clock()) == []
     report = report_stamps(clock())
     assert (report.count, report.lost, report.gaps) == (1000, 0, ())
-    assert report.rate_hz == pytest.approx(1250.0, rel=1e-12)
+    assert report.period_s == pytest.approx(1.0 / 1250.0, rel=1e-12)
     assert report.jitter_std_s == report.jitter_worst_s == 0.0
 
 

@@ -44,7 +44,7 @@ def info(
     columns: tuple[str, ...] = (),
 ) -> ChannelInfo:
     channel = Channel(topic=topic, type_name=type_name, encoding=encoding, schema_encoding="ros2msg", schema=b"")
-    return ChannelInfo(channel=channel, count=count, rate_hz=200.0, frame=frame, has_header=True, columns=columns)
+    return ChannelInfo(channel=channel, count=count, frame=frame, has_header=True, columns=columns)
 
 
 FT, POSE = info("/ft", WRENCH_STAMPED), info("/pose", POSE_STAMPED)
@@ -159,8 +159,8 @@ def test_a_frame_chooses_among_channels() -> None:
 
 def test_candidates_are_listed_with_what_chooses() -> None:
     told = refused([FT, info("/ft2", WRENCH, count=7, frame=""), POSE])
-    assert "/ft (geometry_msgs/msg/WrenchStamped, 100 messages, 200.0 Hz, frame f)" in told
-    assert "/ft2 (geometry_msgs/msg/Wrench, 7 messages, 200.0 Hz)" in told
+    assert "/ft (geometry_msgs/msg/WrenchStamped, 100 messages, frame f)" in told
+    assert "/ft2 (geometry_msgs/msg/Wrench, 7 messages)" in told
     assert "--wrench-topic or `wrench: {topic: …}` in cell.yaml" in told
 
 
