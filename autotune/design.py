@@ -87,8 +87,8 @@ class Design(Shown):
     @property
     def before_after(self) -> dict[str, str]:
         """What the design changes, a sentence by axis: on the contacts of the log, and in free motion."""
-        told = self.controller.provenance.get("before_after", {})
-        texts = {name: str(told[name]["text"]) if name in told else NOTHING_BEFORE for name in self.gains}
+        recorded = self.controller.provenance.get("before_after", {})
+        texts = {name: str(recorded[name]["text"]) if name in recorded else NOTHING_BEFORE for name in self.gains}
         return {name: in_arguments(text) for name, text in texts.items()}
 
     def compare(

@@ -143,8 +143,8 @@ CASES = (
         push_n=0.0,
         or_else=(Fault.SPEED, Fault.ACCELERATION),
     ),
-    Case(fed="payload 20 % heavier than told", fault=Fault.RESIDUAL_WRENCH, change=_nothing, load=1.2),
-    Case(fed="payload 5 % heavier than told", fault=Fault.RESIDUAL_WRENCH, change=_nothing, load=1.05),
+    Case(fed="payload 20 % heavier than stated", fault=Fault.RESIDUAL_WRENCH, change=_nothing, load=1.2),
+    Case(fed="payload 5 % heavier than stated", fault=Fault.RESIDUAL_WRENCH, change=_nothing, load=1.05),
     Case(fed="no payload at the start", fault=Fault.RESIDUAL_WRENCH, change=_nothing, load=0.0),
     Case(
         fed="a number that is none",

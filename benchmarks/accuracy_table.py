@@ -1,4 +1,4 @@
-"""The page that tells how accurate and how honest identification is."""
+"""The page of how accurate and how honest identification is."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -44,7 +44,7 @@ Each is a cell as above whose recording lacks what the named parameters need. *R
 
 @dataclass(frozen=True, kw_only=True)
 class Run:
-    """One cell: its outcomes, or why its log was refused; `case` names what it cannot tell, if anything."""
+    """One cell: its outcomes, or why its log was refused; `case` names what it cannot determine, if anything."""
 
     seed: int
     case: str
@@ -132,17 +132,17 @@ def score(row: Row, outcomes: Sequence[Outcome]) -> Score:
 
 
 def all_targets_met(runs: Sequence[Run]) -> bool:
-    """Return whether nothing is missed, nothing hidden is claimed, and no log was refused that can tell."""
-    told = [run for run in runs if not run.case]
-    scores = [score(row, [o for run in told for o in run.outcomes]) for row in ROWS]
+    """Return whether nothing is missed, nothing hidden is claimed, and no log was refused that suffices."""
+    judged = [run for run in runs if not run.case]
+    scores = [score(row, [o for run in judged for o in run.outcomes]) for row in ROWS]
     claims = [claim for case in CASES for claim in wrong_claims(case, runs)]
-    return not claims and not any(each.misses for each in scores) and not any(run.refusal for run in told)
+    return not claims and not any(each.misses for each in scores) and not any(run.refusal for run in judged)
 
 
 def wrong_claims(case: Untold, runs: Sequence[Run]) -> list[Outcome]:
     """Return what is `identified` although the log hides it, and which is off by more than three deviations.
 
-    A value that is within its deviations is no harm: where a weak recording tells a little, that may be said.
+    A value that is within its deviations is no harm: where a weak recording shows a little, that may be said.
     """
     hidden = [o for run in runs if run.case == case.name for o in run.outcomes if o.name in case.hidden]
     return [o for o in hidden if o.status == "identified" and (o.deviations or 0.0) > 3.0]
@@ -184,7 +184,7 @@ def _line(each: Score) -> str:
 def _refused(runs: Sequence[Run]) -> Iterator[str]:
     refused = [run for run in runs if not run.case and run.refusal]
     if refused:
-        yield from ("Logs that were refused although they can tell:", "")
+        yield from ("Logs that were refused although they suffice:", "")
         yield from (f"- {run.seed}: {run.refusal}" for run in refused)
         yield ""
 

@@ -50,8 +50,8 @@ NARROW = Limits(
 
 def row_of(command: Command) -> bytes:
     """Return everything in a command as bits."""
-    told = (command.missing_mass_kg, command.is_started, command.phase, command.fault)
-    return np.array([*command.increment_S, *command.twist_S, *command.wrench_S, *told], dtype=np.float64).tobytes()
+    status = (command.missing_mass_kg, command.is_started, command.phase, command.fault)
+    return np.array([*command.increment_S, *command.twist_S, *command.wrench_S, *status], dtype=np.float64).tobytes()
 
 
 def compiled(controller: RuntimeController, folder: Path, name: str = "cell", *flags: str) -> Twin:
@@ -176,9 +176,9 @@ def main() -> int:
         good = all(row.is_noticed and row.same for row in rows)
         if asked.ticks:
             found = compare_random(asked.ticks, asked.seed, folder, *flags)
-            told = ", ".join(f"{fault.name} {count}" for fault, count in sorted(found.faults.items()))
+            counts = ", ".join(f"{fault.name} {count}" for fault, count in sorted(found.faults.items()))
             verdict = "the same bits" if found.differs_at is None else f"DIFFERENT at {found.differs_at}"
-            print(f"{found.ticks} random periods in Python and C: {verdict}; faults: {told}")
+            print(f"{found.ticks} random periods in Python and C: {verdict}; faults: {counts}")
             good = good and found.differs_at is None
     return 0 if good else 1
 

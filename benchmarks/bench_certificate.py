@@ -27,8 +27,8 @@ def main() -> None:
     for mass, slacks in (((16.0, 16.0), (0.1, 0.05, 0.03, 0.01)), ((14.0, 24.0), (0.1, 0.05, 0.03))):
         plants = PlantSet(nominal=PLANT, ranges={STIFFNESS: STIFFNESSES, MASS: mass})
         swept = sweep_margins(plants, LAW, PERIOD_S, stiffness=25, mass=3)
-        told = f"K_e {STIFFNESSES[0]:g} to {STIFFNESSES[1]:g} N/m, M_p {mass[0]:g} to {mass[1]:g} kg"
-        print(f"{told}: swept modulus {swept.values['modulus']:.4f}")
+        domain = f"K_e {STIFFNESSES[0]:g} to {STIFFNESSES[1]:g} N/m, M_p {mass[0]:g} to {mass[1]:g} kg"
+        print(f"{domain}: swept modulus {swept.values['modulus']:.4f}")
         family = Family(nominal=PLANT, ranges=plants.ranges, sample_time_s=PERIOD_S)
         claims: list[tuple[str, float | None]] = [
             (f"{100 * slack:4.1f} % slack", (1.0 - slack) * swept.values["modulus"]) for slack in slacks

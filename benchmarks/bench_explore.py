@@ -31,7 +31,7 @@ RESTS_S = 1.0
 # A slider is moved in the page, and the clock stops when the loop's new curve (or the new map) has arrived, and again
 # once a frame with it has been drawn.
 MOVE = """([slider, source, share]) => new Promise(done => {
-  const page = Bokeh.documents[0], knob = page.get_model_by_name(slider), shown = page.get_model_by_name(source);
+  const page = Bokeh.documents[0], control = page.get_model_by_name(slider), shown = page.get_model_by_name(source);
   const begin = performance.now(), gone = () => performance.now() - begin;
   const arrived = () => {
     shown.properties.data.change.disconnect(arrived);
@@ -39,7 +39,7 @@ MOVE = """([slider, source, share]) => new Promise(done => {
     requestAnimationFrame(() => requestAnimationFrame(() => done([has, gone()])));
   };
   shown.properties.data.change.connect(arrived);
-  knob.value = knob.start + share * (knob.end - knob.start);
+  control.value = control.start + share * (control.end - control.start);
 })"""
 READY = "() => window.Bokeh && Bokeh.documents[0] && Bokeh.documents[0].get_model_by_name('data-map').data.x.length > 0"
 
@@ -57,8 +57,8 @@ def main(arguments: list[str]) -> int:
             return 0
         print("until the browser                       has it: shortest  median   drew it: shortest  median ms")
         for name, times in round_trips(source, Path(folder)).items():
-            told = "".join(f"{min(each):18.1f}{statistics.median(each):8.1f}" for each in zip(*times, strict=True))
-            print(f"{name:38}{told}")
+            columns = "".join(f"{min(each):18.1f}{statistics.median(each):8.1f}" for each in zip(*times, strict=True))
+            print(f"{name:38}{columns}")
     return 0
 
 
@@ -101,11 +101,11 @@ def round_trips(source: Path, folder: Path) -> dict[str, list[list[float]]]:
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parent.parent)}
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=folder, env=environment) as server:
         assert server.stdout is not None
-        told = "".join(iter(server.stdout.readline, "}\n")) + "}"
+        answer = "".join(iter(server.stdout.readline, "}\n")) + "}"
         with sync_playwright() as tools:
             browser = tools.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
             page = browser.new_page(viewport={"width": 1280, "height": 900})
-            page.goto(json.loads(told)["url"])
+            page.goto(json.loads(answer)["url"])
             page.wait_for_function(READY)
             found: dict[str, list[list[float]]] = {}
             for name, slider, shown, figure in (

@@ -60,7 +60,7 @@ def main() -> int:
             for case in range(len(CASES))
             for seed in range(options.seed, options.seed + options.insufficient)
         ]
-        done = _tell(_run_all(jobs, options.processes), len(jobs), options.records)
+        done = _print_runs(_run_all(jobs, options.processes), len(jobs), options.records)
         runs = sorted(done, key=lambda run: (run.case, run.seed))
     text = page(runs)
     print(text)
@@ -98,8 +98,8 @@ def _identified(
             ).result
         except AutotuneError as error:
             return (), f"{type(error).__name__}: {error}".replace(folder, ""), ()
-    told = tuple(f"{f.severity} {f.code}: {f.message}" for f in found.findings if f.severity != "info")
-    return compare(drawn, found), "", told
+    findings = tuple(f"{f.severity} {f.code}: {f.message}" for f in found.findings if f.severity != "info")
+    return compare(drawn, found), "", findings
 
 
 def _run_all(jobs: Iterable[Callable[[], Run]], processes: int) -> Iterator[Run]:
@@ -109,7 +109,7 @@ def _run_all(jobs: Iterable[Callable[[], Run]], processes: int) -> Iterator[Run]
             yield future.result()
 
 
-def _tell(runs: Iterator[Run], count: int, records: Path | None) -> Iterator[Run]:
+def _print_runs(runs: Iterator[Run], count: int, records: Path | None) -> Iterator[Run]:
     """Tell of each run as it comes, and keep its numbers."""
     for number, run in enumerate(runs, 1):
         if records is not None:

@@ -62,7 +62,7 @@ def main() -> int:
 
 
 def measure(folder: Path, seconds: float, bare_mib: float) -> bool:
-    """Measure one log and tell whether the targets are met."""
+    """Measure one log and return whether the targets are met."""
     recording = simulate_cell(SimulatedCell(), program_of(seconds), seed=1).recording
     path = write_log(folder / f"log{seconds:.0f}.mcap", recording)
     signals = signals_of(recording)
@@ -128,7 +128,7 @@ class Cost:
 def run_alone(command: Sequence[str]) -> Cost:
     """Run a command and return what it took.
 
-    The memory is asked of the running process: what `wait4` tells begins with that of the process that started it.
+    The memory is asked of the running process: what `wait4` reports begins with that of the process that started it.
     """
     start, before, peak = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN), 0.0
     with subprocess.Popen(command, stdout=subprocess.DEVNULL) as process:

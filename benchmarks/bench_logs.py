@@ -57,14 +57,14 @@ def main() -> int:
     parser.add_argument("--memory-of", type=Path, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.memory_of is not None:
-        return tell_memory(options.memory_of)
+        return print_memory(options.memory_of)
     with tempfile.TemporaryDirectory() as folder:
         good = [run(Path(folder), name, options.seconds, whole=options.whole) for name in ("zstd", "lz4")]
     return 0 if all(good) else 1
 
 
 def run(folder: Path, compression: str, seconds: float, *, whole: bool) -> bool:
-    """Measure one compression and tell whether all targets are met."""
+    """Measure one compression and return whether all targets are met."""
     path = write_log(folder / f"{compression}.mcap", compression, seconds)
     share = 1 if whole else SHARE
     part = path if whole else write_log(folder / f"{compression}_part.mcap", compression, seconds / share)
@@ -182,7 +182,7 @@ def alike(first: Columns, second: Columns) -> bool:
     )
 
 
-def tell_memory(path: Path) -> int:
+def print_memory(path: Path) -> int:
     """Read a file once and print by how much the memory of this process grew at its highest."""
     before = status_mib("VmRSS")
     columns = read_ours(path)

@@ -13,7 +13,7 @@ Five parts (`--parts`), one process, one compiled evaluator:
 
 `--records FILE` keeps every number, a JSON object per line, added to what is there; `--from FILE` makes the tables of
 such a file again. Times are of the processor unless they are called wall: what other processes do then hardly counts.
-The exit code is 1 when a target is missed; which one is told on stderr.
+The exit code is 1 when a target is missed; which one is printed on stderr.
 """
 
 import os
@@ -43,7 +43,7 @@ from autotune.tuning.optimality_report import find_reference
 from autotune.tuning.search import solve_design
 from benchmarks.optimizer_authors import run_authors
 from benchmarks.optimizer_ipopt import run_ipopt
-from benchmarks.optimizer_judge import JUDGED, Trace, judge, screen_of, stand
+from benchmarks.optimizer_judge import JUDGED, Trace, judge, judge_trace, screen_of
 from benchmarks.optimizer_page import FIGURE, misses, put_between, tables
 from benchmarks.optimizer_polish import compare_polishes
 from benchmarks.optimizer_reference import bracket_best, check_densely, evolve_long
@@ -93,7 +93,7 @@ def main() -> int:
         records = []
         for part in options.parts:
             for record in runs[part]():
-                _tell(record, options.records)
+                _print_record(record, options.records)
                 records.append(record)
     text = tables(records)
     print(text)
@@ -194,8 +194,8 @@ def run_peers(options: argparse.Namespace) -> list[Record]:
     best = min(verdict.objective_n for verdict in judged if verdict.is_feasible)
     records = []
     for name, seed, trace, seconds in traces:
-        standing = stand(trace, screen, best)
-        final = standing.final
+        outcome = judge_trace(trace, screen, best)
+        final = outcome.final
         records.append(
             _record(
                 "peer",
@@ -203,13 +203,13 @@ def run_peers(options: argparse.Namespace) -> list[Record]:
                 seed=seed,
                 budget_s=options.budget,
                 best_n=best,
-                to_one_percent_s=standing.to_one_percent_s,
+                to_one_percent_s=outcome.to_one_percent_s,
                 cpu_s=seconds,
                 value_n=None if final is None else final.objective_n,
                 is_stable=final is not None and final.is_stable,
                 violation=None if final is None else final.violation,
                 design=trace.incumbents[-1].design.tolist() if trace.incumbents else None,
-                note=standing.note,
+                note=outcome.note,
             )
         )
     return records
@@ -256,7 +256,7 @@ def _record(part: str, **values: Any) -> Record:
     return {"part": part, **values}
 
 
-def _tell(record: Record, path: Path | None) -> None:
+def _print_record(record: Record, path: Path | None) -> None:
     line = json.dumps(record)
     print(line[:300], file=sys.stderr, flush=True)
     if path is not None:

@@ -39,7 +39,7 @@ def main() -> int:
 
 
 def measure(folder: Path, seconds: float) -> bool:
-    """Measure one log and tell whether the targets are met."""
+    """Measure one log and return whether the targets are met."""
     log = write_log(
         folder / f"log{seconds:.0f}.mcap", simulate_cell(SimulatedCell(), program_of(seconds), seed=1).recording
     )

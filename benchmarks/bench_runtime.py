@@ -90,12 +90,12 @@ int main(int count, char **words)
 
 def main() -> int:
     controller = example()
-    _tell("Python step", _python_s(controller))
+    _print_time("Python step", _python_s(controller))
     if shutil.which("gcc") is None:
         print("no gcc: the C was not measured")
     else:
-        _tell("C step (gcc -O2)", _c_s(controller))
-    _tell_processes()
+        _print_time("C step (gcc -O2)", _c_s(controller))
+    _print_processes()
     return 0
 
 
@@ -162,11 +162,11 @@ def _c_s(controller: RuntimeController) -> float:
     return min(float(run.stdout.split()[0]) for run in runs)
 
 
-def _tell(what: str, seconds: float) -> None:
+def _print_time(what: str, seconds: float) -> None:
     print(f"{what:<22}{seconds * 1e6:9.3f} µs   {100.0 * seconds / PERIOD_S:8.4f} % of the period")
 
 
-def _tell_processes() -> None:
+def _print_processes() -> None:
     for what in ("autotune.runtime", "numpy", "autotune.formats.controller"):
         code = f"import time; t = time.perf_counter(); import {what}; print(time.perf_counter() - t)"
         runs = [subprocess.run([sys.executable, "-c", code], check=True, capture_output=True) for _ in range(PROCESSES)]

@@ -13,9 +13,9 @@ RUNS = 15
 
 def main() -> int:
     empty = _median([sys.executable, "-c", "pass"])
-    told = _median([sys.executable, "-m", "autotune", "--help"])
+    help_s = _median([sys.executable, "-m", "autotune", "--help"])
     print(f"python -c pass        {empty * 1e3:7.1f} ms")
-    print(f"autotune --help       {told * 1e3:7.1f} ms   ({told / empty:.1f} times the empty interpreter)")
+    print(f"autotune --help       {help_s * 1e3:7.1f} ms   ({help_s / empty:.1f} times the empty interpreter)")
     return 0
 
 

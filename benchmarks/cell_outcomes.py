@@ -16,7 +16,7 @@ from problems.model.robot import RobotModel
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """One parameter of one cell; `value` and `std` are None where the log does not tell.
+    """One parameter of one cell; `value` and `std` are None where the log does not show it.
 
     `size` is what errors are counted in: the truth for shares, 1 mm for a centre of mass, a period for a delay.
     """
@@ -111,16 +111,16 @@ def _axis_outcomes(drawn: DrawnCell, axis: AxisEstimate | None) -> Iterator[Outc
 def surface_outcomes(drawn: DrawnCell, found: Sequence[EnvironmentEstimate]) -> Iterator[Outcome]:
     """Pair surfaces by their secants, as a whole; what is found beyond the true ones is an outcome of its own."""
     coupling = drawn.cell.coupling.stiffness_n_per_m
-    told = [e for e in found if e.secant_stiffness_n_per_m.value is not None]
+    valued = [e for e in found if e.secant_stiffness_n_per_m.value is not None]
     secants = [_series(coupling, surface.stiffness_n_per_m) for surface in drawn.surfaces]
     apart = np.array(
-        [[abs(np.log(float(e.secant_stiffness_n_per_m.value or np.nan) / s)) for e in told] for s in secants]
-    ).reshape(len(secants), len(told))
-    pairs = {int(i): int(j) for i, j in zip(*linear_sum_assignment(apart), strict=True)} if told else {}
+        [[abs(np.log(float(e.secant_stiffness_n_per_m.value or np.nan) / s)) for e in valued] for s in secants]
+    ).reshape(len(secants), len(valued))
+    pairs = {int(i): int(j) for i, j in zip(*linear_sum_assignment(apart), strict=True)} if valued else {}
     for i, surface in enumerate(drawn.surfaces):
-        yield from _one_surface(drawn, surface, secants[i], told[pairs[i]] if i in pairs else None)
+        yield from _one_surface(drawn, surface, secants[i], valued[pairs[i]] if i in pairs else None)
     taken = set(pairs.values())
-    for j, extra in enumerate(told):
+    for j, extra in enumerate(valued):
         if j not in taken and extra.stiffness_n_per_m.value is not None:
             # A surface that is not there: nothing true stands beside it.
             yield Outcome(

@@ -143,7 +143,7 @@ def solution_noter(trace: Trace) -> Callable[[FloatArray], None]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Standing:
+class TraceOutcome:
     """A peer's run in the judge's eyes: `to_one_percent_s` is infinite where it never came that close."""
 
     to_one_percent_s: float
@@ -152,13 +152,13 @@ class Standing:
     note: str
 
 
-def stand(trace: Trace, screen: BatchEvaluator, best_n: float) -> Standing:
+def judge_trace(trace: Trace, screen: BatchEvaluator, best_n: float) -> TraceOutcome:
     """Judge what a peer found: the first feasible design within 1 % of `best_n`, and the last one."""
     verdicts = [(each.seconds, judge(screen, each.design)) for each in trace.incumbents]
     close = [seconds for seconds, verdict in verdicts if verdict.is_feasible and verdict.objective_n <= 1.01 * best_n]
     feasible = [verdict for _, verdict in verdicts if verdict.is_feasible]
     last = verdicts[-1][1] if verdicts else None
-    return Standing(
+    return TraceOutcome(
         to_one_percent_s=min(close, default=np.inf),
         final=min(feasible, key=lambda verdict: verdict.objective_n) if feasible else last,
         seconds=trace.clock.seconds(),

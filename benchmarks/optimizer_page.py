@@ -30,26 +30,26 @@ def put_between(page: str, text: str) -> str:
 
 def misses(records: Sequence[Record]) -> list[str]:
     """Tell which targets are missed, and by what."""
-    told = []
+    misses = []
     for each in _part(records, "problem"):
         name = f"problem {each['seed']}"
         if each["refused"]:
             if each["rival_holds"]:
-                told.append(f"{name}: refused, but a design that holds was found ({each['reference_n']:.2f} N)")
+                misses.append(f"{name}: refused, but a design that holds was found ({each['reference_n']:.2f} N)")
             continue
         if each["gap"] is not None and each["gap"] > WITHIN:
-            told.append(f"{name}: {100.0 * each['gap']:.2f} % above the long differential evolution")
+            misses.append(f"{name}: {100.0 * each['gap']:.2f} % above the long differential evolution")
         if each["unstable"] or each["worst"] > 1.0 + 1e-9:
-            told.append(
+            misses.append(
                 f"{name}: {each['unstable']} unstable, {each['worst_name']} {each['worst']:.6f} of what is allowed"
             )
         if each["cpu_s"] > SECONDS:
-            told.append(f"{name}: {each['cpu_s']:.1f} s of processor time")
-    told += ["two runs with one seed differ" for each in _part(records, "bits") if len(set(each["sha256"])) > 1]
+            misses.append(f"{name}: {each['cpu_s']:.1f} s of processor time")
+    misses += ["two runs with one seed differ" for each in _part(records, "bits") if len(set(each["sha256"])) > 1]
     for each in _part(records, "peer"):
         if each["name"] == "autotune" and each["cpu_s"] > SECONDS:
-            told.append(f"the paper's cell: {each['cpu_s']:.1f} s of processor time")
-    return told
+            misses.append(f"the paper's cell: {each['cpu_s']:.1f} s of processor time")
+    return misses
 
 
 def _problems(records: Sequence[Record]) -> str:

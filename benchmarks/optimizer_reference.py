@@ -80,7 +80,7 @@ def evolve_long(
 
 @dataclass(frozen=True, kw_only=True)
 class Bracket:
-    """What the best over the dense grid lies between, as far as the evolutions tell.
+    """What the best over the dense grid lies between, as far as the evolutions show.
 
     `low` over fewer scenarios, hence too low; `high_n` the worst peak [N] of its design over the whole grid, infinite
     where that design does not hold there; `scenarios` that were needed, `evaluations` of all rounds.

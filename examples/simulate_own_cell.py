@@ -36,8 +36,8 @@ def main(arguments: list[str]) -> int:
         ("K_e [N/m]", cell.environment.stiffness_n_per_m, axis.environments[0].stiffness_n_per_m),
         ("T_d [s]", cell.robot.delay_s, axis.robot.delay_s),
     ):
-        told = "-" if estimate.value is None else f"{estimate.value:10.6g} ± {estimate.std:.2g}"
-        print(f"{name:10} true {truth:10.6g}  identified {told} ({estimate.status})")
+        shown = "-" if estimate.value is None else f"{estimate.value:10.6g} ± {estimate.std:.2g}"
+        print(f"{name:10} true {truth:10.6g}  identified {shown} ({estimate.status})")
     if arguments:
         write_mcap(run.recording, Path(arguments[0]))
         print(f"written: {arguments[0]}")

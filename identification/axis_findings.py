@@ -143,7 +143,7 @@ def payload_findings(axis: str, fit: JointFit) -> list[Finding]:
             Finding.warning(
                 "payload-unclear",
                 f"Axis {axis}: there is something beside one mass on one spring, dry friction in the coupling or a "
-                "part that swings; the log does not tell how much of which, so neither has a value.",
+                "part that swings; the log does not show how much of which, so neither has a value.",
                 _NOT_DESIGNED_FOR,
             )
         )

@@ -17,7 +17,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # The tests run beside each other already: processes inside a test would import everything once more.
 os.environ.setdefault("PYTHON_CPU_COUNT", "1")
 
-# What is told to the tests is told to a pipe, whatever their user likes to see.
+# What is printed in tests is printed to a pipe, whatever their user likes to see.
 for _name in ("NO_COLOR", "FORCE_COLOR", "CLICOLOR", "CLICOLOR_FORCE", "COLUMNS"):
     os.environ.pop(_name, None)
 

@@ -22,7 +22,7 @@ from identification.signals.recording import PoseSignal, Recording, WrenchSignal
 from tests.autotune.simulation.runs import silent
 from tests.autotune.simulation.test_identified_again import at_other_rates
 from tests.identification.logs.log_builder import Options, Stream, write_mcap
-from tests.told import is_next_alone
+from tests.next_step import is_next_alone
 
 RunCli = Callable[..., "subprocess.CompletedProcess[str]"]
 PROMISED = 0.05
@@ -171,7 +171,7 @@ def test_from_a_log_to_an_exported_controller(run_process: RunCli, tmp_path: Pat
     assert read_controller(tmp_path / "cell.json").checksum == exported["checksum"]
 
 
-def test_topics_that_tell_nothing_are_asked_for_and_taken_from_the_options(
+def test_topics_that_show_nothing_are_asked_for_and_taken_from_the_options(
     run_cli: RunCli, tmp_path: Path, opaque_log: Path
 ) -> None:
     refused = run_cli("identify", opaque_log)
@@ -193,9 +193,9 @@ def test_recorded_bags_are_described_truly_and_refused_with_a_reason(
     log = shared_data / "nj60" / name
     if not log.is_file():
         pytest.skip(f"needs {name}")
-    told = run_cli("inspect", log)
-    assert told.returncode == 0
-    assert is_next_alone(told.stderr)
+    output = run_cli("inspect", log)
+    assert output.returncode == 0
+    assert is_next_alone(output.stderr)
     for expected in (
         "/robot_state is a JointState with 6 position, ",
         "a layout has to be declared in cell.yaml before it can serve as pose or wrench",
@@ -204,7 +204,7 @@ def test_recorded_bags_are_described_truly_and_refused_with_a_reason(
         "has no channel for the wrench",
         "has no channel for the commanded pose",
     ):
-        assert expected in told.stdout
+        assert expected in output.stdout
     refused = run_cli("identify", log)
     assert (refused.returncode, refused.stdout, refused.stderr.count("\n")) == (3, "", 1)
     assert "no channel for the wrench: it needs geometry_msgs/msg/WrenchStamped" in refused.stderr

@@ -54,11 +54,11 @@ def test_the_examples_of_the_python_page_run(
     assert "predicted contacts of axis x" in printed(chain)
     assert isinstance(at.load("controller.yaml"), at.Design)
     assert "robot.delay" in printed(written)
-    told = re.fullmatch(r"modulus margin (0\.\d{3}), peak (\d+\.\d) N\n", printed(below))
-    assert told is not None
+    message = re.fullmatch(r"modulus margin (0\.\d{3}), peak (\d+\.\d) N\n", printed(below))
+    assert message is not None
     # docs/method.md, erratum 4: K_l = 0 is unstable here; with lead the loop is stable, so both are numbers here.
-    assert 0.0 < float(told[1]) < 1.0
-    assert float(told[2]) > 30.0  # the peak is above the force that drives the approach
+    assert 0.0 < float(message[1]) < 1.0
+    assert float(message[2]) > 30.0  # the peak is above the force that drives the approach
 
 
 def test_every_link_to_a_file_leads_somewhere(repository: Path) -> None:

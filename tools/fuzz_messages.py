@@ -91,7 +91,7 @@ def main() -> int:
     random = np.random.default_rng(options.seed)
     targets = [build_target(name, encoding) for name in TYPES for encoding in ENCODINGS]
     check_that_indices_are_checked(targets[0])
-    told: Counter[str] = Counter()
+    counts: Counter[str] = Counter()
     stop = time.monotonic() + options.seconds
     while time.monotonic() < stop:
         target = targets[random.integers(len(targets))]
@@ -103,12 +103,12 @@ def main() -> int:
         for _ in range(20):
             data = mutate(random, sound)
             try:
-                told[examine(target, data)] += 1
-                told["records"] += examine_records(random, data)
+                counts[examine(target, data)] += 1
+                counts["records"] += examine_records(random, data)
             except (FaultError, IndexError) as fault:
                 print(f"{target.channel.type_name} {target.encoding} {data.hex()}: {fault!r}", file=sys.stderr)
                 return 1
-    print(", ".join(f"{count} {what}" for what, count in sorted(told.items())))
+    print(", ".join(f"{count} {what}" for what, count in sorted(counts.items())))
     return 0
 
 
@@ -238,7 +238,7 @@ def pick(thing: Any, path: str) -> Any:
 
 
 def examine_records(random: np.random.Generator, data: bytes) -> bool:
-    """Walk the same bytes as records of a chunk, some behind a sound frame; tell whether they were taken."""
+    """Walk the same bytes as records of a chunk, some behind a sound frame; return whether they were taken."""
     if random.integers(2):
         data = b"\5" + (22 + len(data)).to_bytes(8, "little") + bytes(22) + data
         data = mutate(random, data + data)

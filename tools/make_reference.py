@@ -134,23 +134,23 @@ class Schema:
             return ", ".join(f"`{json.dumps(value)}`" for value in node["enum"])
         if "type" in node:
             names = [node["type"]] if isinstance(node["type"], str) else node["type"]
-            told = " or ".join(TYPES[name] for name in names)
+            kinds = " or ".join(TYPES[name] for name in names)
             items = self._resolved(node["items"]) if "items" in node else {}
-            return f"{told} of: {self._type(items)}" if items and not _has_entries(items) else told
+            return f"{kinds} of: {self._type(items)}" if items and not _has_entries(items) else kinds
         choices = [self._resolved(each) for each in (*node.get("anyOf", ()), *node.get("oneOf", ()))]
         return " or ".join(dict.fromkeys(self._type(each) for each in choices)) or "anything"
 
     def _rule(self, node: dict[str, Any]) -> str:
-        told = [words.format(_number(node[key])) for key, words in BOUNDS if key in node]
+        rules = [words.format(_number(node[key])) for key, words in BOUNDS if key in node]
         if node.get("minItems", 0) == node.get("maxItems"):
-            told.append(f"{node['minItems']} entries")
+            rules.append(f"{node['minItems']} entries")
         else:
-            told += [words.format(_number(node[key])) for key, words in SIZES if key in node]
+            rules += [words.format(_number(node[key])) for key, words in SIZES if key in node]
         items = self._resolved(node["items"]) if "items" in node else {}
-        told += [f"each {words.format(_number(items[key]))}" for key, words in BOUNDS if key in items]
+        rules += [f"each {words.format(_number(items[key]))}" for key, words in BOUNDS if key in items]
         if "description" in node:
-            told.append(str(node["description"]).replace("|", "\\|"))
-        return "; ".join(told)
+            rules.append(str(node["description"]).replace("|", "\\|"))
+        return "; ".join(rules)
 
 
 def _has_entries(node: dict[str, Any]) -> bool:
@@ -160,7 +160,7 @@ def _has_entries(node: dict[str, Any]) -> bool:
 
 
 def _unit(name: str, node: dict[str, Any]) -> str:
-    """Return the unit that the end of a name tells, of numbers only."""
+    """Return the unit that the end of a name gives, of numbers only."""
     if node.get("type") in ("string", "boolean"):
         return ""
     if name in TWO_UNITS and node.get("type") in ("number", "array"):

@@ -67,14 +67,14 @@ def shoot_explore(browser: Any, controller: Path, folder: Path) -> None:
     # Beside the controller, so that the picture shows no path of this machine.
     beside: dict[str, Any] = {"cwd": controller.parent, "env": {**os.environ, "PYTHONPATH": str(ROOT)}}
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, **beside) as server:
-        told = ""
-        while not told.endswith("}\n"):
+        answer = ""
+        while not answer.endswith("}\n"):
             line = "" if server.stdout is None else server.stdout.readline()
             if not line:
-                raise SystemExit("autotune explore ended before it told its address.")
-            told += line
+                raise SystemExit("autotune explore ended before it printed its address.")
+            answer += line
         page = browser.new_page(viewport={"width": 1280, "height": 1000}, color_scheme="light")
-        page.goto(json.loads(told)["url"])
+        page.goto(json.loads(answer)["url"])
         page.wait_for_function(READY, timeout=60_000)
         page.wait_for_timeout(1500)
         page.screenshot(path=folder / "explore.png")

@@ -72,7 +72,7 @@ def command(output: Output, source: Path, out: Path, problem: Path | None, port:
 
     def ready(address: str) -> None:
         nonlocal is_there
-        _tell(output, exploration, target, address)
+        _print_target(output, exploration, target, address)
         is_there = True
         if wants:
             click.launch(address)
@@ -109,7 +109,7 @@ def _noticed_interrupts() -> Iterator[list[int]]:
         signal.signal(signal.SIGINT, before)
 
 
-def _tell(output: Output, exploration: "Exploration", target: "Target", address: str) -> None:
+def _print_target(output: Output, exploration: "Exploration", target: "Target", address: str) -> None:
     for name, start in exploration.axes.items():
         if start.note:
             output.note(f"axis {name}: {start.note}")

@@ -161,7 +161,7 @@ def command(
     wanted, sources = TARGETS.get(target or ""), [each for each in (identified, problem, old) if isinstance(each, Path)]
     check_target(out, [path for path in sources if path != old], kind="controller")
     check_report(report, [*sources, out])
-    fronts, seen, reached = FrontWriter(pareto, out), list["IdentifiedFile"](), None
+    fronts, seen, rendered = FrontWriter(pareto, out), list["IdentifiedFile"](), None
     with report_refusal(output, report, sources, lambda error: _refused_page(error, seen)):
         plant = read_plant(identified)
         seen.append(plant)
@@ -178,17 +178,17 @@ def command(
                 step=lambda doing: advance(0.0, f"searching {doing}".rstrip()), progress=advance,
             ))  # fmt: skip
         if target is not None:
-            found, reached = _certified_for(output, target, found, out)
+            found, rendered = _certified_for(output, target, found, out)
         fronts.trace(output, found)
         with output.replacing(out, "controller"):
             checksum = write_controller(out, found.controller)
         fronts.write(found)
     for note in found.controller.provenance.get("notes", ()):
         output.note(note)
-    tree = _tree(found, present, fronts, reached)
+    tree = _tree(found, present, fronts, rendered)
     tree |= write_report(output, report, lambda: _page(found, checksum, present, fronts))
 
-    output.result(tree, lambda: _print_all(found, out, short(checksum), present, fronts, report, reached))
+    output.result(tree, lambda: _print_all(found, out, short(checksum), present, fronts, report, rendered))
     # Ranges that were said may leave out what was identified, and a plant of a person has no estimates to hold against.
     is_said = plant.domain or found.compliance or spec.payload_mass or spec.environment_stiffness
     validation = ("validate", out, *(() if is_said else ("--identified", identified)))
@@ -196,7 +196,7 @@ def command(
 
 
 def _tree(
-    found: "Optimized", present: "PresentGains | None", fronts: FrontWriter, reached: "Rendered | None"
+    found: "Optimized", present: "PresentGains | None", fronts: FrontWriter, rendered: "Rendered | None"
 ) -> dict[str, Any]:
     """Return what `--json` says of the design."""
     from autotune.formats.controller import controller_tree
@@ -205,8 +205,8 @@ def _tree(
     if present is not None:
         tree["compare"] = compare_tree(present, found.compared)
     tree["before_after"] = {name: each.to_dict() for name, each in found.before_after.items()}
-    if reached is not None:
-        tree["for"] = {"target": found.controller.provenance["options"]["for"], **reached.tree}
+    if rendered is not None:
+        tree["for"] = {"target": found.controller.provenance["options"]["for"], **rendered.tree}
     return tree | ({"pareto": fronts.tree} if fronts.tree else {})
 
 
@@ -218,33 +218,33 @@ def _certified_for(output: Output, target: str, found: "Optimized", out: Path) -
     made = found.controller
     provenance = {**made.provenance, "options": {**made.provenance["options"], "for": target}}
     if lacking := lacking_gains(TARGETS[target], made):
-        told = (
+        note = (
             f"Our own law cannot do this without {' and '.join(lacking)}, so the gains of this file have what {target} "
             f"lacks; its law does it without."
         )
-        provenance["notes"] = [*provenance.get("notes", ()), told]
+        provenance["notes"] = [*provenance.get("notes", ()), note]
     noted = replace(made, provenance=provenance)
     with output.progress(f"certifying for {target}", 1.0) as advance:
-        reached = certify_for(TARGETS[target], noted, out, advance)
+        rendered = certify_for(TARGETS[target], noted, out, advance)
     before_after = {
         name: each.designed_for(
             AsRunBy(
                 target=target,
-                peak=reached.tree["axes"][name]["peak_contact_force"],
-                own_peak=reached.tree["axes"][name]["peak_contact_force_before"],
+                peak=rendered.tree["axes"][name]["peak_contact_force"],
+                own_peak=rendered.tree["axes"][name]["peak_contact_force_before"],
             )
         )
         for name, each in found.before_after.items()
     }
     provenance["before_after"] = {name: each.to_dict() for name, each in before_after.items()}
     done = replace(noted, provenance=provenance)
-    return replace(found, controller=done, before_after=before_after), reached
+    return replace(found, controller=done, before_after=before_after), rendered
 
 
-def _print_target(found: "Optimized", reached: "Rendered") -> None:
+def _print_target(found: "Optimized", rendered: "Rendered") -> None:
     """Print what the target will run, axis by axis."""
     print_message(f"As {found.controller.provenance['options']['for']} runs it, certified:")
-    for line in reached.lines:
+    for line in rendered.lines:
         if line.startswith("axis "):
             print_message(line, indent="  ")
 
@@ -256,11 +256,11 @@ def _print_all(
     present: "PresentGains | None",
     fronts: FrontWriter,
     report: Path | None,
-    reached: "Rendered | None",
+    rendered: "Rendered | None",
 ) -> None:
     print_optimized(found, out, checksum, present)
-    if reached is not None:
-        _print_target(found, reached)
+    if rendered is not None:
+        _print_target(found, rendered)
     fronts.print()
     print_report_path(report)
 

@@ -41,16 +41,16 @@ const explore = (() => {
   const numberAt = slider => String(Number((spanOf(slider).logarithmic ? 10 ** slider.value : slider.value).toPrecision(6)));
 
   // A number that is typed moves the slider, and the slider changes the number; what is none is put back.
-  function joinField(knob) {
-    const slider = page().get_model_by_name(knob.dataset.knob);
-    const field = knob.querySelector("input"), told = knob.querySelector("p");
+  function joinField(control) {
+    const slider = page().get_model_by_name(control.dataset.control);
+    const field = control.querySelector("input"), message = control.querySelector("p");
     const said = text => {
-      told.textContent = text;
+      message.textContent = text;
       field.setAttribute("aria-invalid", String(text !== ""));
     };
     const follow = () => {
-      knob.hidden = !slider.visible;
-      if (knob.hidden) return;
+      control.hidden = !slider.visible;
+      if (control.hidden) return;
       field.setAttribute("aria-label", slider.title);
       field.value = numberAt(slider);
     };
@@ -160,7 +160,7 @@ const explore = (() => {
 
   function begin() {
     labelSliders();
-    document.querySelectorAll(".knob").forEach(joinField);
+    document.querySelectorAll(".control").forEach(joinField);
     watchKept();
     watchView();
     dress();
@@ -175,7 +175,7 @@ const explore = (() => {
       if (model.name in answered) model.setv({ value: answered[model.name] }, { sync: false });
       if ("disabled" in model && ("value" in model || "label" in model)) model.setv({ disabled: true }, { sync: false });
     }
-    for (const field of document.querySelectorAll(".knob input")) field.disabled = true;
+    for (const field of document.querySelectorAll(".control input")) field.disabled = true;
     const status = page().get_model_by_name("status");
     if (status.text.includes("busy")) {
       const text = '<p class="bad">The server ended before the save was reported: check whether the file is written.</p>';

@@ -196,8 +196,8 @@ class ExplorePage:
             low, high = span.ends
             form = CustomJSTickFormatter(code=_LOGARITHMIC if span.logarithmic else _PLAIN)
             # What a number that is typed beside it means.
-            told = {"logarithmic": span.logarithmic, "low": span.low, "high": span.high}
-            slider.update(title=span.title, start=low, end=high, step=(high - low) / STEPS, format=form, tags=[told])
+            scale = {"logarithmic": span.logarithmic, "low": span.low, "high": span.high}
+            slider.update(title=span.title, start=low, end=high, step=(high - low) / STEPS, format=form, tags=[scale])
         self.is_updating = False
 
     def _set_sliders(self) -> None:
@@ -356,10 +356,10 @@ class ExplorePage:
         prepared, design = self._prepare(), self.designs[self.axis]
         found = find_way_back(prepared, design, self.start.design, self.map)
         if found is None:
-            told = (
+            warning = (
                 "Neither the way to the start nor the map has a design that meets everything: search, or ask for less."
             )
-            self.searcher.say(words.line("warn", told))
+            self.searcher.say(words.line("warn", warning))
             return
         self._take(found.design)
         self.searcher.say(words.line("good", f"Moved to {found.found}."))

@@ -285,8 +285,8 @@ def changed_lines(exploration: Exploration) -> str:
     asked = exploration.provenance["options"].get(ASKED_BY_HAND)
     if asked is None:
         return ""
-    told = plain_line("Its certificate states what is asked here, which differs from the file. In problem.yaml:")
-    return f"{told}<pre>{escape(dump_yaml(asked))}</pre>"
+    notice = plain_line("Its certificate states what is asked here, which differs from the file. In problem.yaml:")
+    return f"{notice}<pre>{escape(dump_yaml(asked))}</pre>"
 
 
 def held_line(path: Path, existing: str) -> str:

@@ -18,7 +18,7 @@ from .saving import run_in_thread
 from .words import line
 
 _LABEL = "Optimize from here"
-# How often progress is told.
+# How often progress is shown.
 _EVERY_S = 0.25
 
 
@@ -94,30 +94,30 @@ class Searcher:
             )
             if cancelled.is_set():
                 raise SearchCancelledError
-            told = line("good", self._done(task, found))
+            message = line("good", self._done(task, found))
         except SearchCancelledError:
-            told = line("quiet", "The search was cancelled; the gains are as they were.")
+            message = line("quiet", "The search was cancelled; the gains are as they were.")
         except AutotuneError as error:
-            told = line("bad", f"Nothing found. {error}")
+            message = line("bad", f"Nothing found. {error}")
         finally:
             self._cancelled, self.button.label = None, _LABEL
-        self._show(told)
+        self._show(message)
 
     def _progress(self, cancelled: threading.Event) -> Callable[[float], None]:
-        """Return what the search tells its progress to; it raises SearchCancelledError once it is cancelled."""
-        share, told = 0.0, time.monotonic()
+        """Return the progress callback of the search; it raises SearchCancelledError once it is cancelled."""
+        share, shown_at = 0.0, time.monotonic()
 
-        def tell() -> None:
+        def show() -> None:
             if self._cancelled is not None and not self._cancelled.is_set():
                 self.button.label = f"Cancel the search ({share:.0%})"
 
         def progress(more: float) -> None:
-            nonlocal share, told
+            nonlocal share, shown_at
             if cancelled.is_set():
                 raise SearchCancelledError
             share = min(share + more, 1.0)
-            if time.monotonic() - told > _EVERY_S:
-                told = time.monotonic()
-                self._document.add_next_tick_callback(tell)
+            if time.monotonic() - shown_at > _EVERY_S:
+                shown_at = time.monotonic()
+                self._document.add_next_tick_callback(show)
 
         return progress

@@ -53,7 +53,7 @@ SECURITY_HEADERS = {
     "Cross-Origin-Resource-Policy": "same-origin",
     "Cross-Origin-Opener-Policy": "same-origin",
 }
-"""What every answer tells the browser: load from here only, be shown in no frame, and tell nobody the address."""
+"""Headers of every answer: load from here only, be shown in no frame, and send nobody the address."""
 
 
 def serve(exploration: Exploration, target: Target, *, port: int, ready: Callable[[str], None]) -> None:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 _PACKAGE = re.compile(r"[a-z](?:_?[a-z0-9]){1,39}")
 _INTERFACES = ("position", "velocity")
 _KINEMATICS_FAILED, _INTERFACE_FAILED = 100, 101
-# The file of the package that each template makes; $ stands for the package's name.
+# The file of the package that each template makes; $ is the package's name.
 _TEMPLATES = {
     "package.xml": "package.xml.in",
     "CMakeLists.txt": "CMakeLists.txt.in",
@@ -91,7 +91,7 @@ def config_tree(controller: "RuntimeController", package: str, options: PackageO
             "force_bias_n": list(payload.force_bias_S_n),
             "torque_bias_n_m": list(payload.torque_bias_S_n_m),
             "gravity_m_s2": list(payload.gravity_W_m_s2),
-            # Of no payload: where a turning axis is tuned, the controller refuses until it is told.
+            # Of no payload: where a turning axis is tuned, the controller refuses until it is given.
             "inertia_kg_m2": [0.0, 0.0, 0.0],
         },
     }

@@ -93,7 +93,7 @@ def needed_accelerations(made: MdkExport) -> Mapping[str, float]:
 
 
 def notes(made: MdkExport) -> Iterator[str]:
-    """Say what goes before this script, what the robot must be told, and what the script does of itself."""
+    """Say what goes before this script, what must be set at the robot, and what the script does of itself."""
     yield (
         "This is the call alone. Put admittance_control.script of UniversalRobots/URScript_Examples (commit a16766a) "
         "in front of it, without the lines below '# Run the admittance control function' at its end, which start it "

@@ -218,7 +218,7 @@ def _role_lines(role: RoleSummary, guessed: Sequence[Entry]) -> Iterator[str]:
         yield f"# The log has no channel for `{role.entry}`."
         return
     yield f"# Which of these is `{role.entry}`?"
-    yield from (f"#   {_plain(_told(candidate))}" for candidate in role.candidates)
+    yield from (f"#   {_plain(_candidate_text(candidate))}" for candidate in role.candidates)
     yield f"# {role.entry}:"
     yield f"#   topic: {_quoted(role.candidates[0].topic if len(role.candidates) == 1 else '…')}"
     if role.needs_fields:
@@ -232,7 +232,7 @@ def _questions(role: RoleSummary, start: str, answered: Collection[str] = ()) ->
     yield from (f"{start}{entry:{width}}  # {choices}" for entry, choices in questions)
 
 
-def _told(candidate: Candidate) -> str:
+def _candidate_text(candidate: Candidate) -> str:
     rate = "" if candidate.rate_hz is None else f", {candidate.rate_hz:.1f} Hz"
     frame = f", frame {candidate.frame}" if candidate.frame else ""
     return f"{candidate.topic} ({candidate.type or 'no type'}, {candidate.count} messages{rate}{frame})"

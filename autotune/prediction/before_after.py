@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from autotune.charts.show import AxesLike
 
-# Free motion that changes by less, and speeds that differ by less, are told as the same.
+# Free motion that changes by less, and speeds that differ by less, count as the same.
 _SAME_SHARE, _SAME_SPEED = 0.005, 0.1
 _SETTLED_SHARE = 0.02
 # A plant without deviations predicts an interval without width: peaks that close to it are no contradiction.
@@ -175,8 +175,8 @@ class BeforeAndAfter(Shown):
         """
         first = self.surfaces[0].text() if self.surfaces else self._worst_text()
         target = "" if self.as_run_by is None else self.as_run_by.text(self.axis)
-        doubt = self.surfaces[0].contradiction() if self.surfaces else ""
-        parts = (target, first or NOTHING_BEFORE, doubt, self._free_text(bool(first)))
+        contradiction = self.surfaces[0].contradiction() if self.surfaces else ""
+        parts = (target, first or NOTHING_BEFORE, contradiction, self._free_text(bool(first)))
         text = "; ".join(part for part in parts if part)
         return text.replace(COMPARE_EXAMPLE, self.example)
 

@@ -17,7 +17,7 @@ from autotune.quantities import parse_quantity
 from .law import PresentGains, law_of_gains
 
 LOGGED = "log"
-"""What stands for the gains with which the contacts of the log were recorded."""
+"""Placeholder of the gains with which the contacts of the log were recorded."""
 Present = Mapping[str, Any] | ControllerFile | str | Path | None
 
 

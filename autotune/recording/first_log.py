@@ -154,12 +154,12 @@ def _phases(program: FirstLog, h: float) -> Iterator[tuple[str, Steps]]:
     )
     yield "poses", _poses(program, h)
     yield "sweep", _sweep(program, h)
-    yield "rest", contacts.stand(program.rest_s)
-    yield "taps", contacts.stand(program.tap_count)
+    yield "rest", contacts.dwell(program.rest_s)
+    yield "taps", contacts.dwell(program.tap_count)
     for _ in range(program.contact_count):
         if contacts.has_touched:
             yield "contacts", contacts.contact()
-            yield "rest", contacts.stand(program.rest_s)
+            yield "rest", contacts.dwell(program.rest_s)
 
 
 def _poses(program: FirstLog, h: float) -> Steps:

@@ -1,4 +1,4 @@
-"""Contacts by guarded moves: a command that no force feeds back into, and that stands still once the tool touches."""
+"""Contacts by guarded moves: a command that no force feeds back into, and that rests once the tool touches."""
 
 import math
 from collections.abc import Generator
@@ -22,9 +22,9 @@ _MOST_FASTER = 3.0
 class GuardedContacts:
     """Approach, press with F^d, hold and back off; positions [m] along the axis, the sensor's force [N] in return.
 
-    The approach goes on at one speed until a quarter of F^d is felt, and the command then stands: what the robot still
-    has to go makes the first force. From there it moves slowly, to and fro, until F^d is reached, and stands again.
-    Nothing is fed back while it stands, so that no payload, surface or delay can make the contact unstable. The first
+    The approach goes on at one speed until a quarter of F^d is felt, and the command then rests: what the robot still
+    has to go makes the first force. From there it moves slowly, to and fro, until F^d is reached, and rests again.
+    Nothing is fed back while it rests, so that no payload, surface or delay can make the contact unstable. The first
     contact shows how the force runs on per speed; the next one is as fast as its peak stays at F^d, `fastest_m_s` at
     most and where drag stays below an eighth of F^d.
     """
@@ -50,7 +50,7 @@ class GuardedContacts:
         """Whether the last approach met something."""
 
     def contact(self) -> Steps:
-        """Yield the way of one contact, from where the command stands."""
+        """Yield the way of one contact, from the last command on."""
         start, speed, drag = self.place, self._speed, 0.0
         self._pressed = self._settled = self._peak = 0.0
         periods = max(1, round(self._approach_m / (speed * self._h)))
@@ -62,11 +62,11 @@ class GuardedContacts:
         self.has_touched = self._pressed > self._touch
         touched = self.place
         if self.has_touched:
-            yield from self.stand(_SETTLING_S)
+            yield from self.dwell(_SETTLING_S)
             self._speed = self._next_speed(speed, drag)
             run_on = max(self._settled - self._touch, 0.1 * self._touch) / speed
             yield from self._press(min(speed, _RUN_ON_SHARE * self._force / run_on), run_on)
-            yield from self.stand(self._hold_s)
+            yield from self.dwell(self._hold_s)
         yield from self._back(max(start, touched - self._retract_m))
 
     def _next_speed(self, speed: float, drag: float) -> float:
@@ -91,8 +91,8 @@ class GuardedContacts:
             self.place = here + (to - here) * smooth_ramp((k + 1) / periods)
             yield from self._go(0.0)
 
-    def stand(self, duration_s: float) -> Steps:
-        """Yield a rest where the command stands [s]."""
+    def dwell(self, duration_s: float) -> Steps:
+        """Yield a rest at the last command [s]."""
         for _ in range(round(duration_s / self._h)):
             yield from self._go(0.0)
 

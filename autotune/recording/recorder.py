@@ -37,9 +37,9 @@ class Recorder:
     sensor_frame, base_frame
         Frames of the wrench and of both poses.
     period_s
-        Period of the controller [s], where it holds each command until the next one. It stands in the `cell.yaml` that
-        is written beside the log (`run7.cell.yaml` beside `run7.mcap`), with which `identify` knows the delay and the
-        stiffness of what is touched to the last digit that the log shows.
+        Period of the controller [s], where it holds each command until the next one. It is an entry of the
+        `cell.yaml` that is written beside the log (`run7.cell.yaml` beside `run7.mcap`), with which `identify` knows
+        the delay and the stiffness of what is touched to the last digit that the log shows.
 
     Raises
     ------

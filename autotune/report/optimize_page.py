@@ -96,11 +96,9 @@ def build_optimize_page(
 def _lead(controller: Controller, designs: Sequence[AxisDesign]) -> str:
     """Return three sentences: what it changes, what is certified, and what holds it back."""
     many = len(designs) > 1
-    told = controller.provenance.get("before_after", {})
-    changes = (
-        (f"axis {each.name}: " if many else "") + (told[each.name]["text"] if each.name in told else NOTHING_BEFORE)
-        for each in designs
-    )
+    recorded = controller.provenance.get("before_after", {})
+    texts = {each.name: recorded[each.name]["text"] if each.name in recorded else NOTHING_BEFORE for each in designs}
+    changes = ((f"axis {name}: " if many else "") + text for name, text in texts.items())
     axes = (
         (f"axis {each.name} " if many else "")
         + f"at most {each.worst_contact.peak_contact_force_n:.1f} {each.units.force} at the contact, "

@@ -115,18 +115,18 @@ def truths(cell: MujocoCell, wall: Wall) -> dict[str, float]:
 def estimates(found: at.Identification) -> dict[str, at.Estimate]:
     """Return what was identified along z, by name."""
     payload = found.result.payload
-    told = {"mass": payload.mass_kg}
+    found_values = {"mass": payload.mass_kg}
     if payload.com_m.value is not None and payload.com_m.std is not None:
         for name, value, std in zip(("com x", "com y", "com z"), payload.com_m.value, payload.com_m.std, strict=True):
-            told[name] = at.Estimate(value=value, std=std, status=payload.com_m.status)
+            found_values[name] = at.Estimate(value=value, std=std, status=payload.com_m.status)
     axis = found.result.axes.get("z")
     if axis is None:
-        return told
-    told |= {"K_s": axis.coupling.stiffness_n_per_m, "B_s": axis.coupling.damping_n_s_per_m}
-    told |= {"B_p": axis.drag_n_s_per_m, "T_d": axis.robot.delay_s, "bandwidth": axis.robot.bandwidth_hz}
+        return found_values
+    found_values |= {"K_s": axis.coupling.stiffness_n_per_m, "B_s": axis.coupling.damping_n_s_per_m}
+    found_values |= {"B_p": axis.drag_n_s_per_m, "T_d": axis.robot.delay_s, "bandwidth": axis.robot.bandwidth_hz}
     if axis.environments:
-        told |= {"K_e": axis.environments[0].stiffness_n_per_m, "B_e": axis.environments[0].damping_n_s_per_m}
-    return told
+        found_values |= {"K_e": axis.environments[0].stiffness_n_per_m, "B_e": axis.environments[0].damping_n_s_per_m}
+    return found_values
 
 
 def main(arguments: list[str]) -> int:
@@ -138,9 +138,9 @@ def main(arguments: list[str]) -> int:
         old.unlink(missing_ok=True)
     record(cell, wall, FIRST_LOG, log)
     found = at.identify(log, cell=log.with_suffix(".cell.yaml"))
-    told = estimates(found)
+    found_values = estimates(found)
     for name, truth in truths(cell, wall).items():
-        value = told[name]
+        value = found_values[name]
         print(f"{name:10} true {truth:11.5g}  identified {value.value or math.nan:11.5g} ± {value.std or math.nan:.2g}")
     design = at.optimize(found, environment_stiffness=(2.9e4, 1.25e5), problem=EASED)
     design.save(file)

@@ -54,16 +54,16 @@ def _errors(drawn: Drawn, held: dict[str, Any]) -> dict[str, tuple[str, float, f
     """Return verdict, error as a share of the truth, and error in stated deviations of what has a value."""
     out = {}
     for name, truth in truths(drawn.cell, drawn.wall).items():
-        told = held.get("estimates", {}).get(name)
-        if told is not None and told["value"] is not None and told["std"]:
-            error = told["value"] - truth
-            out[name] = (told["status"], error / truth, error / told["std"])
+        estimate = held.get("estimates", {}).get(name)
+        if estimate is not None and estimate["value"] is not None and estimate["std"]:
+            error = estimate["value"] - truth
+            out[name] = (estimate["status"], error / truth, error / estimate["std"])
     return out
 
 
 def _parameters(cells: Mapping[int, tuple[Drawn, dict[str, Any]]]) -> Iterator[str]:
     refused = {seed: held["refused"] for seed, (_, held) in cells.items() if "refused" in held}
-    told = {seed: _errors(drawn, held) for seed, (drawn, held) in cells.items() if "refused" not in held}
+    errors = {seed: _errors(drawn, held) for seed, (drawn, held) in cells.items() if "refused" not in held}
     yield f"## Parameters: {len(cells)} cells, {len(refused)} logs refused\n"
     yield (
         "*Covered*: how often value ± 1.96 stated deviations holds the truth, of what is `identified`. *Worst*: the "
@@ -73,7 +73,7 @@ def _parameters(cells: Mapping[int, tuple[Drawn, dict[str, Any]]]) -> Iterator[s
     yield "|---|---|---|---|---|---|---|---|"
     names = list(truths(draw(0).cell, draw(0).wall))
     for name in names:
-        rows = {seed: each[name] for seed, each in told.items() if name in each}
+        rows = {seed: each[name] for seed, each in errors.items() if name in each}
         good = {seed: row for seed, row in rows.items() if row[0] == "identified"}
         share = [abs(row[1]) for row in good.values()]
         inside = sum(abs(row[2]) <= INTERVAL for row in good.values())
@@ -86,7 +86,7 @@ def _parameters(cells: Mapping[int, tuple[Drawn, dict[str, Any]]]) -> Iterator[s
             + (f"{good[worst][2]:+.1f} (cell {worst})" if worst is not None else "–")
             + " |"
         )
-    whole = [each for each in told.values() if all(name in each for name in JOINTLY)]
+    whole = [each for each in errors.values() if all(name in each for name in JOINTLY)]
     both = sum(all(abs(each[name][2]) <= TOGETHER for name in JOINTLY) for each in whole)
     yield (
         f"\nK_s, B_s, B_p, T_d and bandwidth have a value in {len(whole)} cells; in {both} of them all five lie within "
@@ -95,8 +95,8 @@ def _parameters(cells: Mapping[int, tuple[Drawn, dict[str, Any]]]) -> Iterator[s
     bare = {seed: held for seed, (drawn, held) in cells.items() if drawn.cell.filter_hz is None}
     late = [seed for seed, held in bare.items() if "clock-offset" in _codes(held)]
     yield (
-        f"Of {len(bare)} cells without a filter, which delays the wrench, {len(late)} are told that the clocks of\n"
-        f"wrench and pose disagree (target: none): {_listed(late) or 'none'}. Drag to the ground makes the\n"
+        f"Of {len(bare)} cells without a filter, which delays the wrench, {len(late)} have a finding that the clocks\n"
+        f"of wrench and pose disagree (target: none): {_listed(late) or 'none'}. Drag to the ground makes the\n"
         "inertia's force lag by B_p/K_s when the tool turns, 0.05 to 4 ms here, which is estimated beside the clocks."
     )
     for seed, (_, held) in cells.items():
@@ -126,10 +126,10 @@ def _deviations(error: tuple[str, float, float] | None) -> str:
     if error is None:
         return "–"
     status, _, deviations = error
-    told = f"{deviations:+.1f}"
+    text = f"{deviations:+.1f}"
     if status != "identified":
-        return f"({told})"
-    return told if abs(deviations) <= 3.0 else f"**{told}**"
+        return f"({text})"
+    return text if abs(deviations) <= 3.0 else f"**{text}**"
 
 
 def _peaks(pressed: Mapping[int, dict[str, Any] | None]) -> Iterator[str]:
@@ -175,8 +175,8 @@ def _peaks_by_cell(pressed: Mapping[int, dict[str, Any] | None]) -> Iterator[str
         if held is None or "refused" in held:
             continue
         rows = {row["name"]: row for row in held["contacts"]}
-        told = [_arrow(rows[name], held["certified"]) for name in names]
-        yield f"| {seed} | {held['certified']:.1f} | {' | '.join(told)} |"
+        arrows = [_arrow(rows[name], held["certified"]) for name in names]
+        yield f"| {seed} | {held['certified']:.1f} | {' | '.join(arrows)} |"
 
 
 def _arrow(row: dict[str, Any], certified: float) -> str:

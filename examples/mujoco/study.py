@@ -35,12 +35,12 @@ class Drawn:
 
     def words(self) -> str:
         """Return what this cell has beyond a clean one."""
-        cell, told = self.cell, [f"B_p {self.cell.drag_n_s_per_m:.0f}"]
-        told += [f"coupling {cell.coupling_friction_n:.1f} N"] if cell.coupling_friction_n else []
-        told += [f"joints {cell.joint_friction_n:.0f} N"] if cell.joint_friction_n else []
-        told += [f"filter {cell.filter_hz:.0f} Hz"] if cell.filter_hz else []
-        told += [f"second mode {cell.part_hz:.0f} Hz"] if cell.part_share else []
-        return ", ".join(told)
+        cell, parts = self.cell, [f"B_p {self.cell.drag_n_s_per_m:.0f}"]
+        parts += [f"coupling {cell.coupling_friction_n:.1f} N"] if cell.coupling_friction_n else []
+        parts += [f"joints {cell.joint_friction_n:.0f} N"] if cell.joint_friction_n else []
+        parts += [f"filter {cell.filter_hz:.0f} Hz"] if cell.filter_hz else []
+        parts += [f"second mode {cell.part_hz:.0f} Hz"] if cell.part_share else []
+        return ", ".join(parts)
 
 
 def draw(seed: int) -> Drawn:
@@ -132,9 +132,9 @@ def identified(drawn: Drawn, folder: Path, seed: int) -> dict[str, Any]:
     except at.AutotuneError as error:
         return {"refused": str(error)}
     found.save(file)
-    told = {n: {"value": e.value, "std": e.std, "status": e.status.value} for n, e in estimates(found).items()}
+    values = {n: {"value": e.value, "std": e.std, "status": e.status.value} for n, e in estimates(found).items()}
     findings = [{"code": f.code, "severity": f.severity, "message": f.message} for f in found.result.findings]
-    return {"estimates": told, "findings": findings}
+    return {"estimates": values, "findings": findings}
 
 
 def designed(drawn: Drawn, folder: Path, seed: int) -> dict[str, Any]:
@@ -215,7 +215,7 @@ def main(arguments: list[str]) -> int:
         for path in (folder / name for folder in folders.values() for name in ("identified.json", "contacts.json")):
             path.unlink(missing_ok=True)
     with multiprocessing.get_context("spawn").Pool(options.jobs) as pool:
-        # All logs first: what they tell is the larger half of the page.
+        # All logs first: what they show is the larger half of the page.
         for with_contacts in (False,) if options.logs_only else (False, True):
             jobs = [(seed, folder, with_contacts) for seed, folder in folders.items()]
             for seed in pool.imap_unordered(run_cell, jobs):

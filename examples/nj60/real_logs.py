@@ -1,4 +1,4 @@
-"""Write docs/real_logs.md: what each log of a folder of real logs tells, and predicted beside measured peaks.
+"""Write docs/real_logs.md: what each log of a folder of real logs shows, and predicted beside measured peaks.
 
     python examples/nj60/real_logs.py [FOLDER] [-o docs/real_logs.md]
 
@@ -70,7 +70,7 @@ Robot bandwidth and surfaces over robot travel, value ± standard deviation and 
 
 | log | axes | touches |
 |---|---|---|
-{told}
+{estimates}
 
 ## Predicted beside measured peaks
 
@@ -110,7 +110,7 @@ stated. What is written of a surface is its loading, where it is held, and the f
 
 
 def identified(folder: Path, name: str, scratch: Path) -> Identification | str:
-    """Return what a log tells, or the sentence why it tells nothing."""
+    """Return what a log shows, or the sentence why it shows nothing."""
     tree = load_yaml(HERE / ("traces.yaml" if name.endswith(".csv") else "cell.yaml"))
     if name in WITHOUT_GAINS:
         tree = {key: value for key, value in tree.items() if key not in ("gains", "desired_force")}
@@ -139,7 +139,7 @@ def axis_text(name: str, axis: AxisEstimate) -> str:
     return f"{name}: {'; '.join(part for part in parts if part) or 'nothing'}"
 
 
-def told_rows(found: dict[str, Identification | str]) -> Iterator[str]:
+def estimate_rows(found: dict[str, Identification | str]) -> Iterator[str]:
     """Yield a row of the first table for each log."""
     for name, result in found.items():
         if isinstance(result, str):
@@ -167,7 +167,7 @@ def compared(
     """Return the contacts of a log as another one predicts them, or the sentence why it does not."""
     source, other = found[training], found[test]
     if isinstance(source, str) or isinstance(other, str):
-        return "one of the logs tells nothing"
+        return "one of the logs shows nothing"
     stiffness = None if surface is None else stiffness_of(found[surface])
     if surface is not None and stiffness is None:
         return f"{surface} shows no stiffness"
@@ -222,7 +222,7 @@ def page(folder: Path) -> str:
                 f"{100.0 * np.max(np.abs(errors)):.0f} %; {inside} of {len(mine)} inside their 95 % interval, of which "
                 f"{open_ended} have no upper end."
             )
-    return frame([*told_rows(found)], rows, summary, [*variant_rows(found)])
+    return frame([*estimate_rows(found)], rows, summary, [*variant_rows(found)])
 
 
 def variant_rows(found: dict[str, Identification | str]) -> Iterator[str]:
@@ -265,9 +265,9 @@ def peak_text(plant: Plant, law: Law, approach: Approach, period_s: float) -> st
         return "too fast to follow"
 
 
-def frame(told: list[str], rows: list[str], summary: list[str], variants: list[str]) -> str:
+def frame(estimates: list[str], rows: list[str], summary: list[str], variants: list[str]) -> str:
     """Return the page of its rows."""
-    parts = {"told": told, "rows": rows, "summary": summary, "variants": variants}
+    parts = {"estimates": estimates, "rows": rows, "summary": summary, "variants": variants}
     return PAGE.format(
         between="between samples [N]",
         interval="95 % interval [N]",

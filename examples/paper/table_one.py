@@ -50,7 +50,7 @@ _SLOWEST_HZ = 0.05
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """One printed row; `feedback` tells whether B_fb is on, `secant_n_per_m` is the printed K_e."""
+    """One printed row; `feedback` says whether B_fb is on, `secant_n_per_m` is the printed K_e."""
 
     lead_s: float
     feedback: bool

@@ -250,9 +250,9 @@ def plan_taps(values: PlanValues, *, max_force_n: float, mass_std_kg: float) -> 
     highest = min(_TAP_BAND_HZ, 0.4 / values.sample_time_s.value)
     frequency = np.linspace(0.1, highest, _POINTS)
     s = np.asarray(2j * np.pi * frequency, dtype=np.complex128)
-    slope = _ring_gradients(s, stiffness, damping, mass, impulse)
+    gradients = _ring_gradients(s, stiffness, damping, mass, impulse)
     density = 2.0 * (highest - 0.1) / _POINTS / (values.force_noise_rms_n.value**2 * values.sample_time_s.value)
-    information = np.real(np.conj(slope).T @ slope) * density
+    information = np.real(np.conj(gradients).T @ gradients) * density
     # Every tap has a strength of its own; alike, they are one tap seen so many times.
     information *= _TAPS
     information[2, 2] += 1.0 / max(mass_std_kg, 1e-6 * mass) ** 2

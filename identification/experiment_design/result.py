@@ -66,8 +66,8 @@ class PeakEffect:
 
     def moves_n(self, name: str, std: float | None) -> float | None:
         """Return by how much a deviation moves the peak [N], None where one of both is not known."""
-        slope = self.gradients.get(name)
-        return None if slope is None or std is None else slope * std
+        gradient = self.gradients.get(name)
+        return None if gradient is None or std is None else gradient * std
 
 
 def peak_effect(values: PlanValues, controller: AdmittanceController | None = None) -> PeakEffect | None:

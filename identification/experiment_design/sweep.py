@@ -292,7 +292,7 @@ def _std_after(values: PlanValues, sweep: Sweep) -> dict[str, float]:
     model = misfit * _MODEL_SHARE * np.array([entry.value for entry in known.values()])
     model[1] = np.hypot(model[1], misfit * _MODEL_DAMPING_SHARE * values.critical_damping_n_s_per_m)
     robot = values.robot
-    slope = np.array(
+    gradient = np.array(
         [
             (_bandwidth_hz(_changed(robot, k, _STEP)) - _bandwidth_hz(_changed(robot, k, -_STEP))) / (2.0 * _STEP)
             for k in range(robot.order + 1)
@@ -307,7 +307,7 @@ def _std_after(values: PlanValues, sweep: Sweep) -> dict[str, float]:
         name: entry.std_after(float(own), symbol)
         for (name, entry), symbol, own in zip(known.items(), _SYMBOLS, alone, strict=True)
     }
-    spread = float(np.sqrt(slope @ covariance[4:, 4:] @ slope)) if np.all(np.isfinite(std)) else np.inf
+    spread = float(np.sqrt(gradient @ covariance[4:, 4:] @ gradient)) if np.all(np.isfinite(std)) else np.inf
     found["bandwidth_hz"] = values.bandwidth_hz.std_after(float(np.hypot(spread, beside)))
     sharpest = SHARPEST_DELAY_SAMPLES * values.sample_time_s.value
     found["delay_s"] = values.delay_s.std_after(float(np.hypot(std[-1] * _delay_size(robot), sharpest)))

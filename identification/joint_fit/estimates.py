@@ -25,7 +25,7 @@ from .result import JointFit, JointSurface
 DAMPING_FLOOR = 0.1
 MASS_FLOOR = 0.1
 _DELAY_SAMPLES = 0.2
-# Of a second mode and of friction no controller is made: what shows half of them is worth telling.
+# Of a second mode and of friction no controller is made: what shows half of them is worth reporting.
 _LOOSEST, _RATIO_FLOOR = 0.5, 0.03
 SYMBOLS = {
     **dict(zip(COUPLING_NAMES, ("K_s", "B_s", "B_p", "M_p"), strict=True)),

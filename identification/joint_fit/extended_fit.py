@@ -341,7 +341,7 @@ Score = tuple[float, float]
 
 
 def scorer(of: ExtendedProblem, at: PayloadFit) -> Callable[[PayloadFit, PayloadFit], Score]:
-    """Return what tells by how much the sum of squares falls, to first order, where θ moves from one end to another.
+    """Return the function of how much the sum of squares falls, to first order, where θ moves from one end to another.
 
     It returns that and the share of the way that it takes, everything in `at` following.
     """

@@ -32,7 +32,7 @@ _FREQUENCIES, _LOWEST_HZ, _HIGHEST_HZ, _HIGHEST_SHARE = 24, 6.0, 120.0, 0.4
 _STARTS_HZ = (15.0, 22.0, 30.0, 38.0, 46.0, 55.0, 70.0)
 _START_SHARE, _START_RATIO, _START_FRICTION_N, _NUDGE, _NUDGE_N = 0.08, 0.03, 0.3, 1e-3, 0.02
 _STEPS, _TRIED = 15, 2
-# −2 log L: a first look, what is kept open, and what is told.
+# −2 log L: a first look, what is kept open, and what is reported.
 _WORTH_A_LOOK, _OPEN, _TOLD = 8.0, 30.0, 60.0
 # Of what a part moves, this is how well the move is known; with friction, whose law is not known, all of it.
 _MOVED_SHARE, _MOVED_BY_FRICTION = 0.4, 1.0
@@ -49,7 +49,7 @@ _LATENCY_STDS, _LEAST_LATENCY, _FILTER_SHARE = 3.0, 0.1, 0.5
 class Extended:
     """By how much a wider payload moves coupling and robot, (a,), and what their covariance (a, a) gains [SI].
 
-    `move` is 0 where nothing is told; `part` and `friction_n`, value and deviation, are what is, and `latency` is the
+    `move` is 0 where nothing is reported; `part` and `friction_n`, value and deviation, are what is, `latency` is the
     wrench's beside them.
     """
 
@@ -171,8 +171,8 @@ def _extended(of: ExtendedProblem, here: PayloadFit, moves: list[FloatArray], la
     spread = np.linalg.pinv(matrix * np.outer(scale, scale), hermitian=True) * np.outer(scale, scale)
     stds, first = np.sqrt(np.diag(spread)), of.shared + of.lags
     covariance = sum((np.outer(move, move) for move in moves), np.zeros((of.shared, of.shared)))
-    is_told = here.kind != PayloadKind()
-    if not is_told:
+    is_reported = here.kind != PayloadKind()
+    if not is_reported:
         return Extended(move=np.zeros(of.shared), covariance=covariance, latency=latency)
     units = np.where(of.in_log, of.values(here.theta), of.sizes)
     found, part = of.extension(here.theta, here.kind), None
@@ -224,9 +224,9 @@ def with_extension(fit: JointFit, found: Extended | None) -> JointFit:
         reach = TWO_SIDED * float(stds[i])
         ci95[name] = max(min(low, float(values[i]) - reach), 0.0), max(high, float(values[i]) + reach)
     robot = slice(len(COUPLING_NAMES), count)
-    told = found.part is not None, found.friction_n is not None
+    reported = found.part is not None, found.friction_n is not None
     # Friction and a part explain each other's force; beside a coupling without a value neither has one.
-    is_unclear = any(told) and (all(told) or float(stds[0]) > WEAK_SHARE * float(values[0]))
+    is_unclear = any(reported) and (all(reported) or float(stds[0]) > WEAK_SHARE * float(values[0]))
     return replace(
         fit,
         values=values,

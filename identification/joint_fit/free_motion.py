@@ -180,13 +180,14 @@ def fit_free_motion(data: JointData, base: Problem, values: FloatArray) -> tuple
     rings = [Segment(start=s.start, stop=s.stop) for s in data.rings]
     best = _start(data, base, values, whole, mixed)
     used = _explained(base, best, whole, rings)
-    telling = _strongest(data, whole)[:1]
-    if len(used) < len(whole) + len(rings) and telling:
+    informative = _strongest(data, whole)[:1]
+    if len(used) < len(whole) + len(rings) and informative:
+        span = informative[0]
         # A sweep that ends below the resonance leaves K_s open: what rings shows it, with the mass that motion known.
         for ring in _strongest(data, rings)[:_RING_STARTS]:
             start = start_coupling(base, best, ring, float(best[3]))[0]
             more = _explained(base, start, whole, rings)
-            if len(more) > len(used) and _misfit(base, start, telling[0]) < _AS_WELL * _misfit(base, best, telling[0]):
+            if len(more) > len(used) and _misfit(base, start, span) < _AS_WELL * _misfit(base, best, span):
                 best, used = start, more
     used += _clean(data, base, best, [*mixed, *(s for s in whole if s not in used)], used)
     if not used:

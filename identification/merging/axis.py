@@ -175,8 +175,8 @@ class AxisRecord:
             return self.merge.scalars(f"secant stiffness of surface {name}", by_log, differs_by_contact=True)
         part = self.normal.select(springs)
         secant = 1.0 / float(np.sum(1.0 / part.values))
-        slope = (secant / part.values) ** 2
-        std = float(np.sqrt(slope @ part.matrix @ slope))
+        gradient = (secant / part.values) ** 2
+        std = float(np.sqrt(gradient @ part.matrix @ gradient))
         return with_verdict(judged(secant, std, method=stated[0].method), secant, std, stated, scatters=False)
 
     def _covariance(self) -> Covariance:

@@ -170,12 +170,12 @@ def _least_squares(parts: Sequence[Normal]) -> Normal:
     return replace(found, values=np.where(bounded, np.maximum(found.values, 0.0), found.values))
 
 
-def _mapped(part: Normal, to: Callable[[float], float], slope: Callable[[float], float]) -> Normal:
+def _mapped(part: Normal, to: Callable[[float], float], derivative: Callable[[float], float]) -> Normal:
     """Return the same with its springs in another coordinate, the covariance to first order."""
     springs = [_kind(name) in _SPRINGS for name in part.names]
     pairs = list(zip(part.values.tolist(), springs, strict=True))
     values = np.array([to(value) if spring else value for value, spring in pairs])
-    gradients = np.array([slope(value) if spring else 1.0 for value, spring in pairs])
+    gradients = np.array([derivative(value) if spring else 1.0 for value, spring in pairs])
     return Normal(names=part.names, values=values, matrix=part.matrix * np.outer(gradients, gradients))
 
 

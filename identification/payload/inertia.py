@@ -344,13 +344,13 @@ def nearest_consistent(parameters: FloatArray, covariance: FloatArray) -> tuple[
     def misfit(free: FloatArray) -> FloatArray:
         return np.asarray(whitening @ (parameters_of(_unfold(free)) - parameters))
 
-    def slope(free: FloatArray) -> FloatArray:
-        return np.asarray(whitening @ _unfold_slope(free))
+    def jacobian(free: FloatArray) -> FloatArray:
+        return np.asarray(whitening @ _unfold_jacobian(free))
 
     starts = (parameters, _rounded_off(parameters, covariance))
     found = []
     for start in starts:
-        found.append(least_squares(misfit, _fold(start), slope, x_scale="jac", max_nfev=_EVALUATIONS))
+        found.append(least_squares(misfit, _fold(start), jacobian, x_scale="jac", max_nfev=_EVALUATIONS))
         if found[-1].cost < _AS_GOOD_AS_EQUAL:
             break
     best = min(found, key=lambda each: float(each.cost))
@@ -387,7 +387,7 @@ def _unfold(free: FloatArray) -> FloatArray:
     return np.asarray(factor @ factor.T)
 
 
-def _unfold_slope(free: FloatArray) -> FloatArray:
+def _unfold_jacobian(free: FloatArray) -> FloatArray:
     """Return how (m, h, I) (10,) change with the free numbers (10,): d(L Lᵀ) = dL Lᵀ + L dLᵀ, as columns."""
     factor = _factor(free)
     changes = np.zeros((len(free), 4, 4))

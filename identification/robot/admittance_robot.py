@@ -245,9 +245,9 @@ def _fit(
     )
     parameters = np.append(found.x, fixed)
     residual, linear, columns = solved(parameters)
-    slopes = _observed(motion, _gradients(motion, order, parameters)) * linear[0]
+    derivatives = _observed(motion, _gradients(motion, order, parameters)) * linear[0]
     is_free = np.concatenate([np.arange(order + 1) < varied, np.full(len(linear), with_gain)])
-    jacobian = np.column_stack([slopes, columns])[:, is_free]
+    jacobian = np.column_stack([derivatives, columns])[:, is_free]
     covariance = np.zeros((len(is_free), len(is_free)))
     covariance[np.ix_(is_free, is_free)] = coloured_covariance(jacobian, residual, motion.edge_s[:-1][motion.used])
     next_to = float(residual[1:] @ residual[:-1] / max(float(residual @ residual), 1e-300))

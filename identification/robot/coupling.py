@@ -143,7 +143,7 @@ def _fit_coupling(motions: Sequence[FreeMotion], period_s: float, highest: float
             difference = _weights(scaled * size, s, noise) * difference
             return np.concatenate([difference.real, difference.imag])
 
-        def slope(scaled: FloatArray) -> FloatArray:
+        def jacobian(scaled: FloatArray) -> FloatArray:
             impedance, weight = felt_impedance(scaled * size, s), _weights(scaled * size, s, noise)
             gradients = impedance_gradients(scaled * size, s) * size[:, None]
             by_weight = -0.5 * weight**3 * noise.position_rms_m**2 * (impedance.conj() * gradients).real
@@ -151,7 +151,7 @@ def _fit_coupling(motions: Sequence[FreeMotion], period_s: float, highest: float
             return np.concatenate([rows.real, rows.imag], axis=1).T
 
         inside = np.clip(start / size, low + 1e-6, 0.5 * high)
-        found = least_squares(residual, inside, slope, bounds=(low, high), max_nfev=_STEPS)
+        found = least_squares(residual, inside, jacobian, bounds=(low, high), max_nfev=_STEPS)
         return float(found.cost), found.x * size, found.jac / size, found.fun
 
     starts = [_starting_point(s, position, force), *_resonant_starts(s, position, force)]

@@ -7,7 +7,7 @@ The local polynomial method (Pintelon and Schoukens 2012, *System Identification
 
 which leaves no leakage to speak of and shows the noise V in what it cannot explain. It is assumed that the command is
 known exactly, that V has one power over a window, and that neither response nor transient bends by more than the
-polynomial over it. One sweep cannot tell a distortion from noise: of a sine that goes through all frequencies the
+polynomial over it. One sweep cannot separate a distortion from noise: of a sine that goes through all frequencies the
 harmonics come at other times than the sine of the same frequency, so that they scatter from bin to bin and count as V.
 """
 

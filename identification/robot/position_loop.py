@@ -67,8 +67,8 @@ def identify_robot(command_m: FloatArray, position_m: FloatArray, period_s: floa
             "commanded sweep of 0.5 to 50 Hz with at least a few millimetres at its slow end."
         )
     answer = partial(robot_response, command=command, period_s=period_s) if is_held else _smooth(command, period_s)
-    telling = _telling_part(command, period_s)
-    fits = [_fit(answer, position, period_s, order, longest_s, telling) for order in (1, 2)]
+    informative = _informative_part(command, period_s)
+    fits = [_fit(answer, position, period_s, order, longest_s, informative) for order in (1, 2)]
     if not is_held and fits[0].residual_rms < _HARDLY_BETTER * fits[1].residual_rms:
         # What a spline through the samples leaves out looks like a second pole near the log's rate: it is delay.
         fits = fits[:1]
@@ -236,7 +236,7 @@ def _fit(
     )
 
 
-def _telling_part(command: FloatArray, period_s: float) -> int | None:
+def _informative_part(command: FloatArray, period_s: float) -> int | None:
     """Return how many samples from the start, 20 s or more, hold an eighth of the way; None where most are needed.
 
     From what they show the whole of a long log is a few steps away.

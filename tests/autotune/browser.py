@@ -49,7 +49,9 @@ class Visit:
         self.page = self.browser.new_page(viewport={"width": self.width, "height": 900}, color_scheme=self.scheme)
         self.page.on("request", lambda asked: self.requests.append(asked.url))
         self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
-        self.page.on("console", lambda told: self.complaints.extend([told.text] if told.type == "error" else []))
+        self.page.on(
+            "console", lambda reported: self.complaints.extend([reported.text] if reported.type == "error" else [])
+        )
         self.page.goto(self.url)
 
     def check(self) -> None:

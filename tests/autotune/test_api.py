@@ -222,17 +222,17 @@ def test_the_runtime_refuses_a_payload_that_nobody_knows(design: at.Design, tmp_
 
 
 @pytest.mark.parametrize(
-    ("target", "code", "told"),
+    ("target", "code", "message"),
     [("c", 6, "give the payload"), ("ros2_control", 2, "no centre of mass"), ("json", 0, "checksum")],
 )
 def test_an_export_that_needs_the_payload_is_refused(
-    run_cli: RunCli, design: at.Design, tmp_path: Path, target: str, code: int, told: str
+    run_cli: RunCli, design: at.Design, tmp_path: Path, target: str, code: int, message: str
 ) -> None:
     design.save(tmp_path / "controller.yaml")
     out = tmp_path / {"c": "cell.c", "json": "cell.json"}.get(target, "cell.yaml")
     done = run_cli("export", "controller.yaml", "--target", target, "-o", out)
     assert done.returncode == code
-    assert told in done.stdout + done.stderr
+    assert message in done.stdout + done.stderr
     assert out.exists() == (code == 0)
 
 

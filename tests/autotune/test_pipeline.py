@@ -43,7 +43,7 @@ def in_one_process(two_logs: list[Path]) -> Identification:
     return identify_log(two_logs, PARTIAL)
 
 
-def test_recordings_side_by_side_tell_what_they_tell_one_after_the_other(
+def test_recordings_side_by_side_show_what_they_show_one_after_the_other(
     two_logs: list[Path], in_one_process: Identification
 ) -> None:
     # The same code on the same numbers: nothing may differ, not by rounding.
@@ -58,8 +58,8 @@ def test_a_part_may_be_named_of_several_recordings(two_logs: list[Path]) -> None
     begins = spans[1][0]
     alone = identify_log(two_logs, replace(PARTIAL, start=f"@{begins:.3f}"))
     assert len(alone.provenance["logs"]) == 1
-    told = [each.message for each in alone.result.findings if each.code == "recording-outside"]
-    assert [message[:8] for message in told] == ["Not used"]
+    text = [each.message for each in alone.result.findings if each.code == "recording-outside"]
+    assert [message[:8] for message in text] == ["Not used"]
     with pytest.raises(LogError, match="found none"):
         identify_log(two_logs, replace(PARTIAL, start="@4000000000"))
 
@@ -93,11 +93,11 @@ def test_what_is_given_counts_once_beside_two_recordings(two_logs: list[Path], i
 
 
 def test_the_progress_comes_to_the_whole_in_small_parts(two_logs: list[Path]) -> None:
-    told: list[float] = []
-    identify_log(two_logs[0], PARTIAL, progress=told.append)
-    assert sum(told) == pytest.approx(1.0)
-    assert min(told) > 0.0
-    assert max(told) < 0.3
+    reported: list[float] = []
+    identify_log(two_logs[0], PARTIAL, progress=reported.append)
+    assert sum(reported) == pytest.approx(1.0)
+    assert min(reported) > 0.0
+    assert max(reported) < 0.3
 
 
 def test_the_provenance_names_both_recordings(two_logs: list[Path], in_one_process: Identification) -> None:

@@ -104,12 +104,12 @@ def test_a_failure_ends_what_still_runs() -> None:
     assert time.monotonic() - begin < 0.7 * _PATIENCE_S
 
 
-@pytest.mark.parametrize("told", [None, "", "0", "-2", "many"])
-def test_at_least_one_processor_serves(monkeypatch: pytest.MonkeyPatch, told: str | None) -> None:
-    if told is None:
+@pytest.mark.parametrize("message", [None, "", "0", "-2", "many"])
+def test_at_least_one_processor_serves(monkeypatch: pytest.MonkeyPatch, message: str | None) -> None:
+    if message is None:
         monkeypatch.delenv("PYTHON_CPU_COUNT", raising=False)
     else:
-        monkeypatch.setenv("PYTHON_CPU_COUNT", told)
+        monkeypatch.setenv("PYTHON_CPU_COUNT", message)
     assert count_processors() == len(os.sched_getaffinity(0))
 
 
@@ -121,12 +121,12 @@ def test_the_environment_may_allow_another_number_of_processors(monkeypatch: pyt
 @pytest.mark.skipif(sys.platform != "linux", reason="processes are looked up in /proc")
 @pytest.mark.parametrize("to_the_group", [True, False])
 def test_an_interrupt_ends_the_processes(tmp_path: Path, *, to_the_group: bool) -> None:
-    script, told = tmp_path / "linger.py", [tmp_path / "first.pid", tmp_path / "second.pid"]
+    script, reported = tmp_path / "linger.py", [tmp_path / "first.pid", tmp_path / "second.pid"]
     script.write_text(_PIDS, encoding="utf-8")
-    command = [sys.executable, str(script), *map(str, told)]
+    command = [sys.executable, str(script), *map(str, reported)]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True) as process:
         try:
-            assert waited_for(lambda: all(path.exists() for path in told))
+            assert waited_for(lambda: all(path.exists() for path in reported))
             # A terminal interrupts all of its processes, a supervisor only the one that it started.
             os.killpg(process.pid, signal.SIGINT) if to_the_group else process.send_signal(signal.SIGINT)
             _, errors = process.communicate(timeout=_PATIENCE_S)
@@ -134,7 +134,7 @@ def test_an_interrupt_ends_the_processes(tmp_path: Path, *, to_the_group: bool) 
             process.kill()
     assert process.returncode == -signal.SIGINT
     assert errors.rstrip().endswith("KeyboardInterrupt")
-    pids = [int(path.read_text(encoding="ascii")) for path in told]
+    pids = [int(path.read_text(encoding="ascii")) for path in reported]
     assert waited_for(lambda: not any(is_alive(pid) for pid in pids), 5.0)
 
 
@@ -144,7 +144,7 @@ def test_read_only_mappings_pass_both_ways() -> None:
 
 
 @pytest.mark.parametrize("processes", [1, 2])
-def test_each_finished_task_is_told(processes: int) -> None:
-    told: list[int] = []
-    map_in_processes(abs, [1, 2, 3], processes, each=lambda: told.append(1))
-    assert len(told) == 3
+def test_each_finished_task_is_reported(processes: int) -> None:
+    reported: list[int] = []
+    map_in_processes(abs, [1, 2, 3], processes, each=lambda: reported.append(1))
+    assert len(reported) == 3

@@ -77,7 +77,7 @@ def test_without_deviation_it_is_exact_and_exponents_are_no_deviations() -> None
 
 
 @pytest.mark.parametrize(
-    ("texts", "told"),
+    ("texts", "message"),
     [
         (["mass_kg"], "must be NAME=VALUE±STD"),
         (["mass_kg="], "must be NAME=VALUE±STD"),
@@ -88,8 +88,8 @@ def test_without_deviation_it_is_exact_and_exponents_are_no_deviations() -> None
         (["mass_kg=16", "mass_kg=17"], "twice"),
     ],
 )
-def test_what_is_no_prior_is_refused(texts: list[str], told: str) -> None:
-    with pytest.raises(UsageError, match=told):
+def test_what_is_no_prior_is_refused(texts: list[str], message: str) -> None:
+    with pytest.raises(UsageError, match=message):
         parse_given(texts)
 
 

@@ -13,7 +13,7 @@ from problems.design.uncertainty import UNCERTAIN, Scenario
 
 
 @pytest.mark.parametrize(
-    ("value", "std", "told"),
+    ("value", "std", "reported"),
     [
         (16.20512, 0.0241, ("16.205", "0.024")),
         (310.018, 0.0996, ("310.02", "0.10")),  # two digits, not the three of 0.100
@@ -28,12 +28,12 @@ from problems.design.uncertainty import UNCERTAIN, Scenario
     ],
 )
 def test_value_and_deviation_have_the_same_decimals(
-    value: float | None, std: float | None, told: tuple[str, str]
+    value: float | None, std: float | None, reported: tuple[str, str]
 ) -> None:
-    assert with_deviation(value, std) == told
+    assert with_deviation(value, std) == reported
 
 
-def test_both_are_told_in_the_unit_of_the_reader() -> None:
+def test_both_are_reported_in_the_unit_of_the_reader() -> None:
     assert with_deviation(0.0023996, 2.4e-6, 1e3) == ("2.3996", "0.0024")
 
 
@@ -58,8 +58,8 @@ VALUES = dict(zip(UNCERTAIN, _NUMBERS, strict=True))
 
 
 def test_every_value_has_its_symbol_and_the_unit_of_its_axis() -> None:
-    told = scenario_text(Scenario(**VALUES), axis_units("x"))
-    assert told == (
+    message = scenario_text(Scenario(**VALUES), axis_units("x"))
+    assert message == (
         "K_e 120 N/mm, M_p 16 kg, K_s 310.2 N/mm, B_s 150.2 N·s/m, B_p 329.8 N·s/m, B_e 2 N·s/m, T_d 2.403 ms, "
         "f_b 3.182 Hz, ζ_b 0.7, τ_w 3.2 ms, T_w 0.8 ms"
     )

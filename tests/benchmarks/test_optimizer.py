@@ -11,7 +11,7 @@ from scipy.signal import impulse
 from autotune.tuning.bounds import Box
 from benchmarks import optimizer_page
 from benchmarks.optimizer_authors import contact_loop, h2_squared, pade, routh_column
-from benchmarks.optimizer_judge import Incumbent, Trace, judge, ranked_costs, screen_of, stand
+from benchmarks.optimizer_judge import Incumbent, Trace, judge, judge_trace, ranked_costs, screen_of
 from benchmarks.optimizer_reference import check_densely, evolve_long, random_scenarios
 from benchmarks.optimizer_scaling import Growth, draw_growth
 from benchmarks.tuning_problems import draw_problem, paper_cell
@@ -89,11 +89,11 @@ def test_a_run_stands_by_feasible_designs_only() -> None:
         Incumbent(seconds=1.0, design=LIGHT, objective_n=best),
         Incumbent(seconds=2.0, design=GENTLE, objective_n=0.9 * best),
     ]
-    standing = stand(trace, screen, best)
-    assert standing.to_one_percent_s == 2.0
-    assert standing.final is not None
-    assert standing.final.objective_n == best
-    assert stand(trace, screen, 0.98 * best).to_one_percent_s == np.inf
+    outcome = judge_trace(trace, screen, best)
+    assert outcome.to_one_percent_s == 2.0
+    assert outcome.final is not None
+    assert outcome.final.objective_n == best
+    assert judge_trace(trace, screen, 0.98 * best).to_one_percent_s == np.inf
 
 
 def test_the_denser_grid_rejects() -> None:
@@ -150,7 +150,7 @@ PROBLEM = {
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         ({}, None),
         ({"gap": 0.0051}, "0.51 % above"),
@@ -162,12 +162,12 @@ PROBLEM = {
         ({"refused": "No controller", "rival_holds": False, "reference_n": 40.0}, None),
     ],
 )
-def test_a_missed_target_is_told(change: dict[str, Any], told: str | None) -> None:
+def test_a_missed_target_is_reported(change: dict[str, Any], message: str | None) -> None:
     missed = optimizer_page.misses([{**PROBLEM, **change}])
-    assert (missed == []) if told is None else (len(missed) == 1 and told in missed[0])
+    assert (missed == []) if message is None else (len(missed) == 1 and message in missed[0])
 
 
-def test_different_bytes_are_told() -> None:
+def test_different_bytes_are_reported() -> None:
     assert optimizer_page.misses([{"part": "bits", "sha256": ["a", "a"]}]) == []
     assert len(optimizer_page.misses([{"part": "bits", "sha256": ["a", "b"]}])) == 1
 

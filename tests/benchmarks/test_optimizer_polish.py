@@ -25,6 +25,6 @@ def test_two_solvers_and_one_answer() -> None:
 def test_the_page_sets_them_side_by_side() -> None:
     record = {"part": "polish", "name": "7", "residual": 1e-9, "seconds": 0.02}
     values = {"before": 50.1, "SLSQP": 50.0, "IPOPT": 50.0 * (1.0 + 2e-9)}
-    told = tables([{**record, "solver": solver, "value_n": value} for solver, value in values.items()])
-    assert "| 7 | 50.100000 | 50.000000 | 1.0e-09 | 0.020 |" in told
-    assert "differ by 2e-09 at most" in told
+    reported = tables([{**record, "solver": solver, "value_n": value} for solver, value in values.items()])
+    assert "| 7 | 50.100000 | 50.000000 | 1.0e-09 | 0.020 |" in reported
+    assert "differ by 2e-09 at most" in reported

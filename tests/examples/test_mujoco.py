@@ -128,11 +128,11 @@ def test_a_log_of_the_cell_is_identified_and_its_contact_predicted(tmp_path: Pat
     path = tmp_path / "cell.mcap"
     assert record(cell, wall, program, path) < 1.5 * program.contact_force_n
     found = at.identify(path, cell=tmp_path / "cell.cell.yaml")
-    truth, told = truths(cell, wall), estimates(found)
+    truth, reported = truths(cell, wall), estimates(found)
     for name, share in {"mass": 0.005, "K_s": 0.04, "K_e": 0.05, "T_d": 0.1, "bandwidth": 0.05}.items():
-        assert told[name].value == pytest.approx(truth[name], rel=share), name  # docs/accuracy.md's targets
+        assert reported[name].value == pytest.approx(truth[name], rel=share), name  # docs/accuracy.md's targets
     # The period that the recorder wrote makes the difference between `weak` and this.
-    assert told["K_e"].status is told["T_d"].status is Status.IDENTIFIED
+    assert reported["K_e"].status is reported["T_d"].status is Status.IDENTIFIED
     gains = {"mass": 20.0, "damping": 4000.0}
     predicted = at.predict(found, gains=gains, surface="z1", approach_force=40.0)
     assert predicted.peak_force == pytest.approx(pressed(cell, wall, gains, 40.0, 2.5), rel=0.03)
@@ -146,7 +146,7 @@ def test_the_program_of_a_first_log_is_gentle_where_a_plain_admittance_was_not(t
     assert record(drawn.cell, replace(drawn.wall, distance_m=4e-3), program, tmp_path / "cell.mcap") < 45.0
 
 
-def _told(drawn: Drawn, deviations: float) -> dict[str, Any]:
+def _estimates(drawn: Drawn, deviations: float) -> dict[str, Any]:
     """Return what a study keeps of estimates that all lie so many of their deviations, of 1 %, above the truth."""
     return {
         name: {"value": truth + 0.01 * abs(truth) * deviations, "std": 0.01 * abs(truth), "status": "identified"}
@@ -158,8 +158,8 @@ def test_the_page_counts_what_the_intervals_hold_and_what_was_refused(tmp_path: 
     folders = {seed: tmp_path / str(seed) for seed in range(4)}
     late = {"code": "clock-offset", "severity": "warning", "message": "late"}
     kept_of = {
-        0: {"estimates": _told(draw(0), 1.0), "findings": [late]},
-        1: {"estimates": _told(draw(1), -4.0), "findings": []},
+        0: {"estimates": _estimates(draw(0), 1.0), "findings": [late]},
+        1: {"estimates": _estimates(draw(1), -4.0), "findings": []},
         2: {"refused": "no sweep"},
     }
     for seed, held in kept_of.items():
@@ -173,7 +173,7 @@ def test_the_page_counts_what_the_intervals_hold_and_what_was_refused(tmp_path: 
     assert "## Parameters: 3 cells, 1 logs refused" in text
     assert "| K_s | 2 | 0 | 1 | 2.5 | 4 | **1 of 2** | -4.0 (cell 1) |" in text
     assert "K_s, B_s, B_p, T_d and bandwidth have a value in 2 cells; in 1 of them" in text
-    assert "Of 2 cells without a filter, which delays the wrench, 1 are told" in text
+    assert "Of 2 cells without a filter, which delays the wrench, 1 have a finding" in text
     assert "Cell 2 (B_p 38, joints 39 N) refused: no sweep" in text
     assert "| wall of the log | 1 | +10.0 | +10.0 | +10.0 | 1 | 0 |" in text
     assert "| half as stiff | 1 | – | – | – | 0 | 1 |" in text

@@ -14,7 +14,7 @@ from identification.fit_quality import FitQuality
 from identification.joint_fit.estimates import COARSE_COMMAND
 from identification.result import Estimate, Finding, Identified, Status
 from identification.robot.logged_command import UNKNOWN_PERIOD
-from tests.identification.merging.test_combine import UNDECIDED, known, surface, told
+from tests.identification.merging.test_combine import UNDECIDED, known, reported, surface
 
 
 def weak(value: float, std: float) -> Estimate:
@@ -22,7 +22,7 @@ def weak(value: float, std: float) -> Estimate:
 
 
 def with_surface(**changes: Any) -> Identified:
-    return told(surfaces=(dataclasses.replace(surface(1.0e5, 500.0), **changes),))
+    return reported(surfaces=(dataclasses.replace(surface(1.0e5, 500.0), **changes),))
 
 
 def with_stiffness(result: Identified, stiffness: Estimate) -> Identified:
@@ -36,22 +36,22 @@ def needed(findings: tuple[Finding, ...]) -> list[Finding]:
 
 
 def test_what_is_known_well_needs_no_advice() -> None:
-    assert needed(advise(told())) == []
+    assert needed(advise(reported())) == []
 
 
 def test_a_missing_stiffness_is_an_error_and_a_weak_one_a_warning() -> None:
-    (missing,) = needed(advise(with_stiffness(told(), UNDECIDED)))
+    (missing,) = needed(advise(with_stiffness(reported(), UNDECIDED)))
     assert (missing.code, missing.severity) == ("unidentifiable", "error")
     assert "Axis x: K_s" in missing.message
     assert "sweep" in missing.advice
-    (uncertain,) = needed(advise(with_stiffness(told(), weak(3.0e5, 3.0e4))))
+    (uncertain,) = needed(advise(with_stiffness(reported(), weak(3.0e5, 3.0e4))))
     assert (uncertain.code, uncertain.severity) == ("weak", "warning")
     assert "K_s (± 10 %)" in uncertain.message
 
 
 def test_a_delay_with_half_an_unknown_control_period_asks_for_that_before_another_sweep() -> None:
     """The log's own period is what it suggests; damping that is weak as well still asks for a sweep, behind it."""
-    result = told()
+    result = reported()
     axis = result.axes["x"]
     delay = dataclasses.replace(weak(4.5e-3, 3e-4), note=f"the log shows 5 ms; {UNKNOWN_PERIOD}")
     changed = dataclasses.replace(
@@ -70,24 +70,24 @@ def test_a_delay_with_half_an_unknown_control_period_asks_for_that_before_anothe
 
 def test_an_interval_is_a_warning() -> None:
     bounded = dataclasses.replace(UNDECIDED, ci95=(0.0, 63.0))
-    axis = told().axes["x"]
+    axis = reported().axes["x"]
     coupling = dataclasses.replace(axis.coupling, damping_n_s_per_m=bounded)
-    (found,) = needed(advise(dataclasses.replace(told(), axes={"x": dataclasses.replace(axis, coupling=coupling)})))
+    (found,) = needed(advise(dataclasses.replace(reported(), axes={"x": dataclasses.replace(axis, coupling=coupling)})))
     assert (found.code, found.severity) == ("bounded", "warning")
     assert "B_s (0 to 63 N·s/m with 95 %): known as an interval only" in found.message
 
 
 @pytest.mark.parametrize(("value", "said"), [(0.0, "± 61 ms"), (1e-12, "± 61 ms"), (0.05, "± 61 ms"), (0.61, "± 10 %")])
 def test_a_deviation_above_its_value_is_written_with_its_unit(value: float, said: str) -> None:
-    axis = told().axes["x"]
+    axis = stated().axes["x"]
     robot = dataclasses.replace(axis.robot, delay_s=weak(value, 0.061))
-    (found,) = needed(advise(dataclasses.replace(told(), axes={"x": dataclasses.replace(axis, robot=robot)})))
+    (found,) = needed(advise(dataclasses.replace(stated(), axes={"x": dataclasses.replace(axis, robot=robot)})))
     assert f"T_d ({said}): weak" in found.message
 
 
-def test_a_missing_number_is_not_told_twice() -> None:
+def test_a_missing_number_is_not_reported_twice() -> None:
     because = Finding(code="coupling", severity="error", message="Axis x: a reason.", advice="")
-    broken = dataclasses.replace(with_stiffness(told(), UNDECIDED), findings=(because,))
+    broken = dataclasses.replace(with_stiffness(reported(), UNDECIDED), findings=(because,))
     assert needed(advise(broken)) == []
 
 
@@ -143,7 +143,7 @@ def with_misfit(result: Identified, ratio: float) -> Identified:
 
 @pytest.mark.parametrize(("ratio", "said"), [(5.6, "low-pass in the sensor"), (1.0, "commanded sweep in free space")])
 def test_where_the_model_does_not_fit_another_sweep_is_no_advice(ratio: float, said: str) -> None:
-    (missing,) = needed(advise(with_misfit(with_stiffness(told(), UNDECIDED), ratio)))
+    (missing,) = needed(advise(with_misfit(with_stiffness(reported(), UNDECIDED), ratio)))
     assert said in missing.advice
     if said.startswith("low-pass"):
         assert missing.advice.index("slower than") < missing.advice.index("pose's noise") < missing.advice.index(said)
@@ -151,15 +151,15 @@ def test_where_the_model_does_not_fit_another_sweep_is_no_advice(ratio: float, s
 
 @pytest.mark.parametrize(("ratio", "said"), [(2.4, "--given x.delay_s="), (1.0, "commanded sweep in free space")])
 def test_a_robot_of_another_form_is_named(ratio: float, said: str) -> None:
-    axis = told().axes["x"]
+    axis = reported().axes["x"]
     robot = dataclasses.replace(axis.robot, delay_s=UNDECIDED)
-    result = dataclasses.replace(told(), axes={"x": dataclasses.replace(axis, robot=robot)})
+    result = dataclasses.replace(reported(), axes={"x": dataclasses.replace(axis, robot=robot)})
     (missing,) = needed(advise(with_misfit(result, ratio)))
     assert said in missing.advice
 
 
 def test_the_sweep_that_is_advised_is_the_one_that_a_plan_would_make() -> None:
-    result = with_stiffness(told(), weak(3.0e5, 3.0e4))
+    result = with_stiffness(reported(), weak(3.0e5, 3.0e4))
     (uncertain,) = needed(advise(result))
     numbers = re.search(r"to (\d+) Hz.*flange at ([\d.]+) mm/s throughout \(([\d.]+) mm at 0.5 Hz\)", uncertain.advice)
     assert numbers is not None
@@ -174,6 +174,6 @@ def test_the_sweep_that_is_advised_is_the_one_that_a_plan_would_make() -> None:
 
 def test_what_a_drift_widens_is_said_to_be_widened() -> None:
     drift = Finding(code="force-follows-drift", severity="warning", message="It drifts.", advice="")
-    result = dataclasses.replace(with_stiffness(told(), weak(3.0e5, 3.0e4)), findings=(drift,))
+    result = dataclasses.replace(with_stiffness(reported(), weak(3.0e5, 3.0e4)), findings=(drift,))
     (uncertain,) = needed(advise(result))
     assert uncertain.advice.startswith("The sensor drifts")

@@ -25,7 +25,7 @@ def test_the_true_model_is_no_finding(seed: int) -> None:
     assert list(response_findings("x", coupling(Cell()), ROBOT, measured(Cell(), seed), H)) == []
 
 
-def test_another_robot_and_another_spring_are_told_with_frequency_and_size() -> None:
+def test_another_robot_and_another_spring_are_reported_with_frequency_and_size() -> None:
     cell = Cell()
     found = measured(cell, 1)
     slow = RobotModel.from_bandwidth(bandwidth_rad_per_s=30.0, delay_s=3 * H)

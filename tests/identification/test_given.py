@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from identification.errors import EstimateError
 from identification.given import Given, check_names, settle_axis, settle_cell
 from identification.result import Status
-from tests.identification.merging.test_combine import UNDECIDED, known, told
+from tests.identification.merging.test_combine import UNDECIDED, known, reported
 from tests.problems.axes import LAW
 
 VALUES, STDS = st.floats(15.0, 17.0), st.floats(0.01, 1.0)
@@ -21,7 +21,7 @@ VALUES, STDS = st.floats(15.0, 17.0), st.floats(0.01, 1.0)
 def test_the_posterior_is_where_the_product_of_both_densities_is_largest(
     seen: float, std: float, prior: float, prior_std: float
 ) -> None:
-    found = settle_cell(told(known(seen, std)), {"mass_kg": Given(value=prior, std=prior_std)}).payload.mass_kg
+    found = settle_cell(reported(known(seen, std)), {"mass_kg": Given(value=prior, std=prior_std)}).payload.mass_kg
     assert found.value is not None
     assert found.std is not None
 
@@ -36,8 +36,8 @@ def test_the_posterior_is_where_the_product_of_both_densities_is_largest(
     assert found.status is (Status.GIVEN if prior_std <= std else Status.IDENTIFIED)
 
 
-def test_what_the_log_does_not_tell_is_the_given_value() -> None:
-    axis = told(delay=UNDECIDED).axes["x"]
+def test_what_the_log_does_not_show_is_the_given_value() -> None:
+    axis = reported(delay=UNDECIDED).axes["x"]
     found, _ = settle_axis("x", axis, None, {"x.delay_s": Given(value=2.5e-3, std=1e-4)})
     delay = found.robot.delay_s
     assert (delay.value, delay.std, delay.status) == (2.5e-3, 1e-4, Status.GIVEN)
@@ -53,7 +53,7 @@ def test_what_the_log_does_not_tell_is_the_given_value() -> None:
     ],
 )
 def test_without_a_fit_each_name_moves_its_own_number_alone(name: str, value: float) -> None:
-    before = told().axes["x"]
+    before = reported().axes["x"]
     after, findings = settle_axis("x", before, None, {name: Given(value=value, std=0.0)})
     flat = [
         (axis.coupling.stiffness_n_per_m, axis.coupling.damping_n_s_per_m, axis.drag_n_s_per_m, axis.robot.delay_s)
@@ -66,7 +66,7 @@ def test_without_a_fit_each_name_moves_its_own_number_alone(name: str, value: fl
 
 
 def test_a_fit_with_the_prior_in_it_decides_and_the_log_alone_is_what_it_is_compared_with() -> None:
-    alone = told().axes["x"]
+    alone = reported().axes["x"]
     both = dataclasses.replace(alone, drag_n_s_per_m=known(341.0, 2.0))
     near, findings = settle_axis("x", alone, both, {"x.drag_n_s_per_m": Given(value=342.0, std=2.5)})
     assert (near.drag_n_s_per_m.value, near.drag_n_s_per_m.std) == (341.0, 2.0)
@@ -77,16 +77,16 @@ def test_a_fit_with_the_prior_in_it_decides_and_the_log_alone_is_what_it_is_comp
 
 
 def test_a_prior_that_contradicts_the_log_is_an_error() -> None:
-    found = settle_cell(told(known(16.2, 0.02)), {"mass_kg": Given(value=22.0, std=0.1)})
+    found = settle_cell(reported(known(16.2, 0.02)), {"mass_kg": Given(value=22.0, std=0.1)})
     (finding,) = (f for f in found.findings if f.code == "given-contradicts")
     assert (finding.severity, "16.2 ± 0.02, given is 22 ± 0.1" in finding.message) == ("error", True)
-    near = settle_cell(told(known(16.2, 0.02)), {"mass_kg": Given(value=16.25, std=0.1)})
+    near = settle_cell(reported(known(16.2, 0.02)), {"mass_kg": Given(value=16.25, std=0.1)})
     assert [finding.code for finding in near.findings] == ["given-used"]
     assert "the log alone shows" in near.findings[0].message
 
 
 def test_a_period_that_differs_by_the_rounding_of_stamps_contradicts_nothing() -> None:
-    seen = dataclasses.replace(told(), sample_time_s=known(0.0020000000001, 1e-15))
+    seen = dataclasses.replace(reported(), sample_time_s=known(0.0020000000001, 1e-15))
     near = settle_cell(seen, {"sample_time_s": Given(value=0.002, std=0.0)})
     assert [finding.code for finding in near.findings] == ["given-used"]
     assert near.sample_time_s.value == 0.002

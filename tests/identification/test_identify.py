@@ -125,18 +125,18 @@ def test_a_log_without_torques_shows_everything_along_straight_axes(
 
 
 def test_contacts_are_reported_as_left_out_of_gravity(complete: Identified) -> None:
-    told = finding(complete, "rests-with-contact")
-    assert told.severity == "info"
-    assert "did not fit the payload's weight" in told.message
+    reported = finding(complete, "rests-with-contact")
+    assert reported.severity == "info"
+    assert "did not fit the payload's weight" in reported.message
 
 
 def test_a_log_without_contact_says_so_and_has_no_environment() -> None:
     found = identify_cell(simulated(Program(contact_count=0)))
     check_honesty(found)
-    told = finding(found, "no-contact")
-    assert told.severity == "error"
-    assert "no contact" in told.message
-    assert "Record 3 or more contacts" in told.advice
+    reported = finding(found, "no-contact")
+    assert reported.severity == "error"
+    assert "no contact" in reported.message
+    assert "Record 3 or more contacts" in reported.advice
     assert found.axes["x"].environments == ()
     # The rest of the log is as good as ever.
     assert found.axes["x"].coupling.stiffness_n_per_m.value == pytest.approx(
@@ -159,17 +159,17 @@ def test_a_log_without_free_motion_has_no_coupling() -> None:
     found = identify_cell(simulated(Program(jogging_s=0.0, sweep_s=0.0, contact_count=0)))
     check_honesty(found)
     assert found.axes == {}
-    told = finding(found, "no-travel")
-    assert told.severity == "error"
-    assert "sweep" in told.advice
+    reported = finding(found, "no-travel")
+    assert reported.severity == "error"
+    assert "sweep" in reported.advice
 
 
-def test_contacts_alone_do_not_tell_the_coupling() -> None:
+def test_contacts_alone_do_not_show_the_coupling() -> None:
     found = identify_cell(simulated(Program(jogging_s=0.0, sweep_s=0.0)))
     check_honesty(found)
-    told = finding(found, "coupling")
-    assert told.severity == "error"
-    assert "record a commanded sweep" in told.message
+    reported = finding(found, "coupling")
+    assert reported.severity == "error"
+    assert "record a commanded sweep" in reported.message
     axis = found.axes["x"]
     assert axis.coupling.stiffness_n_per_m.value is None
     assert axis.environments == ()
@@ -178,9 +178,9 @@ def test_contacts_alone_do_not_tell_the_coupling() -> None:
 def test_a_log_without_command_has_no_robot(demo_recording: Recording, complete: Identified) -> None:
     found = identify_cell(dataclasses.replace(demo_recording, command=None))
     check_honesty(found)
-    told = finding(found, "no-command")
-    assert told.severity == "error"
-    assert "--command-topic" in told.advice
+    reported = finding(found, "no-command")
+    assert reported.severity == "error"
+    assert "--command-topic" in reported.advice
     robot = found.axes["x"].robot
     assert all(estimate.value is None for estimate in estimates(robot))
     assert found.sample_time_s.status is Status.WEAK
@@ -206,9 +206,9 @@ def test_a_command_from_another_time_has_no_robot(demo_recording: Recording) -> 
 def test_a_pose_that_echoes_the_command_is_no_robot(demo_recording: Recording) -> None:
     found = identify_cell(dataclasses.replace(demo_recording, command=demo_recording.pose))
     check_honesty(found)
-    told = finding(found, "robot")
-    assert told.severity == "error"
-    assert "no echo of the command" in told.message
+    reported = finding(found, "robot")
+    assert reported.severity == "error"
+    assert "no echo of the command" in reported.message
     assert found.axes["x"].robot.denominator.value is None
 
 
@@ -280,7 +280,7 @@ def test_the_same_recording_gives_the_same_numbers(demo_recording: Recording, co
     assert identify_cell(demo_recording) == complete
 
 
-def test_an_axis_of_rotation_is_told_in_its_own_units_beside_the_tensor() -> None:
+def test_an_axis_of_rotation_is_reported_in_its_own_units_beside_the_tensor() -> None:
     cell = SimulatedCell.turning("ry")
     found = identify_cell(simulate_cell(cell, Program.turning(jogging_s=0.0, contact_count=2), seed=3).recording)
     check_honesty(found)

@@ -31,7 +31,7 @@ def lively() -> Recording:
     return recorded(led(ONE_POLE, 0.0125, hand_force(12.0, np.random.default_rng(1))))
 
 
-def told(result: Identified) -> dict[str, str]:
+def reported(result: Identified) -> dict[str, str]:
     return {finding.code: finding.severity for finding in result.findings}
 
 
@@ -47,7 +47,9 @@ def test_a_led_robot_is_weak_at_best_since_its_logger_is_not_known() -> None:
     assert "neither lead nor feedback damping" in robot.bandwidth_hz.note
     messages = {finding.code: finding.message for finding in result.findings}
     assert "in one message" in messages["delay-not-split"]
-    assert told(result)["gravity-removed"] == told(result)["coupling"] == told(result)["no-contact"] == "error"
+    assert (
+        reported(result)["gravity-removed"] == reported(result)["coupling"] == reported(result)["no-contact"] == "error"
+    )
     assert result.axes["x"].coupling.stiffness_n_per_m.status is Status.UNIDENTIFIABLE
     assert result.payload.mass_kg.value is None
 
@@ -72,7 +74,7 @@ def test_however_well_it_fits_a_delay_with_the_logger_in_it_is_weak() -> None:
     assert {robot.delay_s.status, robot.bandwidth_hz.status, robot.denominator.status} == {Status.WEAK}
 
 
-def test_gains_that_foretell_another_speed_are_told() -> None:
+def test_gains_that_foretell_another_speed_are_reported() -> None:
     recording = recorded(led(ONE_POLE, 0.0125, hand_force(12.0, np.random.default_rng(1))), damping_n_s_per_m=700.0)
     found = identify_admittance_robots(recording)
     assert next(f.message for f in found.findings if f.code == "admittance-gain").startswith(
@@ -80,7 +82,7 @@ def test_gains_that_foretell_another_speed_are_told() -> None:
     )
 
 
-def test_without_gains_nothing_is_told_and_that_is_an_error() -> None:
+def test_without_gains_nothing_is_reported_and_that_is_an_error() -> None:
     with pytest.raises(EstimateError, match=r"Gravity is already removed.*declare `gains`"):
         identify_partial(replace(lively(), gains=None), PERIOD)
 
@@ -103,12 +105,12 @@ def test_the_pictures_of_a_log_without_weight_show_its_force_and_when_it_touched
 def test_a_sign_that_nothing_shows_is_said_to_be_assumed() -> None:
     """Without gains, command and contact, but with a touch of undetermined cause."""
     recording = lively()
-    assert "force-sign-assumed" not in told(identify_partial(recording, PERIOD))
+    assert "force-sign-assumed" not in reported(identify_partial(recording, PERIOD))
     force = np.zeros_like(recording.wrench.force_n)
     force[2000:2060, 0] = 25.0
     still = replace(recording.pose, position_m=np.zeros_like(recording.pose.position_m))
     pushed = replace(recording, gains=None, wrench=replace(recording.wrench, force_n=force), pose=still)
-    assert told(identify_partial(pushed, PERIOD))["force-sign-assumed"] == "warning"
+    assert reported(identify_partial(pushed, PERIOD))["force-sign-assumed"] == "warning"
 
 
 def test_a_raw_log_is_fitted_with_its_compensated_force() -> None:
@@ -153,13 +155,13 @@ def trace(stiffness: float, sign: float) -> Recording:
 
 @given(stiffness=st.floats(1e3, 1e6), sign=st.sampled_from([-1.0, 1.0]))
 @settings(max_examples=10, deadline=None)
-def test_a_trace_tells_the_same_secant_on_both_sides(stiffness: float, sign: float) -> None:
+def test_a_trace_shows_the_same_secant_on_both_sides(stiffness: float, sign: float) -> None:
     result = identify_partial(trace(stiffness, sign), PERIOD)
     (surface,) = result.axes["z"].environments
     assert surface.secant_stiffness_n_per_m.value == pytest.approx(stiffness, rel=1e-9)
     assert surface.secant_stiffness_n_per_m.status is Status.WEAK  # one contact says nothing of the next
     assert surface.stiffness_n_per_m.value is None
-    assert told(result)["no-command"] == "error"
+    assert reported(result)["no-command"] == "error"
 
 
 def test_a_trace_of_the_wrong_sign_is_no_contact() -> None:
@@ -172,7 +174,7 @@ def test_a_trace_of_the_wrong_sign_is_no_contact() -> None:
     # The controller of the first log reckoned with 4 ms where 5.11 ms passed (`examples/nj60/cell.yaml`).
     [("single_mode_middle.bag", {"x", "z"}, 4.0 / 5.11), ("yellow_table_1.bag", {"x", "y", "z", "rx", "rz"}, 1.0)],
 )
-def test_the_bags_tell_bandwidth_and_lag_and_a_delay_with_poles_alone(
+def test_the_bags_show_bandwidth_and_lag_and_a_delay_with_poles_alone(
     repository: Path, shared_data: Path, name: str, axes: set[str], gain: float
 ) -> None:
     cell = read_cell(repository / "examples" / "nj60" / "cell.yaml").cell
@@ -197,4 +199,4 @@ def test_the_bags_tell_bandwidth_and_lag_and_a_delay_with_poles_alone(
         assert 60.0 < float(message.split("wrench ")[1].split(" ")[0]) < 190.0
         # Turning that the lever takes for travel moves the gain by up to a tenth.
         assert float(message.split("at ")[-1].split(" ")[0]) == pytest.approx(gain, rel=0.12)
-    assert ("admittance-halted" in told(result)) == (name == "yellow_table_1.bag")
+    assert ("admittance-halted" in reported(result)) == (name == "yellow_table_1.bag")

@@ -14,7 +14,7 @@ from identification.payload.gravity import LOCAL_GRAVITY_STD
 from identification.result import Identified
 from tests.autotune.formats.samples import make_identified
 from tests.identification.merging.test_combine import known as estimate
-from tests.identification.merging.test_combine import told
+from tests.identification.merging.test_combine import reported
 
 SWEEP = Sweep(low_hz=1.0, high_hz=35.0, flange_speed_m_s=3e-3, duration_s=8.0)
 SWEPT = ("stiffness_n_per_m", "damping_n_s_per_m", "drag_n_s_per_m", "delay_s")
@@ -27,7 +27,9 @@ def with_stds(values: PlanValues, stds: dict[str, float | None]) -> PlanValues:
 
 def record(values: PlanValues, stds: dict[str, float]) -> Identified:
     """A log that states the values with these deviations."""
-    found = told(estimate(values.mass_kg.value, stds["mass_kg"]), delay=estimate(values.delay_s.value, stds["delay_s"]))
+    found = reported(
+        estimate(values.mass_kg.value, stds["mass_kg"]), delay=estimate(values.delay_s.value, stds["delay_s"])
+    )
     axis = found.axes["x"]
     coupling = replace(
         axis.coupling,
@@ -41,7 +43,7 @@ def record(values: PlanValues, stds: dict[str, float]) -> Identified:
 @pytest.mark.parametrize("ratio", [0.5, 1.0, 3.0])
 def test_a_plan_adds_knowledge_as_the_merging_of_logs_does(ratio: float) -> None:
     """One recording is known, `ratio` times as well as the sweep and the poses tell by themselves."""
-    _, values = values_of(told())
+    _, values = values_of(reported())
     values = replace(values, pose_force_std_n=Known(value=1.0))
     turns = naive_turns(9, 60.0)
     unclear = with_stds(values, dict.fromkeys((*SWEPT, "mass_kg", "motion_mass_kg", "bandwidth_hz", "com_m")))

@@ -11,13 +11,13 @@ from tests.autotune.formats.samples import make_identified
 
 
 def test_a_result_is_the_same_after_pickling_and_as_closed_to_changes() -> None:
-    told = make_identified()
-    found = pickle.loads(pickle.dumps(told))
+    reported = make_identified()
+    found = pickle.loads(pickle.dumps(reported))
     assert isinstance(found, Identified)
-    assert found == told
+    assert found == reported
     assert isinstance(found.axes, FrozenDict)
     with pytest.raises(TypeError):
-        found.axes["z"] = told.axes["x"]
+        found.axes["z"] = reported.axes["x"]
 
 
 def test_a_wrench_filter_is_one_of_two_and_no_lead() -> None:

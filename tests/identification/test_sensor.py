@@ -21,7 +21,7 @@ def pose(position_m: np.ndarray) -> PoseSignal:
 
 
 @pytest.mark.parametrize("noise_m", [2e-6, 2e-5])
-def test_the_noise_of_the_pose_is_told_beside_drift_and_sway_and_outside_of_motion(noise_m: float) -> None:
+def test_the_noise_of_the_pose_is_reported_beside_drift_and_sway_and_outside_of_motion(noise_m: float) -> None:
     rng = np.random.default_rng(7)
     t = np.arange(COUNT) * PERIOD_NS * 1e-9
     # A drift of 0.1 mm/s and a sway of 50 µm at 1 Hz; in the middle a motion that is no rest.
@@ -37,7 +37,7 @@ def test_the_noise_of_the_pose_is_told_beside_drift_and_sway_and_outside_of_moti
     assert found.std == pytest.approx(0.0104 * noise_m, rel=0.1)  # sqrt(35/18/(2 * 8988))
 
 
-def test_a_pose_that_stands_still_to_the_last_bit_or_hardly_rests_tells_no_noise() -> None:
+def test_a_pose_that_stands_still_to_the_last_bit_or_hardly_rests_shows_no_noise() -> None:
     still = pose(np.ones((COUNT, 3)))
     assert position_noise(still, [(0, COUNT * PERIOD_NS)]) is None
     loud = pose(np.random.default_rng(1).standard_normal((COUNT, 3)))

@@ -63,17 +63,19 @@ def any_turn(weight_n_m_per_rad: float) -> AxisTurn:
     return replace(turn, weight_n_m_per_rad=weight_n_m_per_rad)
 
 
-def test_a_fit_is_told_in_the_units_of_a_rotation() -> None:
+def test_a_fit_is_reported_in_the_units_of_a_rotation() -> None:
     names = ParameterLayout(robot_order=2, surfaces=1).names
     values = np.array([2e5, 100.0, 200.0, 12.0, 20.0, 0.7, 3e-3, 8e4, 30.0, 0.5])
-    told = fit_about_axis(joint_fit(names, values), any_turn(0.0))
+    reported = fit_about_axis(joint_fit(names, values), any_turn(0.0))
     square = LEVER_M**2
-    np.testing.assert_allclose(told.values[[0, 1, 2, 3, 7, 8, 9]], square * values[[0, 1, 2, 3, 7, 8, 9]], rtol=1e-12)
+    np.testing.assert_allclose(
+        reported.values[[0, 1, 2, 3, 7, 8, 9]], square * values[[0, 1, 2, 3, 7, 8, 9]], rtol=1e-12
+    )
     # A robot has no unit of length.
-    np.testing.assert_array_equal(told.values[4:7], values[4:7])
-    np.testing.assert_allclose(told.std / told.values, 1e-3, rtol=1e-9)
-    assert told.ci95["drag_n_s_per_m"] == pytest.approx((square, 3.0 * square))
-    (surface,) = told.surfaces
+    np.testing.assert_array_equal(reported.values[4:7], values[4:7])
+    np.testing.assert_allclose(reported.std / reported.values, 1e-3, rtol=1e-9)
+    assert reported.ci95["drag_n_s_per_m"] == pytest.approx((square, 3.0 * square))
+    (surface,) = reported.surfaces
     assert surface.secant_n_per_m == pytest.approx(square * 5e4)
     assert surface.secant_std_n_per_m == pytest.approx(square * 50.0)
     assert surface.peak_force_n == pytest.approx((LEVER_M * 40.0,))
@@ -147,11 +149,11 @@ def test_the_weight_of_the_payload_costs_as_much_as_is_added_for_it() -> None:
     # To first order in κ = 2 %; B_s, a thirtieth of the critical damping, also takes what no model holds.
     np.testing.assert_allclose(shifts[[0, 2, 3]], [-share, -2.0 * share, -2.0 * share], rtol=0.15)
     fit = joint_fit(COUPLING_NAMES, load.vector() / LEVER_M**2)
-    told = fit_about_axis(fit, any_turn(weight))
-    np.testing.assert_allclose(told.values, load.vector(), rtol=1e-12)
-    added = np.sqrt(told.std**2 - (LEVER_M**2 * fit.std) ** 2) / told.values
+    reported = fit_about_axis(fit, any_turn(weight))
+    np.testing.assert_allclose(reported.values, load.vector(), rtol=1e-12)
+    added = np.sqrt(reported.std**2 - (LEVER_M**2 * fit.std) ** 2) / reported.values
     np.testing.assert_allclose(added, [share, share, 2.0 * share, 2.0 * share], rtol=1e-9)
-    correlation = told.covariance[0, 3] / (share * told.values[0] * 2.0 * share * told.values[3])
+    correlation = reported.covariance[0, 3] / (share * reported.values[0] * 2.0 * share * reported.values[3])
     assert correlation == pytest.approx(1.0, rel=1e-9)
 
 

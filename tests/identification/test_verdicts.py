@@ -27,7 +27,7 @@ def test_the_share_of_the_deviation_decides(std: float, status: Status) -> None:
 
 
 @given(st.floats(-1e6, 1e6), st.floats(0.0, 1e6), st.floats(0.0, 1e6))
-def test_no_number_is_told_that_is_not_trusted(value: float, std: float, floor: float) -> None:
+def test_no_number_is_reported_that_is_not_trusted(value: float, std: float, floor: float) -> None:
     estimate = judged(value, std, method="m", floor=floor)
     trusted = estimate.status in {Status.IDENTIFIED, Status.WEAK}
     assert (estimate.value is not None) == trusted
@@ -72,9 +72,9 @@ def test_a_damping_is_judged_by_itself(std: float, status: Status) -> None:
 
 
 def test_a_small_damping_that_is_no_value_is_an_interval() -> None:
-    told = judged_damping(30.0, 20.0, 100.0, method="m")
-    assert (told.value, told.std) == (None, None)
-    assert told.ci95 == pytest.approx((0.0, 30.0 + 1.96 * 20.0))
+    reported = judged_damping(30.0, 20.0, 100.0, method="m")
+    assert (reported.value, reported.std) == (None, None)
+    assert reported.ci95 == pytest.approx((0.0, 30.0 + 1.96 * 20.0))
     assert judged_damping(-5.0, 20.0, 100.0, method="m").ci95 == pytest.approx((0.0, 1.96 * 20.0))
     assert judged_damping(30.0, 20.0, 100.0, method="m", ci95=(3.0, 80.0)).ci95 == (3.0, 80.0)
     assert judged_damping(30.0, 25.1, 100.0, method="m").ci95 is None

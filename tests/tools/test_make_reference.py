@@ -71,11 +71,11 @@ def test_rows_say_what_the_schema_says() -> None:
 def test_every_entry_of_a_written_file_has_its_row() -> None:
     tree = json.loads((make_reference.SCHEMAS / "controller.schema.json").read_text(encoding="utf-8"))
     rows = [row.path for row in Schema(tree).rows()]
-    told = {re.sub(r"<[xyzr ]+>", "<axis>", path) for path in rows}
+    reported = {re.sub(r"<[xyzr ]+>", "<axis>", path) for path in rows}
     # Mappings of which the schema lists nothing hold anything.
-    free = ("provenance", "certificate.proved[ ].over", *(p.removesuffix("<name>") for p in told if "<name>" in p))
+    free = ("provenance", "certificate.proved[ ].over", *(p.removesuffix("<name>") for p in reported if "<name>" in p))
     for path in _paths(controller_tree(make_controller(("x", "rz"))), ""):
-        assert path in told or path.startswith(free), path
+        assert path in reported or path.startswith(free), path
 
 
 def _paths(node: object, path: str) -> list[str]:

@@ -27,7 +27,7 @@ def test_a_python_that_is_too_old_is_named_with_a_way_out(repository: Path, tmp_
     assert not (tmp_path / "venv").exists()
 
 
-def test_a_missing_ensurepip_is_told_with_the_package_that_brings_it(repository: Path, tmp_path: Path) -> None:
+def test_a_missing_ensurepip_is_reported_with_the_package_that_brings_it(repository: Path, tmp_path: Path) -> None:
     bare = _fake_python(tmp_path, f'case "$2" in *ensurepip*) exit 1;; esac; exec "{sys.executable}" "$@"')
     done = _make_venv(repository, tmp_path / "venv", bare)
     version = f"{sys.version_info.major}.{sys.version_info.minor}"

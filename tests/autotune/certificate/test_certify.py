@@ -183,7 +183,7 @@ def test_every_parameter_may_vary_and_a_delay_may_pass_a_tick() -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         ({"robot_damping_ratio": (0.5, 0.6)}, "ranges must be one of"),
         ({"drag_n_s_per_m": (5.0, 1.0)}, "lowest, highest"),
@@ -191,8 +191,8 @@ def test_every_parameter_may_vary_and_a_delay_may_pass_a_tick() -> None:
         ({"environment_damping_n_s_per_m": (0.0, 5.0), STIFFNESS: (0.0, 5.0)}, "greater than 0 in contact"),
     ],
 )
-def test_a_set_that_cannot_be_proved_over_is_refused(change: dict[str, Any], told: str) -> None:
-    with pytest.raises(ParameterError, match=told):
+def test_a_set_that_cannot_be_proved_over_is_refused(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(ParameterError, match=message):
         Family(nominal=paper_plant(stiffness=1e5), ranges=change, sample_time_s=PERIOD_S)
 
 

@@ -149,7 +149,7 @@ def test_two_proofs_of_stability_agree_behind_a_filter() -> None:
             assert lyapunov_stability(each, law, PERIOD_S).holds == expected
 
 
-def test_a_late_wrench_is_proved_as_a_longer_delay_and_told_as_both() -> None:
+def test_a_late_wrench_is_proved_as_a_longer_delay_and_reported_as_both() -> None:
     """T_d from 2.6 to 2.8 samples and 0 to 0.6 of the wrench: 2.6 to 3.4, cut at the tick in between."""
     plant = filtered(2.7 * PERIOD_S, replace(FILTER, delay_s=0.3 * PERIOD_S))
     own, late = (2.6 * PERIOD_S, 2.8 * PERIOD_S), (0.0, 0.6 * PERIOD_S)
@@ -172,7 +172,7 @@ def test_a_late_wrench_is_proved_as_a_longer_delay_and_told_as_both() -> None:
 
 
 @pytest.mark.parametrize(
-    ("nominal", "ranges", "told"),
+    ("nominal", "ranges", "message"),
     [
         (filtered(), {LAG: (0.0, 1e-3)}, "wrench_time_constant_s must be greater than 0"),
         (filtered(wrench=WrenchFilter()), {LAG: (1e-3, 2e-3)}, "wrench_time_constant_s must be greater than 0"),
@@ -180,6 +180,6 @@ def test_a_late_wrench_is_proved_as_a_longer_delay_and_told_as_both() -> None:
         (filtered(), {LATE: (0.0, 1e-3)}, "wrench_delay_s must be 0"),
     ],
 )
-def test_a_family_that_is_none_is_refused(nominal: Plant, ranges: dict[str, tuple[float, float]], told: str) -> None:
-    with pytest.raises(ParameterError, match=told):
+def test_a_family_that_is_none_is_refused(nominal: Plant, ranges: dict[str, tuple[float, float]], message: str) -> None:
+    with pytest.raises(ParameterError, match=message):
         Family(nominal=nominal, ranges=ranges, sample_time_s=PERIOD_S)

@@ -32,7 +32,7 @@ from autotune.report.stills import draw_stills, fitted_limits
 
 
 @pytest.mark.parametrize(
-    ("kind", "values", "told"),
+    ("kind", "values", "message"),
     [
         (Line, {"x": [0.0, 1.0], "y": [0.0]}, "found 1 and 2"),
         (Band, {"x": [0.0, 1.0], "low": [0.0, 1.0], "high": [1.0]}, "as many low and high"),
@@ -41,8 +41,8 @@ from autotune.report.stills import draw_stills, fitted_limits
         (Heat, {"x": [0.0, 1.0], "y": [0.0], "values": [[1.0], [2.0]], "label": "m"}, "1 rows and 2 columns"),
     ],
 )
-def test_shapes_that_do_not_fit_are_refused(kind: Any, values: dict[str, Any], told: str) -> None:
-    with pytest.raises(ValueError, match=told):
+def test_shapes_that_do_not_fit_are_refused(kind: Any, values: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
         kind(**values)
 
 
@@ -113,9 +113,9 @@ def test_both_pictures_are_the_same_each_time_and_say_the_numbers_in_full() -> N
     # Coordinates are shortened; what people read is not: ticks 0.001 and 0.002 must not both be 0.00.
     assert ">0.001<" in drawn
     assert ">0.002<" in drawn
-    told = [json.dumps(draw_live(chart), sort_keys=True) for _ in range(2)]
-    assert told[0] == told[1]
-    assert all(label in told[0] for label in ("line", "points", "margin"))
+    reported = [json.dumps(draw_live(chart), sort_keys=True) for _ in range(2)]
+    assert reported[0] == reported[1]
+    assert all(label in reported[0] for label in ("line", "points", "margin"))
     # The legend stands beside both pictures.
     assert [each.label for each in build_legend(chart).panels[0]] == ["line", "band", "points", "stretch", "limit"]
     # No colour of a drawing is fixed but those of a map, which stay on any paper.
@@ -139,10 +139,10 @@ def luminance(colour: str) -> float:
 
 @pytest.mark.parametrize("dark", [False, True])
 def test_every_colour_stands_out_from_its_paper(dark: bool) -> None:
-    told = dict(each.split(": ") for each in colour_variables(dark=dark).rstrip(";").split("; "))
-    paper = luminance(told.pop("--draw-paper"))
+    reported = dict(each.split(": ") for each in colour_variables(dark=dark).rstrip(";").split("; "))
+    paper = luminance(reported.pop("--draw-paper"))
     assert (paper < 0.1) == dark
-    for name, colour in told.items():
+    for name, colour in reported.items():
         low, high = sorted((luminance(colour), paper))
         contrast = (high + 0.05) / (low + 0.05)
         # Text as the guidelines ask for; strokes that carry data; the grid is meant to stay behind.
@@ -150,7 +150,7 @@ def test_every_colour_stands_out_from_its_paper(dark: bool) -> None:
         assert contrast > least, (name, contrast)
 
 
-def test_a_legend_is_told_once_and_panel_by_panel_only_where_panels_share_nothing() -> None:
+def test_a_legend_is_reported_once_and_panel_by_panel_only_where_panels_share_nothing() -> None:
     x = np.array([0.0, 1.0])
     side = Scale(label="s")
 

@@ -27,8 +27,8 @@ class Seen:
     @property
     def text(self) -> str:
         """Return what stays on the screen: without escape sequences and without the bars, which are wiped."""
-        told = self.raw[self.raw.rfind("\x1b[2K") + 4 :] if "\x1b[2K" in self.raw else self.raw
-        return _ESCAPE.sub("", told).replace("\r\n", "\n")
+        reported = self.raw[self.raw.rfind("\x1b[2K") + 4 :] if "\x1b[2K" in self.raw else self.raw
+        return _ESCAPE.sub("", reported).replace("\r\n", "\n")
 
 
 def set_width(descriptor: int, columns: int) -> None:

@@ -86,7 +86,7 @@ def test_only_annotations_are_replaced(run_cli: RunCli, good_log: Path, tmp_path
     own = tmp_path / "own.mcap"
     own.write_bytes(good_log.read_bytes())
     (tmp_path / "text.mcap").write_text("hello\n")
-    for target, told in (
+    for target, reported in (
         ("own.mcap", "own.mcap exists"),
         ("text.mcap", "text.mcap exists"),
         ("seen.bag", "must end in .mcap"),
@@ -94,7 +94,7 @@ def test_only_annotations_are_replaced(run_cli: RunCli, good_log: Path, tmp_path
     ):
         done = run_cli("identify", good_log, "--annotate", target)
         assert (done.returncode, done.stdout) == (2, "")
-        assert told in done.stderr
+        assert reported in done.stderr
         assert not (tmp_path / "identified.yaml").exists()
     assert own.read_bytes() == good_log.read_bytes()
     assert (tmp_path / "text.mcap").read_text() == "hello\n"

@@ -14,8 +14,8 @@ from tests.identification.logs.log_builder import complete, pose_stream, wrench_
 
 def run(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> tuple[int, str, str]:
     code = main([*map(str, arguments)])
-    told = capsys.readouterr()
-    return code, told.out, told.err
+    output = capsys.readouterr()
+    return code, output.out, output.err
 
 
 def test_inspect_begins_a_cell_file_and_takes_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -71,7 +71,7 @@ def test_the_identified_file_says_where_it_comes_from(
     assert "clocks-agree" in [finding.code for finding in read.result.findings]
 
 
-def test_a_damaged_log_is_read_on_request_and_the_loss_is_told(
+def test_a_damaged_log_is_read_on_request_and_the_loss_is_reported(
     tmp_path: Path, good_log: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     cut, out = tmp_path / "cut.mcap", tmp_path / "identified.yaml"
@@ -82,10 +82,10 @@ def test_a_damaged_log_is_read_on_request_and_the_loss_is_told(
     assert (code, err) == (0, "")
     read = read_identified(out)
     assert read.provenance["options"]["salvage"] is True
-    told = {finding.code: finding.message for finding in read.result.findings if "cut.mcap" in finding.message}
-    assert "the end was cut off" in told["salvaged"]
+    text = {finding.code: finding.message for finding in read.result.findings if "cut.mcap" in finding.message}
+    assert "the end was cut off" in text["salvaged"]
     lasts = read.provenance["time_span_s"][1] - read.provenance["time_span_s"][0]
-    assert f"spans {lasts:.3f} s" in told["salvaged-span"]
+    assert f"spans {lasts:.3f} s" in text["salvaged-span"]
     assert run(capsys, "inspect", cut)[0] == 3
     assert run(capsys, "inspect", cut, "--salvage")[0] == 0
 

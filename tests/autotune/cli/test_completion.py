@@ -72,16 +72,16 @@ def test_every_file_that_is_read_is_proposed_by_kind(name: str) -> None:
     [("zsh", "2", "dir\ncon\n_\nplain\ncontroller.yaml\n_\n"), ("fish", "con", "dir,con\nplain,controller.yaml\n")],
 )
 @pytest.mark.usefixtures("folder")
-def test_the_other_shells_are_told_files_and_folders(
+def test_the_other_shells_are_reported_files_and_folders(
     shell: str, position: str, answer: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("COMP_WORDS", "autotune validate con")
     monkeypatch.setenv("COMP_CWORD", position)
     monkeypatch.setenv("_AUTOTUNE_COMPLETE", f"{shell}_complete")
     assert main([]) == 0
-    told = capsys.readouterr().out
+    output = capsys.readouterr().out
     # Newer versions of click write another word for "no help", or none.
-    assert [line for line in told.split() if line != "_"] == [line for line in answer.split() if line != "_"]
+    assert [line for line in output.split() if line != "_"] == [line for line in answer.split() if line != "_"]
 
 
 @pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")
@@ -114,18 +114,18 @@ def test_bash_completes_commands_files_of_the_kind_and_folders(folder: Path, rep
         ["bash", "--norc", "--noprofile", "-i"], stdin=theirs, stdout=theirs, stderr=theirs, cwd=folder, env=environment
     )
     os.close(theirs)
-    told = ""
+    output = ""
     try:
         again = "complete -o nosort -F _autotune_completion autotune"
         _type(ours, f'source script.sh; autotune() {{ echo "$@"; }}; {again}\n')
-        told = _until(ours, "$ ", 2)
+        output = _until(ours, "$ ", 2)
         for line, words in typed.items():
             expected = "".join(f"<{word}>" for word in words)
             _type(ours, line)
             _until(ours, words[-1].split()[-1], 1)
             _type(ours, "\n")
-            told = _until(ours, expected, 1)
-            assert expected in told, (line, told)
+            output = _until(ours, expected, 1)
+            assert expected in output, (line, output)
     finally:
         bash.kill()
         bash.wait(timeout=60)
@@ -139,10 +139,10 @@ def _type(terminal: int, text: str) -> None:
 def _until(terminal: int, expected: str, count: int, timeout_s: float = 30.0) -> str:
     """Read what bash shows until `expected` was there `count` times, or time is up."""
     os.set_blocking(terminal, False)
-    told, end = "", time.monotonic() + timeout_s
-    while told.count(expected) < count and time.monotonic() < end:
+    reported, end = "", time.monotonic() + timeout_s
+    while reported.count(expected) < count and time.monotonic() < end:
         try:
-            told += os.read(terminal, 65536).decode(errors="replace")
+            reported += os.read(terminal, 65536).decode(errors="replace")
         except BlockingIOError:
             time.sleep(0.02)
-    return told
+    return reported

@@ -11,7 +11,7 @@ from autotune.cli.main import main
 from autotune.formats.controller import read_controller
 from tests.autotune.cli.test_optimize import prepare
 from tests.autotune.tuning.cases import FAST_PROBLEM_YAML
-from tests.told import is_next_alone
+from tests.next_step import is_next_alone
 
 RunCli = Callable[..., "subprocess.CompletedProcess[str]"]
 
@@ -38,9 +38,9 @@ def test_the_table_the_file_and_the_same_bytes_twice(
     monkeypatch.chdir(tmp_path)
     assert main(["optimize", "identified.yaml", "--problem", "problem.yaml", "-o", "second.yaml", "--json"]) == 0
     assert (tmp_path / "second.yaml").read_bytes() == (tmp_path / "first.yaml").read_bytes()
-    told = json.loads(capsys.readouterr().out)["provenance"]["compliance"]["x"]
-    assert told == read_controller("first.yaml").controller.provenance["compliance"]["x"]
-    assert [told["chosen_n_per_m"], told["stiffest_that_meets_all_n_per_m"]] == [8e4, 8.6e4]
+    output = json.loads(capsys.readouterr().out)["provenance"]["compliance"]["x"]
+    assert output == read_controller("first.yaml").controller.provenance["compliance"]["x"]
+    assert [output["chosen_n_per_m"], output["stiffest_that_meets_all_n_per_m"]] == [8e4, 8.6e4]
     assert main(["validate", "first.yaml", "--identified", "identified.yaml", "--samples", "0"]) == 6
     checks = capsys.readouterr().out.splitlines()
     # Everything holds but for the surface that was there before: it is not the one that was certified.

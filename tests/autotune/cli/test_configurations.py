@@ -74,13 +74,13 @@ def test_a_configuration_that_must_not_get_through(
     path.write_bytes(content)
     further = ["--target", "json", "-o", str(out)] if command == "export" else []
     code = main([command, str(path), *further])
-    told = capsys.readouterr()
-    assert (code, told.out, told.err.count("\n")) == (6, "", 1), told.err
+    output = capsys.readouterr()
+    assert (code, output.out, output.err.count("\n")) == (6, "", 1), output.err
     assert not out.exists()
-    assert f"{path}, line " in told.err
-    assert reason in told.err
+    assert f"{path}, line " in output.err
+    assert reason in output.err
     if case != "cut":
-        assert f"{path}, line {line}: " in told.err, told.err
+        assert f"{path}, line {line}: " in output.err, output.err
 
 
 @pytest.mark.parametrize("command", ["validate", "export"])
@@ -108,6 +108,6 @@ def test_another_cells_file_does_not_pass_for_this_cell(tmp_path: Path, capsys: 
     path.write_text(YAML, encoding="utf-8")
     write_identified(plant, identified_plant(), {"tool": "by hand"})
     code = main(["validate", str(path), "--identified", str(plant), "--samples", "0", "--json"])
-    told = capsys.readouterr()
+    output = capsys.readouterr()
     assert code == 6
-    assert '"name": "identified plant",\n      "passed": false' in told.out
+    assert '"name": "identified plant",\n      "passed": false' in output.out

@@ -66,7 +66,7 @@ def brief(tmp_path_factory: pytest.TempPathFactory) -> tuple[DemoResult, list[st
         return run_demo(folder, seed=3, step=steps.append, progress=shares.append), steps, shares
 
 
-def test_how_far_it_is_is_told_in_many_small_parts_that_make_the_whole(
+def test_how_far_it_is_is_reported_in_many_small_parts_that_make_the_whole(
     brief: tuple[DemoResult, list[str], list[float]],
 ) -> None:
     _, steps, shares = brief
@@ -112,7 +112,7 @@ def test_people_see_a_summary(
     found, _, _ = brief
     monkeypatch.setattr(demo_module, "run_demo", lambda *_args, **_options: found)
     assert main(["demo", "anywhere"]) == 0
-    told = capsys.readouterr().out
+    output = capsys.readouterr().out
     for expected in (
         "beside the truth of the simulation",
         "payload mass M_p",
@@ -123,7 +123,7 @@ def test_people_see_a_summary(
         str(found.files.log.parent / "report.html"),
         found.checksum[:8],
     ):
-        assert expected in told
+        assert expected in output
     monkeypatch.setattr(page, "render_page", lambda *_arguments, **_options: "drawn once already")
     assert main(["demo", "anywhere", "--quiet"]) == 0
     quiet = capsys.readouterr()
@@ -131,13 +131,14 @@ def test_people_see_a_summary(
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"), [(["file.txt"], "is a file"), (["out", "--seed", "-1"], "seed"), (["a", "b"], "unexpected")]
+    ("arguments", "message"),
+    [(["file.txt"], "is a file"), (["out", "--seed", "-1"], "seed"), (["a", "b"], "unexpected")],
 )
-def test_a_wrong_request_is_exit_2(run_cli: RunCli, tmp_path: Path, arguments: list[str], told: str) -> None:
+def test_a_wrong_request_is_exit_2(run_cli: RunCli, tmp_path: Path, arguments: list[str], message: str) -> None:
     (tmp_path / "file.txt").write_text("", encoding="utf-8")
     done = run_cli("demo", *arguments)
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
-    assert told in done.stderr
+    assert message in done.stderr
 
 
 @pytest.mark.parametrize("name", ["cell.mcap", "identified.yaml", "controller.yaml", "controller.json", "report.html"])

@@ -24,7 +24,7 @@ def arguments(tmp_path: Path) -> list[str]:
 
 
 @pytest.mark.parametrize(
-    ("is_there", "is_cut_short", "code", "told"),
+    ("is_there", "is_cut_short", "code", "message"),
     [(True, False, 0, "Ended."), (False, False, 130, "Interrupted."), (True, True, 130, "is not written.")],
 )
 def test_an_interrupt_is_good_only_where_nothing_was_under_way(
@@ -34,7 +34,7 @@ def test_an_interrupt_is_good_only_where_nothing_was_under_way(
     is_there: bool,
     is_cut_short: bool,
     code: int,
-    told: str,
+    message: str,
 ) -> None:
     def serve(_exploration: object, target: Target, *, port: int, ready: Ready) -> None:
         assert port == 0
@@ -45,7 +45,7 @@ def test_an_interrupt_is_good_only_where_nothing_was_under_way(
 
     monkeypatch.setattr(server, "serve", serve)
     assert main(arguments) == code
-    assert told in capsys.readouterr().err
+    assert message in capsys.readouterr().err
 
 
 def test_an_interrupt_that_something_swallows_is_not_lost(
@@ -64,7 +64,7 @@ def test_an_interrupt_that_something_swallows_is_not_lost(
     assert capsys.readouterr().err == "autotune: Interrupted.\n"
 
 
-def test_what_a_save_would_replace_is_told(
+def test_what_a_save_would_replace_is_reported(
     arguments: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     write_controller(arguments[3], small_controller())

@@ -14,7 +14,7 @@ from autotune.formats.signature import fingerprint
 from autotune.formats.yaml12 import dump_yaml, load_yaml
 from tests.autotune.export.peer_cases import PLAIN, peer_controller, requirements
 from tests.autotune.tuning.cases import small_controller
-from tests.told import is_next_alone
+from tests.next_step import is_next_alone
 
 RunCli = Callable[..., "subprocess.CompletedProcess[str]"]
 
@@ -26,7 +26,7 @@ def source(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("target", ["cell", "json"])
-def test_a_controller_is_exported_and_its_short_checksum_told(run_cli: RunCli, source: Path, target: str) -> None:
+def test_a_controller_is_exported_and_its_short_checksum_reported(run_cli: RunCli, source: Path, target: str) -> None:
     run = run_cli("export", source, "--target", target, "-o", "out")
     assert run.returncode == 0
     assert is_next_alone(run.stderr)
@@ -46,9 +46,9 @@ def test_c_is_a_source_and_its_header(run_cli: RunCli, source: Path) -> None:
 
 def test_json_is_one_object_and_quiet_is_silent(run_cli: RunCli, source: Path) -> None:
     digest = read_controller(source).checksum
-    told = run_cli("export", source, "--target", "json", "-o", "out", "--json")
+    output = run_cli("export", source, "--target", "json", "-o", "out", "--json")
     expected = {"target": "json", "path": "out", "checksum": digest, "short_checksum": digest[:8]}
-    assert json.loads(told.stdout) == {**expected, "replaced": False}
+    assert json.loads(output.stdout) == {**expected, "replaced": False}
     quiet = run_cli("export", source, "--target", "json", "-o", "out", "--quiet")
     assert (quiet.returncode, quiet.stdout, quiet.stderr) == (0, "", "")
 
@@ -65,7 +65,7 @@ def test_an_altered_file_is_exit_6_with_one_line(run_cli: RunCli, source: Path, 
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "message"),
     [
         (["controller.yaml", "--target", "fzi", "-o", "out"], "'cell', 'json'"),
         (["controller.yaml", "--target", "cell"], "--output"),
@@ -73,15 +73,15 @@ def test_an_altered_file_is_exit_6_with_one_line(run_cli: RunCli, source: Path, 
         (["controller.yaml", "--target", "cell", "-o", "no/such/folder/out"], "cannot be written"),
     ],
 )
-def test_a_wrong_request_is_exit_2(run_cli: RunCli, source: Path, arguments: list[str], told: str) -> None:
+def test_a_wrong_request_is_exit_2(run_cli: RunCli, source: Path, arguments: list[str], message: str) -> None:
     run = run_cli("export", *arguments)
     assert run.returncode == 2
-    assert told in run.stderr
+    assert message in run.stderr
     assert [path.name for path in source.parent.iterdir()] == ["controller.yaml"]
 
 
 @pytest.mark.parametrize("target", ["cell", "json", "c"])
-def test_an_earlier_export_is_replaced_and_told_and_another_file_is_exit_2(
+def test_an_earlier_export_is_replaced_and_reported_and_another_file_is_exit_2(
     run_cli: RunCli, source: Path, target: str
 ) -> None:
     arguments = ("export", source, "--target", target, "-o", "out.c")
@@ -103,7 +103,7 @@ def test_the_help_has_an_example(run_cli: RunCli) -> None:
     assert "Examples:\n    autotune export controller.yaml --target json -o controller.json\n" in run.stdout
 
 
-def test_another_controller_is_certified_and_its_price_told(run_cli: RunCli, tmp_path: Path) -> None:
+def test_another_controller_is_certified_and_its_price_reported(run_cli: RunCli, tmp_path: Path) -> None:
     write_controller(tmp_path / "easy.yaml", peer_controller({"x": PLAIN}, requirements(2.5e-4)))
     run = run_cli("export", "easy.yaml", "--target", "ros2_control", "-o", "out.yaml", "--joints", "j1, j2")
     assert run.returncode == 0
@@ -118,7 +118,7 @@ def test_another_controller_is_certified_and_its_price_told(run_cli: RunCli, tmp
     assert 'joints: ["j1", "j2"]' in (tmp_path / "out.yaml").read_text(encoding="utf-8")
 
 
-def test_the_json_of_another_controller_tells_parameters_and_price(
+def test_the_json_of_another_controller_shows_parameters_and_price(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     source, out = tmp_path / "easy.yaml", tmp_path / "out.yaml"
@@ -142,9 +142,9 @@ def test_gains_along_the_base_ask_for_the_orientation_of_use(
     write_controller(source, peer_controller({"x": PLAIN}, requirements(2.5e-4)))
     asked = ["export", str(source), "--target", "fzi_cartesian", "-o", str(out)]
     assert main(asked) == 2
-    told = capsys.readouterr()
-    assert (told.out, told.err.count("\n")) == ("", 1)
-    assert "x must move and y, z must not" in told.err
+    output = capsys.readouterr()
+    assert (output.out, output.err.count("\n")) == ("", 1)
+    assert "x must move and y, z must not" in output.err
     assert not out.exists()
     assert main([*asked, "--orientation", "0,0,-0.70711,0.70711"]) == 0
     assert "x along its y" in capsys.readouterr().out
@@ -157,14 +157,14 @@ def test_what_another_controller_cannot_do_is_exit_5_and_writes_nothing(
     source, out = tmp_path / "hard.yaml", tmp_path / "out.yaml"
     write_controller(source, peer_controller({"x": PLAIN}, requirements(5e-3)))
     assert main(["export", str(source), "--target", "ros2_control", "-o", str(out)]) == 5
-    told = capsys.readouterr()
-    assert (told.out, told.err.count("\n")) == ("", 1)
-    assert "cannot do what was asked" in told.err
+    output = capsys.readouterr()
+    assert (output.out, output.err.count("\n")) == ("", 1)
+    assert "cannot do what was asked" in output.err
     assert not out.exists()
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "message"),
     [
         (["--target", "cell", "--joints", "a"], "The target cell has no option --joints; it takes no options"),
         (
@@ -178,11 +178,11 @@ def test_what_another_controller_cannot_do_is_exit_5_and_writes_nothing(
     ],
 )
 def test_an_option_that_does_not_fit_is_exit_2(
-    source: Path, arguments: list[str], told: str, capsys: pytest.CaptureFixture[str]
+    source: Path, arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = source.with_name("out")
     assert main(["export", str(source), "-o", str(out), *arguments]) == 2
-    assert told in capsys.readouterr().err
+    assert message in capsys.readouterr().err
     assert not out.exists()
 
 
@@ -199,11 +199,11 @@ def test_a_law_that_is_not_stable_is_exit_6_whatever_its_checksum_says(run_cli: 
 
 
 @pytest.mark.parametrize(
-    ("entry", "value", "told"),
+    ("entry", "value", "message"),
     [("rest_force_n", 20.0, "with_residual_weight"), ("speed", 0.02, "limits.axes.x.speed is 0.02 m/s, and certified")],
 )
 def test_limits_that_validate_refuses_are_not_exported(
-    source: Path, capsys: pytest.CaptureFixture[str], entry: str, value: float, told: str
+    source: Path, capsys: pytest.CaptureFixture[str], entry: str, value: float, message: str
 ) -> None:
     tree = load_yaml(source)
     (tree["limits"]["axes"]["x"] if entry == "speed" else tree["limits"])[entry] = value
@@ -213,7 +213,7 @@ def test_limits_that_validate_refuses_are_not_exported(
         assert main(["export", str(source), "--target", target, "-o", str(source.with_name("out.c"))]) == 6
         refusal = capsys.readouterr().err
         assert "controller.yaml is false, so nothing is exported from it: Axis x, limits" in refusal
-        assert told in refusal
+        assert message in refusal
     assert [path.name for path in source.parent.iterdir()] == ["controller.yaml"]
 
 
@@ -243,9 +243,9 @@ def test_where_a_key_or_a_checksum_is_asked_for_it_is_verified(run_cli: RunCli, 
     assert 'signed_by[17] = "";' in source.with_name("cell.c").read_text(encoding="utf-8")
     beside.write_bytes(key.sign(source.read_bytes()))
     assert run_cli(*arguments, "--public-key", "pub.pem").returncode == 0
-    told = fingerprint(key.public_key())
-    assert f'signed_by[17] = "{told}";' in source.with_name("cell.c").read_text(encoding="utf-8")
-    assert f"signature verified, key {told}" in source.with_name("cell.h").read_text(encoding="utf-8")
+    reported = fingerprint(key.public_key())
+    assert f'signed_by[17] = "{reported}";' in source.with_name("cell.c").read_text(encoding="utf-8")
+    assert f"signature verified, key {reported}" in source.with_name("cell.h").read_text(encoding="utf-8")
     digest = read_controller(source).checksum
     for expected, code in ((digest, 0), ("0" * 64, 6), (digest[:8], 2)):
         assert run_cli(*arguments, "--expected-checksum", expected).returncode == code

@@ -87,7 +87,7 @@ def test_a_group_of_an_option_that_is_not_there_is_refused() -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_the_help_fits_eighty_columns_but_for_examples(name: str) -> None:
     command = command_of(name)
-    told = command.get_help(click.Context(command, info_name=name, terminal_width=80)).partition("Examples:")[0]
+    output = command.get_help(click.Context(command, info_name=name, terminal_width=80)).partition("Examples:")[0]
     # One word that is longer than a line cannot be split.
-    assert [line for line in told.splitlines() if len(line) > 80 and " " in line.strip()] == []
+    assert [line for line in output.splitlines() if len(line) > 80 and " " in line.strip()] == []
     assert inspect.cleandoc(command.help or "")

@@ -10,7 +10,7 @@ import pytest
 from autotune.formats.identified import read_identified
 from autotune.formats.yaml12 import load_yaml
 from autotune.simulation.truth import SimulatedCell
-from tests.told import is_next_alone
+from tests.next_step import is_next_alone
 
 RunCli = Callable[..., "subprocess.CompletedProcess[str]"]
 
@@ -42,9 +42,9 @@ def test_the_file_holds_the_cell(first_run: tuple[Path, str, str]) -> None:
 
 
 def test_people_see_a_table_and_what_comes_next_on_standard_error(first_run: tuple[Path, str, str]) -> None:
-    folder, told, aside = first_run
+    folder, reported, aside = first_run
     assert is_next_alone(aside)
-    lines = told.splitlines()
+    lines = reported.splitlines()
     assert lines[0].split() == ["parameter", "value", "±", "std", "unit", "verdict"]
     assert any(line.startswith("x: coupling K_s") and line.endswith("identified") for line in lines)
     (line,) = (each for each in lines if each.startswith("time line: "))
@@ -70,7 +70,7 @@ def test_quiet_writes_the_file_and_says_nothing(run_cli: RunCli, tmp_path: Path,
 
 
 @pytest.mark.parametrize(
-    ("name", "code", "told"),
+    ("name", "code", "reported"),
     [
         ("no_contact", 4, ["no contact", "Record 3 or more contacts"]),
         ("one_pose", 4, ["tool orientations", "found 1", "record 6 to 12 poses"]),
@@ -82,8 +82,8 @@ def test_quiet_writes_the_file_and_says_nothing(run_cli: RunCli, tmp_path: Path,
         ("absent", 3, ["absent.mcap"]),
     ],
 )
-def test_a_log_that_does_not_tell_is_refused_with_one_line_and_no_file(
-    run_cli: RunCli, tmp_path: Path, unusable_logs: Path, name: str, code: int, told: list[str]
+def test_a_log_that_does_not_show_is_refused_with_one_line_and_no_file(
+    run_cli: RunCli, tmp_path: Path, unusable_logs: Path, name: str, code: int, reported: list[str]
 ) -> None:
     (tmp_path / "identified.yaml").write_text("format: autotune/identified\n", encoding="utf-8")
     done = run_cli("identify", unusable_logs / f"{name}.mcap")
@@ -91,7 +91,7 @@ def test_a_log_that_does_not_tell_is_refused_with_one_line_and_no_file(
     assert done.stderr.count("\n") == 1
     assert done.stderr.startswith("autotune: ")
     assert "Traceback" not in done.stderr
-    assert [part for part in told if part not in done.stderr] == []
+    assert [part for part in reported if part not in done.stderr] == []
     assert [path.name for path in tmp_path.iterdir()] == ["identified.yaml"]
     assert (tmp_path / "identified.yaml").read_text(encoding="utf-8") == "format: autotune/identified\n"
 
@@ -105,7 +105,7 @@ def test_a_refusal_with_json_is_one_object_with_the_code(run_cli: RunCli, tmp_pa
 
 
 @pytest.mark.parametrize("option", ["--wrench-topic", "--pose-topic", "--command-topic"])
-def test_a_topic_that_is_not_there_is_told_with_those_that_are(
+def test_a_topic_that_is_not_there_is_reported_with_those_that_are(
     run_cli: RunCli, tmp_path: Path, good_log: Path, option: str
 ) -> None:
     done = run_cli("identify", good_log, option, "/nowhere")
@@ -128,7 +128,7 @@ def test_what_is_missing_can_be_left_open_on_request(run_cli: RunCli, tmp_path: 
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "message"),
     [
         ([], "Missing argument 'LOG...'"),
         (["cell.mcap", "--wrench"], "No such option"),
@@ -137,11 +137,11 @@ def test_what_is_missing_can_be_left_open_on_request(run_cli: RunCli, tmp_path: 
         (["cell.mcap", "--given", "rz.drag_n_s_per_m=3"], "rz.drag_n_m_s_per_rad"),
     ],
 )
-def test_a_wrong_request_is_exit_2(run_cli: RunCli, tmp_path: Path, arguments: list[str], told: str) -> None:
+def test_a_wrong_request_is_exit_2(run_cli: RunCli, tmp_path: Path, arguments: list[str], message: str) -> None:
     (tmp_path / "cell.mcap").write_bytes(b"no log is read before this")
     done = run_cli("identify", *arguments)
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
-    assert told in done.stderr
+    assert message in done.stderr
 
 
 def test_a_folder_that_cannot_be_written_is_exit_2_and_leaves_nothing(

@@ -9,7 +9,7 @@ import pytest
 
 from autotune.cli.main import main
 from tests.identification.logs.log_builder import complete, pose_stream, wrench_stream, write_mcap
-from tests.told import is_next_alone
+from tests.next_step import is_next_alone
 
 RunCli = Callable[..., "subprocess.CompletedProcess[str]"]
 
@@ -17,14 +17,14 @@ RunCli = Callable[..., "subprocess.CompletedProcess[str]"]
 def test_a_table_and_nothing_missing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = write_mcap(tmp_path / "run.mcap", complete())
     assert main(["inspect", str(path)]) == 0
-    told = capsys.readouterr()
-    lines = told.out.splitlines()
+    output = capsys.readouterr()
+    lines = output.out.splitlines()
     heading = next(line for line in lines if line.startswith("topic"))
     row = next(line for line in lines if line.startswith("/ft/wrench"))
     assert row.index("500.00") + len("500.00") == heading.index("rate [Hz]") + len("rate [Hz]")
     assert row.split()[1:3] == ["geometry_msgs/msg/WrenchStamped", "200"]
     assert lines[-1] == "Every channel that identify needs is there."
-    assert is_next_alone(told.err)
+    assert is_next_alone(output.err)
 
 
 def test_json_holds_the_whole_summary(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -46,10 +46,10 @@ def test_a_damaged_file_is_one_line_and_code_3(tmp_path: Path, capsys: pytest.Ca
     path = write_mcap(tmp_path / "run.mcap", complete())
     path.write_bytes(path.read_bytes()[:-1000])
     assert main(["inspect", str(path)]) == 3
-    told = capsys.readouterr()
-    assert told.out == ""
-    assert len(told.err.splitlines()) == 1
-    assert "run.mcap is truncated or damaged at byte" in told.err
+    output = capsys.readouterr()
+    assert output.out == ""
+    assert len(output.err.splitlines()) == 1
+    assert "run.mcap is truncated or damaged at byte" in output.err
 
 
 def test_control_characters_of_a_topic_do_not_reach_the_terminal(
@@ -67,6 +67,6 @@ def test_help_shows_an_example(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_recorded_bags_are_described(shared_data: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["inspect", str(shared_data / "nj60" / "yellow_table_1.bag")]) == 0
-    told = capsys.readouterr().out
-    assert "/robot_state" in told
-    assert "record the force/torque sensor as geometry_msgs/msg/WrenchStamped" in told
+    output = capsys.readouterr().out
+    assert "/robot_state" in output
+    assert "record the force/torque sensor as geometry_msgs/msg/WrenchStamped" in output

@@ -145,8 +145,8 @@ def test_every_command_helps_with_an_example(run_process: RunCli, name: str) -> 
 
 @pytest.mark.parametrize("name", [name for name in COMMANDS if name != "completion"])
 def test_every_command_speaks_json_and_can_be_quiet(run_process: RunCli, name: str) -> None:
-    told = run_process(name, "--help").stdout
-    assert [option for option in ("--json", "--quiet", "--debug") if option not in told] == []
+    printed = run_process(name, "--help").stdout
+    assert [option for option in ("--json", "--quiet", "--debug") if option not in printed] == []
 
 
 @pytest.mark.parametrize("name", list(COMMANDS))
@@ -183,9 +183,9 @@ def test_a_reader_that_leaves_early_changes_nothing(tmp_path: Path) -> None:
         assert process.stdout is not None
         process.stdout.close()
         assert process.stderr is not None
-        told = process.stderr.read().decode()
+        printed = process.stderr.read().decode()
         process.stderr.close()
-        assert (process.wait(timeout=60), told) == (ExitCode.CERTIFICATE, "ready\n")
+        assert (process.wait(timeout=60), printed) == (ExitCode.CERTIFICATE, "ready\n")
 
 
 def test_ctrl_c_exits_130(tmp_path: Path) -> None:
@@ -199,8 +199,8 @@ def test_ctrl_c_exits_130(tmp_path: Path) -> None:
     assert process.stderr is not None
     assert process.stderr.readline() == "ready\n"
     process.send_signal(signal.SIGINT)
-    out, told = process.communicate(timeout=60)
-    assert (process.returncode, out, told) == (130, "", "autotune: Interrupted.\n")
+    out, reported = process.communicate(timeout=60)
+    assert (process.returncode, out, reported) == (130, "", "autotune: Interrupted.\n")
 
 
 @pytest.mark.parametrize(("option", "shown"), [((), True), (("--quiet",), False)])
@@ -248,13 +248,13 @@ def test_every_error_is_one_line_and_has_its_code(
     run_tiny: RunTiny, capsys: pytest.CaptureFixture[str], error: BaseException, code: int
 ) -> None:
     assert run_tiny(raising(error), "--json") == code
-    out, told = capsys.readouterr()
-    assert told.startswith("autotune: ")
-    assert told.count("\n") == 1
+    out, printed = capsys.readouterr()
+    assert printed.startswith("autotune: ")
+    assert printed.count("\n") == 1
     tree = json.loads(out)
     assert tree["error"]["kind"] == type(error).__name__
     assert tree["error"]["exit_code"] == code
-    assert tree["error"]["message"] in told
+    assert tree["error"]["message"] in printed
     assert exit_code_of(error) == code
 
 
@@ -269,9 +269,9 @@ def test_debug_shows_the_traceback_and_nothing_else_does(run_tiny: RunTiny, caps
     assert run_tiny(raising(ZeroDivisionError("no")), "--debug") == 1
     assert "Traceback" in capsys.readouterr().err
     assert run_tiny(raising(ZeroDivisionError("no"))) == 1
-    told = capsys.readouterr().err
-    assert "Traceback" not in told
-    assert "--debug" in told
+    printed = capsys.readouterr().err
+    assert "Traceback" not in printed
+    assert "--debug" in printed
 
 
 def test_a_usage_error_in_the_arguments_is_json_too(run_tiny: RunTiny, capsys: pytest.CaptureFixture[str]) -> None:
@@ -285,13 +285,13 @@ def test_a_result_then_an_error_is_still_one_object(run_tiny: RunTiny, capsys: p
         raise CertificateError("The modulus margin does not hold.")
 
     assert run_tiny(body, "--json") == 6
-    out, told = capsys.readouterr()
+    out, printed = capsys.readouterr()
     assert json.loads(out) == {"holds": False}
-    assert told == "autotune: The modulus margin does not hold.\n"
+    assert printed == "autotune: The modulus margin does not hold.\n"
 
 
 @pytest.mark.parametrize(
-    ("arguments", "out", "told"),
+    ("arguments", "out", "message"),
     [
         ((), "text\n", "note\n"),
         (("--quiet",), "", ""),
@@ -300,7 +300,7 @@ def test_a_result_then_an_error_is_still_one_object(run_tiny: RunTiny, capsys: p
     ],
 )
 def test_what_goes_to_which_stream(
-    run_tiny: RunTiny, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], out: str, told: str
+    run_tiny: RunTiny, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], out: str, message: str
 ) -> None:
     def body(output: Output) -> None:
         output.note("note")
@@ -310,7 +310,7 @@ def test_what_goes_to_which_stream(
         output.result({"mass_kg": 16.0}, lambda: print("text"))
 
     assert run_tiny(body, *arguments) == 0
-    assert capsys.readouterr() == (out, told)
+    assert capsys.readouterr() == (out, message)
 
 
 @pytest.mark.parametrize("bad", [float("nan"), float("inf"), np.float64("nan"), np.array([-np.inf])])
@@ -386,7 +386,7 @@ def test_a_warning_of_a_library_is_one_line_and_no_code(run_tiny: RunTiny, capsy
         output.result({}, lambda: print("done"))
 
     assert run_tiny(body) == 0
-    told = capsys.readouterr()
-    assert told.out == "done\n"
-    (line,) = told.err.splitlines()
+    printed = capsys.readouterr()
+    assert printed.out == "done\n"
+    (line,) = printed.err.splitlines()
     assert line.startswith("autotune: 2 warning(s) of the numerical libraries inside, the first RuntimeWarning: divide")

@@ -13,7 +13,7 @@ from autotune.formats.controller import read_controller, write_controller
 from autotune.formats.identified import write_identified
 from autotune.formats.limits import CollisionResponse
 from tests.autotune.formats.samples import make_controller, make_identified
-from tests.told import is_next_alone
+from tests.next_step import is_next_alone
 
 RunCli = Callable[..., "subprocess.CompletedProcess[str]"]
 COARSE = ("--x", "damping=100:5000:9:log", "--y", "lead_s=0:0.06:7")
@@ -38,8 +38,8 @@ def test_people_see_the_share_the_extremes_and_the_design(run_cli: RunCli, folde
     lines = done.stdout.splitlines()
     assert lines[0].startswith("63 points, ")
     assert lines[0].endswith("% stable in contact and in free space")
-    told = ["smallest modulus", "largest modulus", "design", "controller.yaml", "written"]
-    assert [line.split(":")[0] for line in lines[1:]] == told
+    reported = ["smallest modulus", "largest modulus", "design", "controller.yaml", "written"]
+    assert [line.split(":")[0] for line in lines[1:]] == reported
     assert lines[3].endswith(" at damping 913 N·s/m, lead_s 0.0125 s")
     assert lines[5] == "written: map.svg, map.csv"
     assert (folder / "map.csv").read_text(encoding="utf-8").count("\n") >= 63
@@ -60,7 +60,7 @@ def test_json_is_one_object_and_a_second_run_gives_the_same_bytes(run_cli: RunCl
 
 
 @pytest.mark.parametrize("suffix", [".svg", ".png"])
-def test_intervals_are_told_and_drawn_the_same_twice(
+def test_intervals_are_reported_and_drawn_the_same_twice(
     folder: Path, capsys: pytest.CaptureFixture[str], suffix: str
 ) -> None:
     picture = folder / f"lead{suffix}"
@@ -73,9 +73,9 @@ def test_intervals_are_told_and_drawn_the_same_twice(
     assert seen[0][1:] == seen[1][1:]
     assert seen[0][0].out == seen[1][0].out
     assert is_next_alone(seen[0][0].err)
-    *told, following = seen[1][0].err.splitlines()
+    *reported, following = seen[1][0].err.splitlines()
     assert following == "next: autotune explore controller.yaml"
-    assert [line.rpartition(" of sha256 ")[0] for line in told] == [
+    assert [line.rpartition(" of sha256 ")[0] for line in reported] == [
         f"{picture.name}: replaced the picture of a map",
         "lead.csv: replaced the table of a map",
     ]
@@ -102,12 +102,12 @@ def test_a_file_that_no_map_made_is_not_replaced(
     picture = name if name != "q.csv" else "q.svg"
     before = sorted(folder.iterdir())
     assert main(["map", "controller.yaml", *COARSE, "-o", picture]) == 2
-    told = capsys.readouterr().err
-    assert (told.count("\n"), f"{name} exists and is no file of this tool" in told) == (1, True)
+    output = capsys.readouterr().err
+    assert (output.count("\n"), f"{name} exists and is no file of this tool" in output) == (1, True)
     assert ((folder / name).read_bytes(), sorted(folder.iterdir())) == (content, before)
 
 
-def test_the_smallest_damping_is_told_for_each_controller(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_smallest_damping_is_reported_for_each_controller(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ["map", "controller.yaml", "--show", "stable-damping", "--where", "contact", "--x", "K_e=1e5:1e6:5"]
     assert main([*arguments, "--search", "10:1e5:200:log", "--json"]) == 0
     tree = json.loads(capsys.readouterr().out)
@@ -124,7 +124,7 @@ def test_an_identified_plant_takes_its_gains_from_settings(folder: Path, capsys:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "code", "told"),
+    ("arguments", "code", "message"),
     [
         (("controller.yaml", "--x", "speed=1:2"), 2, "parameter must be one of mass, damping"),
         (("controller.yaml", "--x", "mass=20:5"), 2, "LOW:HIGH with LOW below HIGH"),
@@ -146,7 +146,7 @@ def test_an_identified_plant_takes_its_gains_from_settings(folder: Path, capsys:
     ],
 )
 def test_what_cannot_be_drawn_is_one_sentence_a_code_and_no_file(
-    folder: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], code: int, told: str
+    folder: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], code: int, message: str
 ) -> None:
     altered = (folder / "controller.yaml").read_text(encoding="utf-8").replace("12.5", "12.6")
     (folder / "altered.yaml").write_text(altered, encoding="utf-8")
@@ -155,5 +155,5 @@ def test_what_cannot_be_drawn_is_one_sentence_a_code_and_no_file(
     out, aside = capsys.readouterr()
     assert (out, aside.count("\n")) == ("", 1)
     assert aside.startswith("autotune: ")
-    assert told in aside
+    assert message in aside
     assert sorted(path.name for path in folder.iterdir()) == before

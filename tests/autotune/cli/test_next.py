@@ -53,7 +53,7 @@ def test_a_prediction_names_the_search_with_its_gains_beside_it(
 
 
 @pytest.mark.parametrize("option", ["--json", "--quiet"])
-def test_programs_are_told_nothing(
+def test_programs_are_reported_nothing(
     option: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)

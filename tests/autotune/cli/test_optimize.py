@@ -21,7 +21,7 @@ from problems.design.problem import DesignProblem
 from tests.autotune.tuning.cases import FAST_PROBLEM_YAML, write_plant
 from tests.autotune.tuning.turning import write_two_axes
 from tests.autotune.validation.test_validate import EVERY_CHECK
-from tests.told import is_next_alone
+from tests.next_step import is_next_alone
 
 RunCli = Callable[..., "subprocess.CompletedProcess[str]"]
 
@@ -48,9 +48,9 @@ def prepare(folder: Path, problem: str = FAST_PROBLEM_YAML) -> None:
 
 
 def test_people_see_gains_peaks_what_holds_them_up_and_the_checks(first_run: tuple[Path, str, str]) -> None:
-    folder, told, aside = first_run
+    folder, reported, aside = first_run
     assert is_next_alone(aside)
-    lines = told.splitlines()
+    lines = reported.splitlines()
     assert lines[0].startswith("before → after, axis x: nothing to compare with: say the gains that run now")
     assert lines[1].startswith("axis x: M_a 6 kg, B_a ")
     assert "peak at contact [N]" in lines[2]
@@ -80,9 +80,9 @@ def test_json_is_the_tree_of_the_file_and_the_same_seed_gives_the_same_bytes(
     assert (done.returncode, done.stderr) == (0, "")
     tree = json.loads(done.stdout)
     active = tree.pop("active")
-    told = tree["provenance"]["optimality"]["x"]
-    assert (told["feasible"], told["gap"] < 1e-3, told["kkt_residual"] < 1e-3) == (True, True, True)
-    assert [each["name"] for each in told["active"]] == [each["name"] for each in active["x"]]
+    reported = tree["provenance"]["optimality"]["x"]
+    assert (reported["feasible"], reported["gap"] < 1e-3, reported["kkt_residual"] < 1e-3) == (True, True, True)
+    assert [each["name"] for each in reported["active"]] == [each["name"] for each in active["x"]]
     changes = tree.pop("before_after")["x"]
     assert changes["largest_certified_peak"]["before"] is None
     assert tree == load_yaml(tmp_path / "controller.yaml")
@@ -99,18 +99,18 @@ def test_an_existing_controller_stands_beside_the_new_one(
     old = first_run[0] / "controller.yaml"
     done = run_cli("optimize", "identified.yaml", "--problem", "problem.yaml", "--compare", old, "--json")
     assert (done.returncode, done.stderr) == (0, "")
-    told, digest = json.loads(done.stdout), read_controller(old).checksum
-    assert (told["compare"]["path"], told["compare"]["checksum"]) == (str(old), digest)
-    assert told["provenance"]["options"]["compare"] == {"path": str(old), "checksum": digest}
-    both = told["compare"]["axes"]["x"]
+    output, digest = json.loads(done.stdout), read_controller(old).checksum
+    assert (output["compare"]["path"], output["compare"]["checksum"]) == (str(old), digest)
+    assert output["provenance"]["options"]["compare"] == {"path": str(old), "checksum": digest}
+    both = output["compare"]["axes"]["x"]
     assert (both["started_from_old"], both["old"]["missed"], both["new"]["missed"]) == (True, {}, {})
-    assert both["new"]["mass"] == told["axes"]["x"]["mass"]
+    assert both["new"]["mass"] == output["axes"]["x"]["mass"]
     # The old controller is the optimum of the same problem: the new one can only be it, or better by a hair.
     assert both["new"]["peak_contact_force_n"] <= both["old"]["peak_contact_force_n"]
 
 
 @pytest.mark.parametrize(
-    ("edit", "code", "told"),
+    ("edit", "code", "message"),
     [
         (("lead_s: 0.0", "lead_s: 0.1"), 6, "the file is altered"),
         (
@@ -127,7 +127,7 @@ def test_an_existing_controller_that_is_altered_or_absent_is_refused_before_the_
     first_run: tuple[Path, str, str],
     edit: tuple[str, str] | None,
     code: int,
-    told: str,
+    message: str,
 ) -> None:
     prepare(tmp_path)
     if edit is not None:
@@ -136,7 +136,7 @@ def test_an_existing_controller_that_is_altered_or_absent_is_refused_before_the_
         (tmp_path / "old.yaml").write_text(text.replace(*edit, 1), encoding="utf-8")
     done = run_cli("optimize", "identified.yaml", "--problem", "problem.yaml", "--compare", "old.yaml")
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (code, "", 1)
-    assert told in done.stderr
+    assert message in done.stderr
     assert not (tmp_path / "controller.yaml").exists()
 
 
@@ -214,7 +214,7 @@ def test_the_line_that_a_refusal_gives_makes_a_proved_controller_with_the_peak_i
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "message"),
     [
         ([], "Missing argument 'IDENTIFIED'"),
         (["absent.yaml"], "absent.yaml cannot be read"),
@@ -237,12 +237,12 @@ def test_the_line_that_a_refusal_gives_makes_a_proved_controller_with_the_peak_i
         (["identified.yaml", "--problem", "wrong.yaml"], "wrong.yaml, line 2: bounds.weight must be one of"),
     ],
 )
-def test_a_wrong_request_is_exit_2(run_cli: RunCli, tmp_path: Path, arguments: list[str], told: str) -> None:
+def test_a_wrong_request_is_exit_2(run_cli: RunCli, tmp_path: Path, arguments: list[str], message: str) -> None:
     prepare(tmp_path)
     (tmp_path / "wrong.yaml").write_text("bounds:\n  weight: [1, 2]\n", encoding="utf-8")
     done = run_cli("optimize", *arguments)
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
-    assert told in done.stderr
+    assert message in done.stderr
     assert not (tmp_path / "controller.yaml").exists()
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from autotune.formats.yaml12 import load_yaml
 from tests.autotune.tuning.cases import FAST_PROBLEM_YAML, write_plant
-from tests.told import is_next_alone
+from tests.next_step import is_next_alone
 
 RunCli = Callable[..., "subprocess.CompletedProcess[str]"]
 BASE = ("optimize", "identified.yaml", "--problem", "problem.yaml")
@@ -75,7 +75,7 @@ def test_what_no_trial_meets_is_exit_5_and_nothing_is_written(run_cli: RunCli, t
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "message"),
     [
         (("--objectives", "peak_force"), "is an option of --pareto"),
         (("--pareto", "1"), "1"),
@@ -88,12 +88,12 @@ def test_what_no_trial_meets_is_exit_5_and_nothing_is_written(run_cli: RunCli, t
     ],
 )
 def test_a_wrong_request_is_exit_2_before_the_search(
-    run_cli: RunCli, tmp_path: Path, arguments: tuple[str, ...], told: str
+    run_cli: RunCli, tmp_path: Path, arguments: tuple[str, ...], message: str
 ) -> None:
     prepare(tmp_path)
     (tmp_path / "taken.pareto.yaml").write_text("somebody's own\n", encoding="utf-8")
     done = run_cli(*BASE, *arguments)
     assert done.returncode == 2, done.stderr
-    assert told in done.stderr
+    assert message in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1
     assert not (tmp_path / "controller.yaml").exists()

@@ -14,7 +14,7 @@ from autotune.formats.controller import write_controller
 from autotune.formats.identified import write_identified
 from identification.result import Estimate, Finding, Identified, Status
 from tests.autotune.formats.samples import make_controller, make_identified
-from tests.told import is_next_alone
+from tests.next_step import is_next_alone
 
 RunCli = Callable[..., "subprocess.CompletedProcess[str]"]
 
@@ -48,14 +48,14 @@ def test_people_see_the_steps_the_gains_and_what_was_assumed(run_cli: RunCli, tm
     assert float(drag[8]) > 0.0
     assumed = next(line for line in lines if line.startswith("assumed, not measured: "))
     # All that the file does not tell, and the torque's misfit at rest, which is reckoned from one of those.
-    told = {"drag_n_s_per_m", "torque_noise_rms_n_m", "pose_torque_std_n_m", "misfit_share", "position_noise_rms_m"}
-    assert {entry.split()[0] for entry in assumed.removeprefix("assumed, not measured: ").split(", ")} == told
+    reported = {"drag_n_s_per_m", "torque_noise_rms_n_m", "pose_torque_std_n_m", "misfit_share", "position_noise_rms_m"}
+    assert {entry.split()[0] for entry in assumed.removeprefix("assumed, not measured: ").split(", ")} == reported
     assert lines[-1] == "written: plan.yaml"
     assert (tmp_path / "plan.yaml").is_file()
 
 
 @pytest.mark.usefixtures("folder")
-def test_doubts_of_the_file_and_the_surface_that_is_meant_are_told(capsys: pytest.CaptureFixture[str]) -> None:
+def test_conflict_of_the_file_and_the_surface_that_is_meant_are_reported(capsys: pytest.CaptureFixture[str]) -> None:
     found = one_axis()
     axis = found.axes["x"]
     second = replace(
@@ -162,7 +162,7 @@ def test_a_first_sweep_below_the_noise_is_said_to_be_one(capsys: pytest.CaptureF
 
 
 @pytest.mark.parametrize(
-    ("arguments", "code", "told"),
+    ("arguments", "code", "message"),
     [
         (["--max-tilt", "2"], 4, "it takes 15 degrees"),
         (["--poses", "3"], 2, "--poses must be 0 (none) or at least 4"),
@@ -177,7 +177,7 @@ def test_a_first_sweep_below_the_noise_is_said_to_be_one(capsys: pytest.CaptureF
     ],
 )
 def test_what_cannot_be_planned_is_one_line_with_its_code(
-    folder: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], code: int, told: str
+    folder: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], code: int, message: str
 ) -> None:
     found = one_axis()
     write_identified("identified.yaml", found, {})
@@ -187,5 +187,5 @@ def test_what_cannot_be_planned_is_one_line_with_its_code(
     out, err = capsys.readouterr()
     assert out == ""
     assert err.count("\n") == 1
-    assert told in err
+    assert message in err
     assert not (folder / "plan.yaml").exists()

@@ -29,9 +29,9 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def refused(capsys: pytest.CaptureFixture[str], arguments: list[str], code: int) -> str:
     assert main(arguments) == code
-    told = capsys.readouterr()
-    assert told.err.count("\n") == 1
-    return told.err
+    output = capsys.readouterr()
+    assert output.err.count("\n") == 1
+    return output.err
 
 
 def test_the_page_of_identify_is_that_of_its_file_and_log(
@@ -46,7 +46,7 @@ def test_the_page_of_identify_is_that_of_its_file_and_log(
     # The numbers of the file are read to the last bit, so the page is the same to the last byte.
     assert text == (folder / "again.html").read_text(encoding="utf-8")
     check_page(text)
-    for told in (
+    for output in (
         "Health of cell.mcap",
         'id="wrench-1"',
         'id="torque-1"',
@@ -54,25 +54,25 @@ def test_the_page_of_identify_is_that_of_its_file_and_log(
         'id="x-white"',
         'id="noise"',
     ):
-        assert told in text
+        assert output in text
     # A picture comes before the long table, what is not known is named, and nothing is said twice.
     assert text.index("<figure") < text.index("Every parameter with one standard deviation")
     assert re.search(r"unidentifiable \([^)]*inertia", text)
-    told_once = re.sub(r'="[^"]*"', "", text)
-    assert told_once.count("The clocks of") == 1
-    assert "`" not in re.sub(r"<script.*?</script>", "", told_once, flags=re.DOTALL)
+    shown_text = re.sub(r'="[^"]*"', "", text)
+    assert shown_text.count("The clocks of") == 1
+    assert "`" not in re.sub(r"<script.*?</script>", "", shown_text, flags=re.DOTALL)
     assert text.count("Every contact along x") == 2  # the caption, and the name of its region
     other = folder / "other.mcap"
     shutil.copy(good_log, other)
     with other.open("ab") as stream:
         stream.write(b"\0")
-    told = refused(capsys, ["report", "identified.yaml", "other.mcap"], 3)
-    assert "other.mcap is not a log that identified.yaml was identified from" in told
+    output = refused(capsys, ["report", "identified.yaml", "other.mcap"], 3)
+    assert "other.mcap is not a log that identified.yaml was identified from" in output
     assert main(["report", "identified.yaml", "-o", "short.html", "--quiet"]) == 0
     assert 'id="wrench-1"' not in (folder / "short.html").read_text(encoding="utf-8")
 
 
-def test_optimize_writes_its_page_and_json_tells_where(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_optimize_writes_its_page_and_json_shows_where(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_plant(folder)
     (folder / "problem.yaml").write_text(FAST_PROBLEM_YAML, encoding="utf-8")
     arguments = ["optimize", "identified.yaml", "--problem", "problem.yaml"]
@@ -107,8 +107,8 @@ def test_validate_and_report_show_a_controller_and_replace_their_own_page(
     assert main(arguments) == 0
     text = (folder / "r.html").read_text(encoding="utf-8")
     check_page(text)
-    for told in ('id="verdict"', 'id="x-band"', 'id="x-map"', 'id="x-nyquist"', "before"):
-        assert told in text
+    for reported in ('id="verdict"', 'id="x-band"', 'id="x-map"', 'id="x-nyquist"', "before"):
+        assert reported in text
 
 
 def test_a_claim_that_does_not_hold_is_exit_6_and_the_page_says_it(
@@ -160,9 +160,9 @@ def refused_beside_a_page(folder: Path, capsys: pytest.CaptureFixture[str]) -> s
     page = folder / "controller.html"
     shutil.copy(folder / "report.html", page)
     before = page.read_bytes()
-    told = refused(capsys, ["validate", "none.yaml", "--report", "controller.html"], 2)
+    output = refused(capsys, ["validate", "none.yaml", "--report", "controller.html"], 2)
     assert page.read_bytes() == before
-    return told
+    return output
 
 
 def test_an_altered_controller_takes_the_place_of_the_page_that_called_it_valid(
@@ -174,8 +174,8 @@ def test_an_altered_controller_takes_the_place_of_the_page_that_called_it_valid(
     assert "Valid: all" in valid
     text = (folder / "controller.yaml").read_text(encoding="utf-8")
     (folder / "controller.yaml").write_text(text.replace("damping: ", "damping: 1", 1), encoding="utf-8")
-    told = refused(capsys, ["validate", "controller.yaml", "--report", "r.html"], 6)
-    assert told.endswith("The page r.html says so.\n")
+    output = refused(capsys, ["validate", "controller.yaml", "--report", "r.html"], 6)
+    assert output.endswith("The page r.html says so.\n")
     now = (folder / "r.html").read_text(encoding="utf-8")
     check_page(now, has_pictures=False)
     assert "Valid: all" not in now
@@ -196,8 +196,8 @@ def test_an_altered_controller_takes_the_place_of_the_page_that_called_it_valid(
 def test_a_refused_log_has_a_page_of_what_can_be_seen(
     folder: Path, unusable_logs: Path, capsys: pytest.CaptureFixture[str], log: str, code: int, shown: tuple[str, ...]
 ) -> None:
-    told = refused(capsys, ["identify", str(unusable_logs / f"{log}.mcap"), "--report", "r.html"], code)
-    assert told.endswith("The page r.html says so.\n")
+    output = refused(capsys, ["identify", str(unusable_logs / f"{log}.mcap"), "--report", "r.html"], code)
+    assert output.endswith("The page r.html says so.\n")
     text = (folder / "r.html").read_text(encoding="utf-8")
     check_page(text, has_pictures=log != "truncated")
     for each in shown:
@@ -216,8 +216,8 @@ def test_a_search_without_a_controller_has_a_page_of_what_could_be_eased(
     write_controller("old.yaml", small_controller())
     text = (folder / "old.yaml").read_text(encoding="utf-8")
     (folder / "old.yaml").write_text(text.replace("damping: ", "damping: 1", 1), encoding="utf-8")
-    told = refused(capsys, ["optimize", "identified.yaml", "--compare", "old.yaml", "--report", "r.html"], 6)
-    assert told.endswith("The page r.html says so.\n")
+    output = refused(capsys, ["optimize", "identified.yaml", "--compare", "old.yaml", "--report", "r.html"], 6)
+    assert output.endswith("The page r.html says so.\n")
     shown = (folder / "r.html").read_text(encoding="utf-8")
     assert "NO controller" in shown
     assert "identified.yaml" in shown

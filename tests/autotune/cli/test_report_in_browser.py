@@ -50,10 +50,10 @@ def overlaps(texts: list[tuple[str, float, float, float, float]]) -> list[tuple[
 def pages(tmp_path_factory: pytest.TempPathFactory, good_log: Path) -> dict[str, Path]:
     """The page of a log and that of a controller, written by the commands."""
     folder = tmp_path_factory.mktemp("pages")
-    told, controller = folder / "identified.yaml", folder / "controller.yaml"
+    reported, controller = folder / "identified.yaml", folder / "controller.yaml"
     write_controller(controller, small_controller())
     out = {name: folder / f"{name}.html" for name in ("identify", "report")}
-    assert main(["identify", str(good_log), "-o", str(told), "--report", str(out["identify"]), "--quiet"]) == 0
+    assert main(["identify", str(good_log), "-o", str(reported), "--report", str(out["identify"]), "--quiet"]) == 0
     assert main(["report", str(controller), "--samples", "8", "-o", str(out["report"]), "--quiet"]) == 0
     return out
 
@@ -86,7 +86,7 @@ def test_every_figure_is_drawn_still_and_zoomed(
     assert page.evaluate(MISPLACED) == []
     ink, *painted = page.evaluate(INK)
     assert painted == [ink]
-    # Its state is told by its being pressed, and its name stays what it was.
+    # Its state is given by its being pressed, and its name stays what it was.
     assert len(page.get_by_role("button", pressed=True).all()) == len(keys)
     buttons.first.press("Enter")
     assert sum(shown > 100 for _, shown in page.evaluate(STILL)) == 1

@@ -33,8 +33,8 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
 
     def run(*arguments: str) -> tuple[int, str, str]:
         code = main([*arguments])
-        told = capsys.readouterr()
-        return code, told.out, told.err
+        output = capsys.readouterr()
+        return code, output.out, output.err
 
     return run
 
@@ -43,22 +43,22 @@ def optimize(out: str, problem: str = "problem.yaml") -> tuple[str, ...]:
     return "optimize", "identified.yaml", "--problem", problem, "-o", out, "--proof-budget", "0"
 
 
-def test_a_threshold_is_chosen_told_and_verified_and_a_second_run_gives_the_same_bytes(
+def test_a_threshold_is_chosen_reported_and_verified_and_a_second_run_gives_the_same_bytes(
     run: Run, tmp_path: Path
 ) -> None:
-    code, told, _ = run(*optimize("a.yaml"))
+    code, reported, _ = run(*optimize("a.yaml"))
     assert code == 0
     controller = read_controller(tmp_path / "a.yaml").controller
     threshold = controller.collision.threshold_n
-    assert f"collision response: reset at {threshold:g} N takes the worst peak at the sensor from 43." in told
-    assert "a lower one, which free motion and noise forbid, might save more" in told
-    assert "thresholds below " in told
-    assert f"ok     collision response: reset at {threshold:g} N: " in told
+    assert f"collision response: reset at {threshold:g} N takes the worst peak at the sensor from 43." in reported
+    assert "a lower one, which free motion and noise forbid, might save more" in reported
+    assert "thresholds below " in reported
+    assert f"ok     collision response: reset at {threshold:g} N: " in reported
     assert run(*optimize("b.yaml"))[0] == 0
     assert (tmp_path / "a.yaml").read_bytes() == (tmp_path / "b.yaml").read_bytes()
-    code, told, _ = run("validate", "a.yaml", "--samples", "0")
+    code, reported, _ = run("validate", "a.yaml", "--samples", "0")
     assert code == 0
-    assert f"axis x, collision response: reset at {threshold:g} N" in told
+    assert f"axis x, collision response: reset at {threshold:g} N" in reported
     assert run("export", "a.yaml", "--target", "c", "-o", "cell.c")[0] == 0
 
 
@@ -72,9 +72,9 @@ def test_an_edited_threshold_is_refused_with_and_without_a_new_checksum(run: Run
     code, _, aside = run("validate", "edited.yaml", "--samples", "0")
     assert (code, "the file is altered" in aside) == (6, True)
     write_controller(tmp_path / "sealed.yaml", replace(whole, collision=replace(whole.collision, threshold_n=20.0)))
-    code, told, aside = run("validate", "sealed.yaml", "--samples", "0")
+    code, reported, aside = run("validate", "sealed.yaml", "--samples", "0")
     assert code == 6
-    assert "FAILED axis x, collision response: " in told
+    assert "FAILED axis x, collision response: " in reported
     assert "with the response the peak" in aside
 
 

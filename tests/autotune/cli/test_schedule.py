@@ -9,7 +9,7 @@ import pytest
 
 from autotune.formats.yaml12 import load_yaml
 from tests.autotune.tuning.cases import FAST_PROBLEM_YAML, write_plant
-from tests.told import is_next_alone
+from tests.next_step import is_next_alone
 
 RunCli = Callable[..., "subprocess.CompletedProcess[str]"]
 BASE = ("optimize", "identified.yaml", "--problem", "problem.yaml")
@@ -38,8 +38,8 @@ def test_the_table_is_printed_written_and_validates(run_cli: RunCli, tmp_path: P
     valid = run_cli("validate", "cell/schedule.yaml")
     assert valid.returncode == 0
     assert is_next_alone(valid.stderr)
-    told = [line.split(":")[0].split()[-1] for line in valid.stdout.splitlines()[:-1]]
-    assert told == ["m8.yaml", "m16-22.yaml", "all.yaml"]
+    output = [line.split(":")[0].split()[-1] for line in valid.stdout.splitlines()[:-1]]
+    assert output == ["m8.yaml", "m16-22.yaml", "all.yaml"]
     (tmp_path / "cell" / "all.yaml").write_bytes((tmp_path / "cell" / "m8.yaml").read_bytes())
     wrong = run_cli("validate", "cell/schedule.yaml", "--json")
     assert wrong.returncode == 6
@@ -61,7 +61,7 @@ def test_infeasible_classes_are_exit_5_and_nothing_is_left(run_cli: RunCli, tmp_
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "message"),
     [
         (("--schedule", "mass=8"), "give payload=CLASSES in kg or stiffness=CLASSES in N/m"),
         (("--schedule", "payload"), "give payload=CLASSES"),
@@ -85,12 +85,12 @@ def test_infeasible_classes_are_exit_5_and_nothing_is_left(run_cli: RunCli, tmp_
     ],
 )
 def test_a_wrong_request_is_exit_2_before_the_search(
-    run_cli: RunCli, tmp_path: Path, arguments: tuple[str, ...], told: str
+    run_cli: RunCli, tmp_path: Path, arguments: tuple[str, ...], message: str
 ) -> None:
     prepare(tmp_path)
     done = run_cli(*BASE, *arguments)
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
-    assert told in done.stderr
+    assert message in done.stderr
     assert sorted(path.name for path in tmp_path.iterdir()) == ["identified.yaml", "problem.yaml"]
 
 

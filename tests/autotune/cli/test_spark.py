@@ -22,10 +22,10 @@ def test_a_rise_uses_every_block_once() -> None:
 def test_a_short_peak_is_not_lost_between_the_cells() -> None:
     values = np.ones(1000)
     values[437] = 100.0
-    told = spark(list(values), 40)
-    assert len(told) == 40
-    assert told[17] == "█"
-    assert set(told) == {"▁", "█"}
+    message = spark(list(values), 40)
+    assert len(message) == 40
+    assert message[17] == "█"
+    assert set(message) == {"▁", "█"}
 
 
 def test_no_force_is_flat_and_no_value_is_refused() -> None:
@@ -39,10 +39,10 @@ def test_the_contact_is_drawn_from_the_impact_past_its_peak() -> None:
     problem, controller = search.problem, search.problem.controller(search.design)
     hardest = max(problem.scenarios(2, 2), key=lambda each: each.environment_stiffness_n_per_m)
     worst: Any = SimpleNamespace(scenario=lambda: hardest)
-    told = contact_spark(problem, controller, worst, axis_units("x"))
+    message = contact_spark(problem, controller, worst, axis_units("x"))
     pair = build_sampled_contact(build_sampled_plant(problem.plant(hardest), problem.sample_time_s))
     found = simulate_contact(pair, controller, problem.approach)
-    drawn, _, rest = told.partition("  ")
+    drawn, _, rest = message.partition("  ")
     duration_s = 1e-3 * float(rest.split(", ")[1].removesuffix(" ms"))
     assert rest.endswith(f"peak {found.peak_contact_force_n:.3g} N")
     assert 2.5 * found.time_of_peak_s < duration_s <= found.time_s[-1] + 1e-3

@@ -48,7 +48,7 @@ def test_every_kind_of_limit_has_its_sentence(entry: ActiveConstraint, said: str
     assert active_lines(with_active(entry), "x")[0] == said
 
 
-def test_with_wishes_the_gap_is_one_of_peak_and_price() -> None:
+def test_with_soft_limits_the_gap_is_one_of_peak_and_price() -> None:
     found = with_active()
     assert " N is the least that was found" in active_lines(found, "x")[-1]
     search = found.searches["x"]

@@ -45,7 +45,7 @@ def test_a_last_column_of_text_is_folded_in_its_place() -> None:
     assert " ".join(" ".join(lines[1:]).split()).startswith("/ft/wrench one two three")
 
 
-def test_a_table_too_wide_is_told_row_by_row_where_that_is_wanted() -> None:
+def test_a_table_too_wide_is_reported_row_by_row_where_that_is_wanted() -> None:
     lines = list(table_lines(ROWS, left=(0, 3, 4), columns=40, stacks=True))
     assert lines[:3] == ["payload mass", "  value    16.205", "  ± std    0.024"]
     assert max(map(len, lines)) <= 40

@@ -59,5 +59,5 @@ def test_the_demo_s_controller_reaches_every_target_by_the_commands_that_a_refus
     made = read_controller(tmp_path / "for_target.yaml").controller
     assert made.provenance["options"]["for"] == target
     # Where our own law needs a lead for it, the file says so.
-    told = any("Our own law cannot do this without" in each for each in made.provenance.get("notes", ()))
-    assert told == bool(lacking_gains(TARGETS[target], made))
+    reported = any("Our own law cannot do this without" in each for each in made.provenance.get("notes", ()))
+    assert reported == bool(lacking_gains(TARGETS[target], made))

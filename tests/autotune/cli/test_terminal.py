@@ -20,7 +20,7 @@ from autotune.report import from_files
 from autotune.validation.report import ValidationReport
 from tests.autotune.cli.terminals import SAID_BY_USERS, terminal
 from tests.autotune.tuning.cases import fast_optimized, write_plant
-from tests.told import is_next_alone
+from tests.next_step import is_next_alone
 
 BLOCKS = set("▁▂▃▄▅▆▇█")
 ESCAPE = "\x1b"
@@ -75,10 +75,10 @@ def test_no_stream_and_a_closed_one_are_no_terminals() -> None:
 
 def test_only_words_that_judge_are_coloured() -> None:
     with terminal(environment={"FORCE_COLOR": "1"}):
-        told = {word: painted(word) for word in ("ok     ", "identified", "warning: ", "FAILED", "payload mass")}
-    assert [word for word, text in told.items() if ESCAPE not in text] == ["payload mass"]
-    assert told["warning: "].endswith("\x1b[0m: ")
-    assert len({told[word][:5] for word in ("identified", "warning: ", "FAILED")}) == 3
+        reported = {word: painted(word) for word in ("ok     ", "identified", "warning: ", "FAILED", "payload mass")}
+    assert [word for word, text in reported.items() if ESCAPE not in text] == ["payload mass"]
+    assert reported["warning: "].endswith("\x1b[0m: ")
+    assert len({reported[word][:5] for word in ("identified", "warning: ", "FAILED")}) == 3
 
 
 def test_a_terminal_shows_colour_and_a_pipe_the_same_words(
@@ -96,7 +96,7 @@ def test_a_terminal_shows_colour_and_a_pipe_the_same_words(
     assert seen.text == piped.out + piped.err
     assert "\x1b[32mok\x1b[0m" in seen.raw
     assert "\x1b[32mvalid\x1b[0m, checksum " in seen.raw
-    # The bar told how much is done, and was wiped.
+    # The bar showed how much is done, and was wiped.
     assert "validating controller.yaml" in seen.raw
     assert " %" in seen.raw
     assert "validating" not in seen.text
@@ -167,16 +167,16 @@ def test_the_predicted_contact_is_drawn_on_a_terminal_that_can(
     found = fast_optimized()
     if columns is None:
         print_optimized(found, Path("controller.yaml"), "0123abcd")
-        told = capsys.readouterr().out
+        printed = capsys.readouterr().out
     else:
         with terminal(columns, encoding) as seen:
             print_optimized(found, Path("controller.yaml"), "0123abcd")
-        told = seen.text
-    lines = [line for line in told.splitlines() if BLOCKS & set(line)]
+        printed = seen.text
+    lines = [line for line in printed.splitlines() if BLOCKS & set(line)]
     assert len(lines) == int(drawn)
     peak = max(each.peak_contact_force_n for each in found.controller.predicted["x"].scenarios)
     assert all("█" in line and f"peak {peak:.3g} N" in line for line in lines)
-    assert "checksum 0123abcd" in told
+    assert "checksum 0123abcd" in printed
 
 
 def test_a_line_of_blocks_needs_no_wider_terminal() -> None:
@@ -197,15 +197,15 @@ def test_the_time_left_is_that_of_the_part_done_and_counts_down() -> None:
     assert [clock(seconds) for seconds in (0.4, 7.0, 65.2, 3725.0)] == ["0:00", "0:07", "1:05", "1:02:05"]
 
 
-@pytest.mark.parametrize(("total", "told"), [(2.0, " left"), (None, None)])
-def test_a_bar_tells_how_much_is_left_and_takes_names_as_they_are(total: float | None, told: str | None) -> None:
+@pytest.mark.parametrize(("total", "message"), [(2.0, " left"), (None, None)])
+def test_a_bar_shows_how_much_is_left_and_takes_names_as_they_are(total: float | None, message: str | None) -> None:
     with terminal() as seen, Output().progress("reading [/run] \x1b[31m.mcap", total) as advance:
         time.sleep(1.1)
         advance(1.0)
         time.sleep(0.6 if total else 0.0)
     assert "reading [/run] ?[31m.mcap" in seen.raw
     assert "0:01" in seen.raw
-    assert ("50 %" in seen.raw) == (" left" in seen.raw) == (told is not None)
+    assert ("50 %" in seen.raw) == (" left" in seen.raw) == (message is not None)
 
 
 @pytest.mark.parametrize(("output", "environment"), [(Output(quiet=True), {}), (Output(), {"TERM": "dumb"})])
@@ -225,7 +225,7 @@ def test_what_is_printed_of_a_failed_check_is_red() -> None:
     assert seen.raw.count("\x1b[31m\x1b[1mFAILED\x1b[0m") == 1
 
 
-def test_a_page_of_several_files_tells_how_far_it_is(controller_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_page_of_several_files_shows_how_far_it_is(controller_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     plant = write_plant(controller_file.parent)
     shares: list[float] = []
 

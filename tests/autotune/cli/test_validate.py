@@ -22,7 +22,7 @@ from tests.autotune.prediction.pressing import Cell, recorded_contact
 from tests.autotune.tuning.cases import identified_plant, known, small_controller, write_plant
 from tests.autotune.validation.test_against_log import recorded
 from tests.autotune.validation.test_validate import EVERY_CHECK, FALSE_CLAIMS
-from tests.told import is_next_alone
+from tests.next_step import is_next_alone
 
 RunCli = Callable[..., "subprocess.CompletedProcess[str]"]
 FEW = ("--samples", "4")
@@ -58,14 +58,14 @@ def good(tmp_path: Path) -> Path:
     return tmp_path / "controller.yaml"
 
 
-def test_a_true_file_passes_and_every_check_is_told(run_cli: RunCli, good: Path) -> None:
+def test_a_true_file_passes_and_every_check_is_reported(run_cli: RunCli, good: Path) -> None:
     done = run_cli("validate", "controller.yaml", *FEW)
     assert done.returncode == 0
     assert is_next_alone(done.stderr)
     lines = done.stdout.splitlines()
     assert lines[0].startswith("limits of the runtime: ")
-    told = [re.match(r"ok +axis x, ([^:]+): \S", line)[1] for line in lines[2:-1]]  # type: ignore[index]
-    assert told == [*EVERY_CHECK, *SIMULATED]
+    reported = [re.match(r"ok +axis x, ([^:]+): \S", line)[1] for line in lines[2:-1]]  # type: ignore[index]
+    assert reported == [*EVERY_CHECK, *SIMULATED]
     assert lines[-1] == f"controller.yaml: valid, checksum {short(read_controller(good).checksum)}"
     assert [path.name for path in good.parent.iterdir()] == ["controller.yaml"]
 
@@ -115,14 +115,14 @@ def test_json_is_one_object_and_quiet_is_silent(run_cli: RunCli, good: Path) -> 
 def test_a_false_file_with_a_right_checksum_is_exit_6_and_the_check_names_numbers(
     run_cli: RunCli, tmp_path: Path, name: str
 ) -> None:
-    change, check, told = FALSE_CLAIMS[name]
+    change, check, reported = FALSE_CLAIMS[name]
     write_controller(tmp_path / "controller.yaml", change(small_controller()))
     done = run_cli("validate", "controller.yaml")
     assert done.returncode == 6
     assert done.stderr.count("\n") == 1
     assert done.stderr.startswith("autotune: Axis x, ")
     failed = [line for line in done.stdout.splitlines() if line.startswith("FAILED")]
-    assert any(f"axis x, {check}: " in line and re.search(told, line) for line in failed)
+    assert any(f"axis x, {check}: " in line and re.search(reported, line) for line in failed)
     assert "controller.yaml: NOT valid, checksum " in done.stdout
 
 
@@ -177,7 +177,7 @@ def test_the_identified_plant_is_compared_with_the_domain(run_cli: RunCli, good:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "message"),
     [
         ([], "Missing argument 'CONTROLLER'"),
         (["absent.yaml"], "absent.yaml cannot be read"),
@@ -194,11 +194,11 @@ def test_the_identified_plant_is_compared_with_the_domain(run_cli: RunCli, good:
         (["controller.yaml", "--public-key", "controller.yaml"], "must hold an Ed25519 public key"),
     ],
 )
-def test_a_wrong_request_is_exit_2(run_cli: RunCli, good: Path, arguments: list[str], told: str) -> None:
+def test_a_wrong_request_is_exit_2(run_cli: RunCli, good: Path, arguments: list[str], message: str) -> None:
     done = run_cli("validate", *arguments)
     assert good.exists()
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
-    assert told in done.stderr
+    assert message in done.stderr
 
 
 def test_a_file_is_signed_once_it_holds_and_the_signature_is_demanded(run_cli: RunCli, good: Path) -> None:

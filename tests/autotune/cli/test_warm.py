@@ -80,6 +80,6 @@ def test_a_cold_command_says_once_at_a_terminal_that_it_compiles(
         output.result({"done": True}, lambda: None)
 
     command.main(["--json", *options], standalone_mode=False)
-    told = capsys.readouterr()
-    assert json.loads(told.out) == {"done": True}
-    assert told.err.count("Compiling once") == times
+    printed = capsys.readouterr()
+    assert json.loads(printed.out) == {"done": True}
+    assert printed.err.count("Compiling once") == times

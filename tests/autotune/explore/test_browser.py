@@ -47,12 +47,12 @@ def served(tmp_path_factory: pytest.TempPathFactory, repository: Path) -> Iterat
         env=environment,
     ) as server:
         assert server.stdout is not None
-        told = ""
-        while not told.endswith("}\n"):
+        reported = ""
+        while not reported.endswith("}\n"):
             line = server.stdout.readline()
-            assert line, "the server ended before it told its address"
-            told += line
-        yield json.loads(told)["url"], folder / "tried.yaml"
+            assert line, "the server ended before it printed its address"
+            reported += line
+        yield json.loads(reported)["url"], folder / "tried.yaml"
         server.send_signal(signal.SIGINT)
         # Also with a visitor there.
         _, complaints = server.communicate(timeout=20)
@@ -131,13 +131,13 @@ def test_a_number_that_is_typed_moves_its_slider_and_what_is_none_is_put_back(
     for typed in ("1e9", "12,5", "", "fast"):
         field.fill(typed)
         field.press("Tab")
-        told = page.get_by_text(f"must be a number from 100 to 10000; “{typed}” was put back.")
-        told.wait_for()
+        reported = page.get_by_text(f"must be a number from 100 to 10000; “{typed}” was put back.")
+        reported.wait_for()
         assert (field.input_value(), field.get_attribute("aria-invalid")) == ("1412", "true")
     field.fill("1300")
     field.press("Tab")
     page.wait_for_function(STAR, arg=1300.0)
-    assert not told.is_visible()
+    assert not reported.is_visible()
     # A requirement is typed alike, and the circle of the picture follows.
     margin = page.get_by_role("textbox", name="Modulus margin at least")
     margin.fill("0.9")
@@ -170,7 +170,7 @@ def test_a_kept_design_is_returned_to_and_removed_by_a_click(browser: Any, serve
     page.close()
 
 
-def test_a_server_that_has_gone_is_told_and_nothing_can_be_turned(browser: Any, served: tuple[str, Path]) -> None:
+def test_a_server_that_has_gone_is_reported_and_nothing_can_be_turned(browser: Any, served: tuple[str, Path]) -> None:
     url, _ = served
     page, kept = browser.new_page(), []
     page.route_web_socket("**/ws", lambda socket: kept.append((socket, socket.connect_to_server())))

@@ -159,11 +159,11 @@ def test_two_visitors_share_nothing(page: ExplorePage, tmp_path: Path) -> None:
 
 def test_a_page_about_torques_says_so(tmp_path: Path) -> None:
     axes = small_exploration().axes
-    for names, told in ((["rx"], "Torque over time"), (["x", "rx"], "Force or torque over time")):
+    for names, reported in ((["rx"], "Torque over time"), (["x", "rx"], "Force or torque over time")):
         document = Document()
         exploration = replace(small_exploration(), axes=dict.fromkeys(names, axes["x"]))
         build_page(exploration, Target(tmp_path / "controller.yaml"), document)
-        assert document.template_variables["figures"]["contact"][1].startswith(told)
+        assert document.template_variables["figures"]["contact"][1].startswith(reported)
 
 
 def test_requirements_that_are_set_are_judged_drawn_and_shared_by_axes_of_a_kind(page: ExplorePage) -> None:
@@ -187,7 +187,7 @@ def test_requirements_that_are_set_are_judged_drawn_and_shared_by_axes_of_a_kind
     assert "Meets every requirement" in page.verdict.text
 
 
-def test_the_nearest_feasible_design_is_one_and_is_told(page: ExplorePage) -> None:
+def test_the_nearest_feasible_design_is_one_and_is_reported(page: ExplorePage) -> None:
     page.sliders["lead_s"].value = page.ranges["lead_s"].position(0.0)
     turn(page, "damping", 450.0)
     assert "Meets" not in page.verdict.text

@@ -25,7 +25,7 @@ def make(_progress: Progress) -> Controller:
     return small_controller()
 
 
-def test_it_is_told_which_file_was_replaced(tmp_path: Path) -> None:
+def test_it_is_reported_which_file_was_replaced(tmp_path: Path) -> None:
     target = Target(tmp_path / "controller.yaml")
     assert target.existing() == ""
     first = target.save(make, "")
@@ -45,12 +45,12 @@ def test_a_file_that_is_no_whole_controller_is_called_so(tmp_path: Path) -> None
         assert target.existing() == "a file that is no whole controller"
 
 
-def test_a_file_that_changed_after_it_was_told_is_not_replaced(tmp_path: Path) -> None:
+def test_a_file_that_changed_after_it_was_reported_is_not_replaced(tmp_path: Path) -> None:
     target = Target(tmp_path / "controller.yaml")
-    told = target.existing()
+    reported = target.existing()
     checksum = short(write_controller(target.path, other_controller()))
     with pytest.raises(UsageError, match=f"was not there, now it is the controller of checksum {checksum}"):
-        target.save(make, told)
+        target.save(make, reported)
     assert short(read_controller(target.path).checksum) == checksum
     assert target.save(make, target.existing()).replaced.endswith(checksum)
 

@@ -67,7 +67,7 @@ def test_a_search_is_cancelled_and_leaves_the_gains(page: ExplorePage, monkeypat
     assert page.designs["x"].tolist() == DESIGN.tolist()
 
 
-def test_why_nothing_is_found_is_told(page: ExplorePage, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_why_nothing_is_found_is_reported(page: ExplorePage, monkeypatch: pytest.MonkeyPatch) -> None:
     def none(*_: object, **__: object) -> None:
         raise InfeasibleError("It misses <everything>.")
 

@@ -82,8 +82,8 @@ def test_a_controller_starts_where_it_is_and_keeps_its_deadband(tmp_path: Path) 
     write_controller(path, replace(controller, axes={"x": replace(controller.axes["x"], deadband=3.5)}))
     found = read_exploration(path)
     gains = controller.axes["x"]
-    told = (gains.mass, gains.damping, gains.lead_s, gains.feedback_damping_s)
-    assert tuple(found.axes["x"].design.tolist()) == told
+    reported = (gains.mass, gains.damping, gains.lead_s, gains.feedback_damping_s)
+    assert tuple(found.axes["x"].design.tolist()) == reported
     kept = source_module.keep_deadband(found, controller)
     assert kept.axes["x"].deadband == 3.5
     assert found.provenance["options"]["controller"]["path"] == str(path)
@@ -142,10 +142,10 @@ def test_what_is_saved_is_an_ordinary_controller(tmp_path: Path) -> None:
     assert read.checksum.startswith(saved.checksum)
     assert read.controller.axes["x"].damping == float(f"{design[1]:.6g}")
     assert read.controller.status is ControllerStatus.VALIDATED
-    # Its lead is too much for a collision response to lower the peak, which was asked and is told.
+    # Its lead is too much for a collision response to lower the peak, which was asked and is reported.
     assert read.controller.provenance["collision"]["response"] == "none"
-    told = read.controller.predicted["x"].scenarios
-    assert saved.peak_n["x"] == pytest.approx(max(each.peak_contact_force_n for each in told), rel=1e-3)
+    reported = read.controller.predicted["x"].scenarios
+    assert saved.peak_n["x"] == pytest.approx(max(each.peak_contact_force_n for each in reported), rel=1e-3)
 
 
 def test_a_saved_file_states_the_requirements_that_were_set_by_hand(tmp_path: Path) -> None:
@@ -171,16 +171,16 @@ def test_a_saved_file_states_the_requirements_that_were_set_by_hand(tmp_path: Pa
 
 
 @pytest.mark.parametrize(
-    ("factors", "told"),
+    ("factors", "message"),
     [
         ((1.0, 1.15, 1.0, 1.0), "Axis x: The design misses free_space_admittance"),
         ((1.0, 0.75, 1.0, 1.0), "Axis x: The design misses modulus_margin"),
         ((1.0, 3.0, 1.0, 1.0), "Axis x: damping must lie within 900 and 1600"),
     ],
 )
-def test_a_design_that_does_not_hold_is_not_written(tmp_path: Path, factors: tuple[float, ...], told: str) -> None:
+def test_a_design_that_does_not_hold_is_not_written(tmp_path: Path, factors: tuple[float, ...], message: str) -> None:
     exploration, path = solved_exploration(), tmp_path / "controller.yaml"
-    with pytest.raises(InfeasibleError, match=told):
+    with pytest.raises(InfeasibleError, match=message):
         save_controller(exploration, {"x": exploration.axes["x"].design * np.array(factors)}, Target(path))
     assert not path.exists()
 

@@ -80,7 +80,7 @@ def test_a_plant_that_cannot_be_sampled_is_refused() -> None:
         prepared(environment_stiffness_n_per_m=1e12)
 
 
-def test_the_map_tells_of_each_design_what_an_evaluation_tells() -> None:
+def test_the_map_shows_of_each_design_what_an_evaluation_shows() -> None:
     ready = prepared()
     window = build_window(ready.problem, DESIGN, PAIR, columns=7, rows=5)
     found = compute_map(ready, DESIGN, window)

@@ -107,19 +107,19 @@ class Twin:
         self.function("rearm")(byref(self.state))
 
     def check(self, payload: CPayload, sample_time_s: float, inertia: tuple[float, float, float]) -> int:
-        told = self.function("check")(byref(payload), c_double(sample_time_s), (c_double * 3)(*inertia))
-        return int(told)
+        reported = self.function("check")(byref(payload), c_double(sample_time_s), (c_double * 3)(*inertia))
+        return int(reported)
 
     def step(self, reading: Reading) -> CCommand:
         command, values = CCommand(), (reading.wrench_S, reading.position_W_m, reading.R_WS.ravel(), reading.desired_S)
         given = CReading(*(tuple(map(float, value)) for value in values))
         given.tick, given.has_tick = (0, 0) if reading.tick is None else (reading.tick % 2**32, 1)
-        told = self._step(byref(self.state), byref(self.payload), byref(given), byref(command))
-        assert told == command.fault
+        reported = self._step(byref(self.state), byref(self.payload), byref(given), byref(command))
+        assert reported == command.fault
         return command
 
 
 def numbers(command: CCommand) -> NDArray[np.float64]:
     """Everything in a command as one row."""
-    told = (command.missing_mass_kg, command.is_started, command.phase, command.fault)
-    return np.array([*command.increment_S, *command.twist_S, *command.wrench_S, *told])
+    reported = (command.missing_mass_kg, command.is_started, command.phase, command.fault)
+    return np.array([*command.increment_S, *command.twist_S, *command.wrench_S, *reported])

@@ -40,8 +40,8 @@ def twin_of(controller: RuntimeController, folder: Path, name: str = "cell") -> 
 
 
 def row(command: Command) -> NDArray[np.float64]:
-    told = (command.missing_mass_kg, command.is_started, command.phase, command.fault)
-    return np.array([*command.increment_S, *command.twist_S, *command.wrench_S, *told])
+    reported = (command.missing_mass_kg, command.is_started, command.phase, command.fault)
+    return np.array([*command.increment_S, *command.twist_S, *command.wrench_S, *reported])
 
 
 def both(controller: RuntimeController, twin: Twin, readings: Sequence[Reading]) -> tuple[NDArray[np.float64], ...]:
@@ -123,13 +123,13 @@ def test_both_hold_on_the_same_faults(tmp_path: Path) -> None:
 def test_c_accepts_the_cells_that_the_certificate_holds_for(tmp_path: Path) -> None:
     twin = twin_of(make_runtime(make_axis("x"), make_axis("ry")), tmp_path)
 
-    def told(mass: float, h: float, inertia: float) -> int:
+    def reported(mass: float, h: float, inertia: float) -> int:
         return twin.check(CPayload(mass_kg=mass), h, (np.nan, inertia, np.nan))
 
-    assert told(14.0, PERIOD_S, 18.0) == told(18.0, PERIOD_S, 14.0) == 0
-    assert told(16.0, 1e-3, 16.0) == told(16.0, np.nan, 16.0) == 1
-    assert told(13.9, PERIOD_S, 16.0) == told(18.1, PERIOD_S, 16.0) == told(np.nan, PERIOD_S, 16.0) == 2
-    assert told(16.0, PERIOD_S, 18.1) == told(16.0, PERIOD_S, np.nan) == 3
+    assert reported(14.0, PERIOD_S, 18.0) == reported(18.0, PERIOD_S, 14.0) == 0
+    assert reported(16.0, 1e-3, 16.0) == reported(16.0, np.nan, 16.0) == 1
+    assert reported(13.9, PERIOD_S, 16.0) == reported(18.1, PERIOD_S, 16.0) == reported(np.nan, PERIOD_S, 16.0) == 2
+    assert reported(16.0, PERIOD_S, 18.1) == reported(16.0, PERIOD_S, np.nan) == 3
 
 
 @needs_gcc

@@ -45,10 +45,10 @@ def test_forward_dynamics_leads_by_its_derivative_and_drops_the_mass(fzi: Transl
     assert axis.certificate.holds
     assert axis.certificate.admittance is not None
     # The speed per force is that of the file where the gains were translated, and as certified in any case.
-    told = re.search(r"rendered damping (\d+\.?\d*)", axis.notes[0])
-    assert told is not None
+    reported = re.search(r"rendered damping (\d+\.?\d*)", axis.notes[0])
+    assert reported is not None
     hand = axis.certificate.admittance.hand_force_n_per_m_s
-    assert float(told[1]) == pytest.approx(hand - CELL.drag_n_s_per_m, rel=1e-3)
+    assert float(reported[1]) == pytest.approx(hand - CELL.drag_n_s_per_m, rel=1e-3)
 
 
 def test_a_translated_gain_of_forward_dynamics_moves_as_fast_as_the_file_s_damping() -> None:
@@ -112,7 +112,7 @@ def test_gains_that_are_alike_hold_in_every_orientation(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("axes", "orientation", "told"),
+    ("axes", "orientation", "message"),
     [
         ({"z": 3000.0}, None, "z must move and x, y must not: what is certified holds in one orientation only"),
         ({"x": 3000.0, "y": 3000.0}, None, "x, y must move and z must not"),
@@ -122,10 +122,10 @@ def test_gains_that_are_alike_hold_in_every_orientation(tmp_path: Path) -> None:
     ],
 )
 def test_unequal_gains_without_a_turn_by_right_angles_are_refused(
-    tmp_path: Path, axes: dict[str, float], orientation: Quaternion | None, told: str
+    tmp_path: Path, axes: dict[str, float], orientation: Quaternion | None, message: str
 ) -> None:
     controller = peer_controller({axis: replace(PLAIN, damping=each) for axis, each in axes.items()}, EASY)
-    with pytest.raises(UsageError, match=re.escape(told)):
+    with pytest.raises(UsageError, match=re.escape(message)):
         exported(tmp_path, controller, FziOptions(orientation=orientation))
 
 

@@ -75,7 +75,7 @@ def test_the_script_s_subtracted_deadband_is_kept_unless_a_peak_is_limited(scrip
     assert arguments(exported(tmp_path, URSCRIPT, limited))["dead_band"] == [0.0] * 4
 
 
-def test_an_acceleration_that_the_script_would_cut_is_told(script: str) -> None:
+def test_an_acceleration_that_the_script_would_cut_is_reported(script: str) -> None:
     """The peak in the sensor over the mass, beside the 5 m/s² of its last line."""
     found = re.search(r"speed changes by up to (\S+) m/s²", flat(script))
     (mass,) = {arguments(script)["mass_list"][0]}

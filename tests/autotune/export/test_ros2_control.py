@@ -29,7 +29,7 @@ def test_the_joints_damping_is_kept_the_filter_switched_off_and_the_weight_in_ne
     assert found["enable_parameter_update_without_reactivation"] is False
 
 
-def test_the_return_spring_is_told_and_axes_that_were_not_tuned_are_damped_alike(plain: Translation) -> None:
+def test_the_return_spring_is_reported_and_axes_that_were_not_tuned_are_damped_alike(plain: Translation) -> None:
     found = parameters(plain)["admittance"]
     assert found["selected_axes"] == [True, False, False, False, False, False]
     assert found["mass"] == [PLAIN.mass] * 3 + [1.0] * 3
@@ -45,7 +45,7 @@ def test_the_return_spring_is_told_and_axes_that_were_not_tuned_are_damped_alike
     assert plain.axes[0].certificate.spring_share is not None
 
 
-def test_a_spring_of_one_s_own_is_written_as_it_is_and_told(tmp_path: Path) -> None:
+def test_a_spring_of_one_s_own_is_written_as_it_is_and_reported(tmp_path: Path) -> None:
     made = exported(tmp_path, peer_controller({"x": PLAIN}, EASY), Ros2Options(return_stiffness=1.0))
     assert parameters(made)["admittance"]["stiffness"][:3] == [1.0] * 3
     # 1 − exp(−60/3000).

@@ -73,7 +73,7 @@ def test_gains_that_the_other_controller_can_express_are_translated(plain: Trans
     assert axis.peak_n == pytest.approx(axis.peak_before_n, rel=0.03)
 
 
-def test_what_fails_without_its_lead_is_tuned_anew_and_the_price_is_told(tuned: Translation) -> None:
+def test_what_fails_without_its_lead_is_tuned_anew_and_the_price_is_reported(tuned: Translation) -> None:
     (axis,) = tuned.axes
     assert axis.tuned_because is not None
     assert "modulus_margin must be at least 0.5" in axis.tuned_because
@@ -131,7 +131,7 @@ def test_nothing_is_written_where_the_other_controller_cannot_do_it(tmp_path: Pa
     assert out.read_text(encoding="utf-8") == earlier
 
 
-def test_what_an_infeasible_search_misses_is_told_whole_and_nothing_in_its_box_misses_less() -> None:
+def test_what_an_infeasible_search_misses_is_reported_whole_and_nothing_in_its_box_misses_less() -> None:
     task = task_of(peer_controller({"x": LEAD}, requirements(9e-4)))
     axis = Ros2Axis(task=task, gains=LEAD)
     with pytest.raises(InfeasibleError) as caught:
@@ -185,7 +185,7 @@ def test_no_corner_of_a_search_changes_sign_in_every_cycle(coefficient: float) -
             assert not alternates(axis.law(corner))
 
 
-def test_limits_that_the_other_controller_does_not_enforce_are_told(tmp_path: Path) -> None:
+def test_limits_that_the_other_controller_does_not_enforce_are_reported(tmp_path: Path) -> None:
     limits = Limits(
         force_n=400.0,
         torque_n_m=30.0,
@@ -205,7 +205,7 @@ def test_limits_that_the_other_controller_does_not_enforce_are_told(tmp_path: Pa
     assert not any(line.startswith("limits") for line in made.dropped)
 
 
-def test_every_axis_that_cannot_be_done_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_axis_that_cannot_be_done_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def impossible(task: AxisTask, _: Ros2Axis) -> None:
         raise InfeasibleError(f"nothing does for {task.axis}")
 
@@ -214,7 +214,7 @@ def test_every_axis_that_cannot_be_done_is_told(tmp_path: Path, monkeypatch: pyt
         exported(tmp_path, peer_controller({"x": LEAD, "z": LEAD}), Ros2Options(ros2_version="rolling"))
 
 
-def test_fewer_joints_than_axes_are_refused_and_fewer_than_six_are_told(tmp_path: Path) -> None:
+def test_fewer_joints_than_axes_are_refused_and_fewer_than_six_are_reported(tmp_path: Path) -> None:
     both = peer_controller({"x": PLAIN, "z": PLAIN}, EASY)
     with pytest.raises(UsageError, match=r"--joints names 1 joint \(rail\) for 2 controlled axes"):
         exported(tmp_path, both, Ros2Options(joints=("rail",)))
@@ -253,7 +253,7 @@ def _leaves(tree: dict[str, Any], within: str = "") -> list[tuple[str, Any]]:
 
 def test_the_header_names_source_version_rate_and_what_was_dropped(tmp_path: Path, tuned: Translation) -> None:
     digest = write_controller(tmp_path / "controller.yaml", peer_controller({"x": LEAD}))
-    told = re.sub(r"\n#\s*", " ", tuned.text)
+    message = re.sub(r"\n#\s*", " ", tuned.text)
     for part in (
         "ros2_controllers admittance_controller 4.42.0 (jazzy)",
         digest,
@@ -263,7 +263,7 @@ def test_the_header_names_source_version_rate_and_what_was_dropped(tmp_path: Pat
         "Dropped: axis x: deadband = 5 N.",
         "Dropped: sensor bias",
     ):
-        assert part in told
+        assert part in message
     assert load_as_ros(tuned.text)["controller_manager"]["ros__parameters"]["update_rate"] == 1250
 
 
@@ -285,7 +285,7 @@ def test_a_rotational_axis_has_its_own_units_and_places(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("given", "told"),
+    ("given", "message"),
     [
         ({"return_stiffness": 0.0}, "2ζ√"),
         ({"filter_coefficient": 0.0}, "above 0"),
@@ -297,8 +297,8 @@ def test_a_rotational_axis_has_its_own_units_and_places(tmp_path: Path) -> None:
         ({"base_link": "base link"}, "is no name"),
     ],
 )
-def test_options_that_make_no_file_are_refused(given: dict[str, Any], told: str) -> None:
-    with pytest.raises(UsageError, match=re.escape(told)):
+def test_options_that_make_no_file_are_refused(given: dict[str, Any], message: str) -> None:
+    with pytest.raises(UsageError, match=re.escape(message)):
         Ros2Options(**given)
 
 

@@ -106,7 +106,7 @@ def test_lists_of_a_known_count_need_no_spaces(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "line", "told"),
+    ("text", "line", "output"),
     [
         ("wrensh: {}", 3, "wrench may be meant"),
         ("wrench:\n  topik: /a", 4, "topic may be meant"),
@@ -139,10 +139,10 @@ def test_lists_of_a_known_count_need_no_spaces(tmp_path: Path) -> None:
         ("version: 1", 3, "the key version occurs twice"),
     ],
 )
-def test_what_is_unknown_or_contradictory_is_refused_with_its_line(text: str, line: int, told: str) -> None:
+def test_what_is_unknown_or_contradictory_is_refused_with_its_line(text: str, line: int, output: str) -> None:
     message = refused(text)
     assert f"cell.yaml, line {line}: " in message
-    assert told in message
+    assert output in message
 
 
 def test_signs_need_no_space_after_their_commas() -> None:

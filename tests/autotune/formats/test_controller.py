@@ -40,22 +40,22 @@ def test_a_filtered_or_late_wrench_is_part_of_the_domain_and_none_is_no_entry() 
     plain = make_controller()
     assert all("wrench_filter" not in tree for tree in controller_tree(plain)["certificate"]["domain"].values())
     assert plain.certificate.domain["x"].plants.nominal.wrench_filter == WrenchFilter()
-    for wrench, told in (
+    for wrench, reported in (
         (WrenchFilter(time_constant_s=3.2e-3), {"time_constant_s": 3.2e-3}),
         (WrenchFilter(delay_s=2.4e-3), {"delay_s": 2.4e-3}),
     ):
-        late = {f"wrench_{key}": (0.9 * value, 1.1 * value) for key, value in told.items()}
+        late = {f"wrench_{key}": (0.9 * value, 1.1 * value) for key, value in reported.items()}
         domain = replace(DOMAIN, wrench_filter=wrench, uncertain=late)
         certificate = replace(plain.certificate, domain=dict.fromkeys(plain.certificate.domain, domain))
         tree = controller_tree(replace(plain, certificate=certificate))
-        assert tree["certificate"]["domain"]["rz"]["wrench_filter"] == told
+        assert tree["certificate"]["domain"]["rz"]["wrench_filter"] == reported
         back = parse_controller(dump_yaml(tree), "c.yaml").controller
         assert back.certificate.domain["x"].plants.nominal.wrench_filter == wrench
         assert dict(back.certificate.domain["x"].uncertain or {}) == late
         assert controller_tree(back) == tree
 
 
-def test_the_file_is_what_the_tree_tells(tmp_path: Path) -> None:
+def test_the_file_is_what_the_tree_shows(tmp_path: Path) -> None:
     path = tmp_path / "controller.yaml"
     digest = write_controller(path, make_controller())
     tree = load_yaml(path)
@@ -72,7 +72,7 @@ def test_the_layout_of_the_file_does_not_matter(tmp_path: Path) -> None:
     assert parse_controller(text, tmp_path).checksum == tree["checksum"]
 
 
-def test_a_rotational_axis_tells_its_units() -> None:
+def test_a_rotational_axis_shows_its_units() -> None:
     tree = controller_tree(make_controller(("rz",)))
     domain = tree["certificate"]["domain"]["rz"]
     assert {"environment_stiffness_n_m_per_rad", "payload_inertia_kg_m2", "approach_torque_n_m"} <= set(domain)
@@ -164,22 +164,22 @@ def test_an_entry_out_of_its_range_is_refused_even_with_a_fitting_checksum(case:
     text = dump_yaml(tree) if case == "checksum" else sealed(tree)
     with pytest.raises(CertificateError) as caught:
         parse_controller(text, "c.yaml")
-    told = str(caught.value)
-    assert reason in told
-    assert told.startswith("c.yaml, line ")
-    line = text.splitlines()[int(told.removeprefix("c.yaml, line ").partition(":")[0]) - 1]
+    message = str(caught.value)
+    assert reason in message
+    assert message.startswith("c.yaml, line ")
+    line = text.splitlines()[int(message.removeprefix("c.yaml, line ").partition(":")[0]) - 1]
     assert str(place[-1]) in line or case == "threshold alone"
 
 
 @pytest.mark.parametrize("part", ["predicted", "domain", "margins"])
-def test_a_validated_controller_tells_everything_about_every_axis(part: str) -> None:
+def test_a_validated_controller_shows_everything_about_every_axis(part: str) -> None:
     tree = controller_tree(make_controller(("x", "y")))
     del (tree if part == "predicted" else tree["certificate"])[part]["y"]
     with pytest.raises(CertificateError, match=rf"^c\.yaml, line \d+: .*{part} must be given for all tuned axes, x, y"):
         parse_controller(sealed(tree), "c.yaml")
 
 
-def test_a_domain_tells_how_contact_is_approached() -> None:
+def test_a_domain_shows_how_contact_is_approached() -> None:
     base = make_controller(("x",))
     certificate = replace(base.certificate, domain={"x": replace(DOMAIN, approach_force_n=None)})
     with pytest.raises(ParameterError, match="approach_force_n, approach_speed_m_s or both"):

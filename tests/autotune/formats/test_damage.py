@@ -30,8 +30,8 @@ def refusal(text: str) -> str:
 def test_each_line_counts(text: str) -> None:
     lines = text.splitlines(keepends=True)
     for index, line in enumerate(lines):
-        told = refusal("".join(lines[:index] + lines[index + 1 :]))
-        assert re.match(r"c\.yaml, line \d+: \S", told), (line, told)
+        message = refusal("".join(lines[:index] + lines[index + 1 :]))
+        assert re.match(r"c\.yaml, line \d+: \S", message), (line, message)
 
 
 @BOTH
@@ -39,8 +39,8 @@ def test_each_digit_counts(text: str) -> None:
     places = [match.start() for match in re.finditer("[0-9]", text)]
     assert len(places) > 200
     for at in places:
-        told = refusal(f"{text[:at]}{(int(text[at]) + 1) % 10}{text[at + 1 :]}")
-        assert re.match(r"c\.yaml, line \d+: \S", told), told
+        message = refusal(f"{text[:at]}{(int(text[at]) + 1) % 10}{text[at + 1 :]}")
+        assert re.match(r"c\.yaml, line \d+: \S", message), message
 
 
 def test_each_digit_of_the_longest_number_counts_with_each_other_digit() -> None:
@@ -59,21 +59,21 @@ def test_each_digit_of_the_longest_number_counts_with_each_other_digit() -> None
 def test_a_truncated_file_is_refused(text: str) -> None:
     data = text.encode()
     for length in [*range(0, len(data), 50), len(data) - 1]:
-        told = refusal(data[:length].decode(errors="ignore"))
-        assert re.match(r"c\.yaml, line \d+: \S", told), told
+        message = refusal(data[:length].decode(errors="ignore"))
+        assert re.match(r"c\.yaml, line \d+: \S", message), message
 
 
 def test_a_stale_checksum_is_refused_with_both_short_forms() -> None:
     other = controller_tree(make_controller(("x", "y")))["checksum"]
-    told = refusal(YAML.replace(TREE["checksum"], other))
-    assert f"the checksum says {other[:8]}, but the content has {TREE['checksum'][:8]}" in told
-    assert told.startswith(f"c.yaml, line {YAML.count(chr(10))}: ")
+    message = refusal(YAML.replace(TREE["checksum"], other))
+    assert f"the checksum says {other[:8]}, but the content has {TREE['checksum'][:8]}" in message
+    assert message.startswith(f"c.yaml, line {YAML.count(chr(10))}: ")
 
 
-def test_a_changed_gain_is_told_as_altered() -> None:
-    told = refusal(YAML.replace("mass: 12.5", "mass: 12.6"))
-    assert "the file is altered" in told
-    assert TREE["checksum"][:8] in told
+def test_a_changed_gain_is_reported_as_altered() -> None:
+    message = refusal(YAML.replace("mass: 12.5", "mass: 12.6"))
+    assert "the file is altered" in message
+    assert TREE["checksum"][:8] in message
 
 
 @pytest.mark.parametrize(

@@ -87,10 +87,10 @@ def test_no_edit_loads(edit: Edit, count: int) -> None:
         assert text != YAML
         with pytest.raises(CertificateError) as caught:
             parse_controller(text, "c.yaml")
-        told = re.match(r"c\.yaml, line (\d+): (.)", str(caught.value))
-        assert told is not None, caught.value
-        # An empty file is told as such in its first line.
-        assert 1 <= int(told[1]) <= max(1, text.count("\n") + 1)
+        message = re.match(r"c\.yaml, line (\d+): (.)", str(caught.value))
+        assert message is not None, caught.value
+        # An empty file is reported as such in its first line.
+        assert 1 <= int(message[1]) <= max(1, text.count("\n") + 1)
         seen[text] += 1
     # Edits are drawn anew, not one over and over.
     assert len(seen) > 0.5 * count

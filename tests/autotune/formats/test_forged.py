@@ -106,9 +106,9 @@ def test_of_six_hundred_edits_with_a_new_checksum_only_possible_and_stable_ones_
         assert low <= new <= high, (place, new)
         loaded[name] += 1
         assert abs(change) < 1e12, (place, new)
-    told = f"{sum(loaded.values())} of {EDITS} load"
+    reported = f"{sum(loaded.values())} of {EDITS} load"
     # What is left alone is what a cell may have: a tenth of a bias, a tenfold stiffness that is stable.
-    assert 0 < sum(loaded.values()) < EDITS, told
+    assert 0 < sum(loaded.values()) < EDITS, reported
 
 
 def test_no_edit_of_the_gains_that_makes_the_loop_unstable_loads() -> None:

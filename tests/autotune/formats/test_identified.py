@@ -45,7 +45,7 @@ def test_the_keys_are_those_of_the_contract() -> None:
     assert axis["coupling"]["stiffness_n_per_m"] == {"value": 3e5, "std": None, "status": "given"}
 
 
-def test_a_rotational_axis_tells_its_units() -> None:
+def test_a_rotational_axis_shows_its_units() -> None:
     axis = identified_tree(make_identified(), {})["axes"]["rz"]
     assert list(axis["coupling"]) == ["stiffness_n_m_per_rad", "damping_n_m_s_per_rad"]
     assert "drag_n_m_s_per_rad" in axis
@@ -138,13 +138,13 @@ def test_what_breaks_the_format_is_refused_with_line_and_reason(
     path.write_text(text.replace(old, new, 1), encoding="utf-8")
     with pytest.raises(UsageError) as caught:
         read_identified(path)
-    told = str(caught.value)
-    assert told.startswith(f"{path}, line ")
-    assert reason in told
-    line = int(told.removeprefix(f"{path}, line ").partition(":")[0])
+    message = str(caught.value)
+    assert message.startswith(f"{path}, line ")
+    assert reason in message
+    line = int(message.removeprefix(f"{path}, line ").partition(":")[0])
     changed = text[: text.index(old)].count("\n") + 1 + new.count("\n")
-    # An entry that is gone is told with the line where its mapping begins.
-    assert line == changed or ("no such key" in told and line < changed)
+    # An entry that is gone is reported with the line where its mapping begins.
+    assert line == changed or ("no such key" in message and line < changed)
 
 
 def test_the_digest_is_that_of_the_bytes(tmp_path: Path) -> None:

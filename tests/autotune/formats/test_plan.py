@@ -60,7 +60,7 @@ def test_a_step_whose_settings_belong_to_another_is_no_plan(slow: ExperimentPlan
         plan_tree(replace(slow, axis="rx"), {})
 
 
-def test_what_nothing_tells_is_null(slow: ExperimentPlan) -> None:
+def test_what_nothing_shows_is_null(slow: ExperimentPlan) -> None:
     entries = [entry for step in plan_tree(slow, {})["steps"] for entry in step["predicted"]]
     assert all(entry["std_now"] is None for entry in entries)
     assert all(entry["std_after"] is None or entry["std_after"] > 0.0 for entry in entries)

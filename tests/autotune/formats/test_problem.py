@@ -173,7 +173,7 @@ def test_null_asks_for_nothing_and_absence_for_the_default(path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "line", "told"),
+    ("text", "line", "output"),
     [
         ("axis: w\n", 1, "axis must be one of x, y, z"),
         ("axis: [x, x]\n", 1, "a list of different ones"),
@@ -217,10 +217,10 @@ def test_null_asks_for_nothing_and_absence_for_the_default(path: Path) -> None:
         ("- axis\n", 1, "mapping"),
     ],
 )
-def test_what_is_wrong_is_told_with_its_line(path: Path, text: str, line: int | None, told: str) -> None:
+def test_what_is_wrong_is_reported_with_its_line(path: Path, text: str, line: int | None, output: str) -> None:
     message = refusal(path, text)
     assert message.startswith(f"{path}, line {line}: " if line is not None else f"{path}, line ")
-    assert told in message
+    assert output in message
 
 
 def test_a_file_that_is_not_there_is_a_wrong_request(path: Path) -> None:
@@ -267,7 +267,7 @@ def test_what_is_uncertain_is_a_range_or_has_an_origin(path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "output"),
     [
         ("delay_s: [2e-3, 1e-3]\n", r"delay_s must be [low, high], found 0.002 above 0.001"),
         ("coupling_stiffness_n_per_m: [0, 3e5]\n", "coupling_stiffness_n_per_m"),
@@ -276,11 +276,11 @@ def test_what_is_uncertain_is_a_range_or_has_an_origin(path: Path) -> None:
         ("rotational:\n  drag_n_s_per_m: [1, 2]\n", "drag_n_s_per_m"),
     ],
 )
-def test_an_uncertainty_that_cannot_be_read_is_refused(path: Path, text: str, told: str) -> None:
-    assert told in refusal(path, text)
+def test_an_uncertainty_that_cannot_be_read_is_refused(path: Path, text: str, output: str) -> None:
+    assert output in refusal(path, text)
 
 
-def test_wishes_have_a_price_and_the_command_its_limits(path: Path) -> None:
+def test_soft_limits_have_a_price_and_the_command_its_limits(path: Path) -> None:
     spec = read(
         path,
         """\
@@ -334,7 +334,7 @@ def test_the_schema_knows_every_further_variable() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "line", "told"),
+    ("text", "line", "output"),
     [
         ("requirements:\n  modulus_margin: {value: 0.5}\n", 2, "requirements.modulus_margin.soft_n must be present"),
         ("requirements:\n  modulus_margin: {value: 1, soft_n: 1}\n", 2, "less than 1"),
@@ -373,10 +373,12 @@ def test_the_schema_knows_every_further_variable() -> None:
         ),
     ],
 )
-def test_a_wish_or_variable_that_cannot_be_is_told_with_its_line(path: Path, text: str, line: int, told: str) -> None:
+def test_a_wish_or_variable_that_cannot_be_is_reported_with_its_line(
+    path: Path, text: str, line: int, output: str
+) -> None:
     message = refusal(path, text)
     assert message.startswith(f"{path}, line {line}: ")
-    assert told in message
+    assert output in message
 
 
 @pytest.mark.parametrize(
@@ -396,9 +398,9 @@ def test_a_wish_or_variable_that_cannot_be_is_told_with_its_line(path: Path, tex
     ],
 )
 def test_numbers_in_another_unit_are_refused_where_they_stand(path: Path, text: str, said: str) -> None:
-    told = refusal(path, "axis: x\n" + text)
-    assert said in told
-    assert "line 2" in told
+    reported = refusal(path, "axis: x\n" + text)
+    assert said in reported
+    assert "line 2" in reported
 
 
 def test_bounds_and_approaches_at_the_limits_are_taken(path: Path) -> None:
@@ -430,14 +432,14 @@ def test_requirements_of_the_registry_and_of_other_packages_are_read(path: Path)
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "output"),
     [
         ("{min_damping_ratio: 1.0}", "less than 1"),
         ("{min_damping_ratio: true}", "a number or null or a mapping"),
         ("{passive_bands: true}", "one of modulus_margin"),
     ],
 )
-def test_what_the_registry_does_not_take_is_refused_with_its_line(path: Path, text: str, told: str) -> None:
+def test_what_the_registry_does_not_take_is_refused_with_its_line(path: Path, text: str, output: str) -> None:
     message = refusal(path, f"requirements: {text}\n")
     assert "line 1" in message
-    assert told in message
+    assert output in message

@@ -33,7 +33,7 @@ def test_the_kind_is_in_the_first_lines(tmp_path: Path) -> None:
         assert kind_of(path) == kind, text
 
 
-def test_what_stands_there_is_told_with_its_checksum(tmp_path: Path) -> None:
+def test_what_stands_there_is_reported_with_its_checksum(tmp_path: Path) -> None:
     path = tmp_path / "controller.yaml"
     assert describe_existing(path) == ""
     digest = write_controller(path, make_controller())

@@ -99,7 +99,7 @@ def test_what_is_written_is_read_back_with_its_controllers(folder: Path) -> None
     assert read.tree["provenance"]["options"] == {"seed": 1, "environment_stiffness_n_per_m": None}
 
 
-def test_a_schedule_is_told_from_a_controller(folder: Path) -> None:
+def test_a_schedule_is_reported_from_a_controller(folder: Path) -> None:
     assert is_schedule(folder / "schedule.yaml")
     assert not is_schedule(folder / "all.yaml")
     assert not is_schedule(folder / "absent.yaml")
@@ -122,7 +122,7 @@ def _edit(name: str, old: str, new: str) -> Callable[[Path], None]:
 
 
 @pytest.mark.parametrize(
-    ("harm", "told"),
+    ("harm", "message"),
     [
         (_edit("schedule.yaml", "peak_force_n: 93.1", "peak_force_n: 83.1"), r"schedule\.yaml.*the file is altered"),
         (
@@ -147,9 +147,9 @@ def _edit(name: str, old: str, new: str) -> Callable[[Path], None]:
     ],
     ids=["sum", "controller", "absent", "no common", "other", "swapped", "peak", "range", "name", "path", "empty"],
 )
-def test_what_does_not_fit_together_is_refused(folder: Path, harm: Callable[[Path], object], told: str) -> None:
+def test_what_does_not_fit_together_is_refused(folder: Path, harm: Callable[[Path], object], message: str) -> None:
     harm(folder)
-    with pytest.raises(CertificateError, match=told):
+    with pytest.raises(CertificateError, match=message):
         read_schedule(folder / "schedule.yaml")
 
 
@@ -162,18 +162,18 @@ def test_a_former_schedule_is_replaced_and_its_other_classes_go(folder: Path) ->
 
 
 @pytest.mark.parametrize(
-    ("harm", "told"),
+    ("harm", "message"),
     [
         (lambda f: (f / "notes.txt").write_text("mine", encoding="utf-8"), "holds notes.txt beside its schedule"),
         (_edit("m18.yaml", "velocity_rad_per_s: 120.0", "velocity_rad_per_s: 121.0"), "the file is altered"),
         (lambda f: (f / "schedule.yaml").unlink(), "holds no schedule"),
     ],
 )
-def test_a_folder_with_anything_else_is_left_alone(folder: Path, harm: Callable[[Path], object], told: str) -> None:
+def test_a_folder_with_anything_else_is_left_alone(folder: Path, harm: Callable[[Path], object], message: str) -> None:
     harm(folder)
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
     for refuse in (check_schedule_target, lambda f: write_schedule(f, make_schedule())):
-        with pytest.raises(UsageError, match=told):
+        with pytest.raises(UsageError, match=message):
             refuse(folder)
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
 

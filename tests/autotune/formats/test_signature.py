@@ -72,11 +72,11 @@ def pem(key: Ed25519PrivateKey, path: Path) -> Path:
 def test_the_vectors_of_the_standard(tmp_path: Path, secret: str, public: str, message: str, signature: str) -> None:
     path = written(tmp_path / "message", bytes.fromhex(message))
     key = Ed25519PrivateKey.from_private_bytes(bytes.fromhex(secret))
-    told = sign_file(path, read_private_key(pem(key, tmp_path / "key.pem")), digest(path))
+    reported = sign_file(path, read_private_key(pem(key, tmp_path / "key.pem")), digest(path))
     assert signature_path(path).read_bytes().hex() == signature
     expected = Ed25519PublicKey.from_public_bytes(bytes.fromhex(public))
-    assert told == fingerprint(expected) == sha256(bytes.fromhex(public)).hexdigest()[:16]
-    assert check_signature(path, expected, digest(path)) == told
+    assert reported == fingerprint(expected) == sha256(bytes.fromhex(public)).hexdigest()[:16]
+    assert check_signature(path, expected, digest(path)) == reported
 
 
 @pytest.mark.parametrize("style", ["openssl", "ssh-keygen"])
@@ -89,8 +89,8 @@ def test_keys_of_other_tools_sign_and_other_tools_verify(tmp_path: Path, style: 
         _run("openssl", "pkey", "-in", private, "-pubout", "-out", public)
     else:
         _run("ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", private)
-    told = sign_file(path, read_private_key(private), digest(path))
-    assert check_signature(path, read_public_key(public), digest(path)) == told
+    reported = sign_file(path, read_private_key(private), digest(path))
+    assert check_signature(path, read_public_key(public), digest(path)) == reported
     if style == "openssl":
         verify = ("pkeyutl", "-verify", "-pubin", "-inkey", public, "-rawin", "-in", path, "-sigfile", f"{path}.sig")
         _run("openssl", *verify)
@@ -172,22 +172,22 @@ def test_a_file_that_changed_under_the_reader_is_not_signed(tmp_path: Path) -> N
     assert not signature_path(path).exists()
 
 
-def test_a_key_that_is_none_is_told(tmp_path: Path) -> None:
+def test_a_key_that_is_none_is_reported(tmp_path: Path) -> None:
     curve = generate_private_key(SECP256R1())
     files = {
         "another kind": curve.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()),
         "protected by a password": KEY.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, BestAvailableEncryption(b"x")),
         "found none that can be read": b"not a key",
     }
-    for told, data in files.items():
-        with pytest.raises(UsageError, match=told):
+    for reported, data in files.items():
+        with pytest.raises(UsageError, match=reported):
             read_private_key(written(tmp_path / "key", data))
     public = {
         "another kind": curve.public_key().public_bytes(Encoding.OpenSSH, PublicFormat.OpenSSH),
         "found none that can be read": b"ssh-ed25519 AAAA",
     }
-    for told, data in public.items():
-        with pytest.raises(UsageError, match=told):
+    for reported, data in public.items():
+        with pytest.raises(UsageError, match=reported):
             read_public_key(written(tmp_path / "key", data))
     with pytest.raises(UsageError, match="cannot be read"):
         read_public_key(tmp_path / "absent")

@@ -52,18 +52,18 @@ def test_the_same_picture_has_the_same_bytes_and_no_date(folder: Path, suffix: s
 
 
 @pytest.mark.parametrize(
-    ("damping", "show", "told"),
+    ("damping", "show", "message"),
     [
         ("damping=1:5:5", "modulus", "unstable everywhere"),
         ("damping=5e3:9e3:5", "modulus", ""),
         ("damping=5e3:9e3:5", "stability", ""),
     ],
 )
-def test_all_stable_and_all_unstable_can_be_drawn(folder: Path, damping: str, show: str, told: str) -> None:
+def test_all_stable_and_all_unstable_can_be_drawn(folder: Path, damping: str, show: str, message: str) -> None:
     picture = written(folder, show=show, x=damping, y="lead_s=0:0.002:4", settings=["feedback_damping_s=0"])
-    assert ("unstable everywhere" in picture) == bool(told)
+    assert ("unstable everywhere" in picture) == bool(message)
     assert "limit of stability" not in picture
-    assert ("<!-- unstable -->" in picture) == bool(told)
+    assert ("<!-- unstable -->" in picture) == bool(message)
 
 
 def test_a_margin_that_nothing_limits_can_be_drawn(folder: Path) -> None:
@@ -86,7 +86,7 @@ def test_lower_limits_alone_are_lines_and_all_else_is_panels(folder: Path) -> No
     assert r"$\zeta$ = 0.1438" in panels
 
 
-def test_what_has_several_intervals_is_never_told_by_one_line() -> None:
+def test_what_has_several_intervals_is_never_reported_by_one_line() -> None:
     whole = StableInterval(lower=1.0, upper=9.0, lower_is_bound=False, upper_is_bound=True)
     island = StableInterval(lower=0.1, upper=0.5, lower_is_bound=False, upper_is_bound=False)
 

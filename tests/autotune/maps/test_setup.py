@@ -40,7 +40,7 @@ def test_a_range_is_read(text: str, axis: MapAxis) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         ("lead_s", "NAME=LOW:HIGH"),
         ("lead_s=1", "NAME=LOW:HIGH"),
@@ -58,13 +58,13 @@ def test_a_range_is_read(text: str, axis: MapAxis) -> None:
         ("speed=0:1", "one of mass, damping"),
     ],
 )
-def test_a_range_that_makes_no_sense_is_refused(text: str, told: str) -> None:
-    with pytest.raises(UsageError, match=told):
+def test_a_range_that_makes_no_sense_is_refused(text: str, message: str) -> None:
+    with pytest.raises(UsageError, match=message):
         parse_range(text, count=9)
 
 
 @pytest.mark.parametrize(
-    ("texts", "told"),
+    ("texts", "message"),
     [
         (["mass"], "NAME=VALUE"),
         (["mass=heavy"], "not a number"),
@@ -75,22 +75,22 @@ def test_a_range_that_makes_no_sense_is_refused(text: str, told: str) -> None:
         (["lead_s=inf"], "finite"),
     ],
 )
-def test_a_setting_that_makes_no_sense_is_refused(texts: list[str], told: str) -> None:
-    with pytest.raises((UsageError, ParameterError), match=told):
+def test_a_setting_that_makes_no_sense_is_refused(texts: list[str], message: str) -> None:
+    with pytest.raises((UsageError, ParameterError), match=message):
         parse_settings(texts)
 
 
 @pytest.mark.parametrize(
-    ("picture", "data", "told"),
+    ("picture", "data", "message"),
     [
         ("map.pdf", None, "the picture must end in .png or .svg"),
         ("map.svg", "map.txt", "the data file must end in .csv or .json"),
         ("map.svg", "twin.json", "is the file that is read"),
     ],
 )
-def test_files_that_cannot_be_written_as_asked_are_refused(picture: str, data: str | None, told: str) -> None:
+def test_files_that_cannot_be_written_as_asked_are_refused(picture: str, data: str | None, message: str) -> None:
     options = MapOptions(source=Path("twin.json"), picture=Path(picture), data=None if data is None else Path(data))
-    with pytest.raises(UsageError, match=told):
+    with pytest.raises(UsageError, match=message):
         check_targets(options)
 
 
@@ -172,7 +172,7 @@ def test_gains_must_come_from_somewhere(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("asked", "told"),
+    ("asked", "message"),
     [
         ({"x": "mass=5:20", "y": "M_a=5:20"}, "given once"),
         ({"x": "payload_mass=5:20", "settings": ["payload_frequency_rad_per_s=100"]}, "without payload_mass"),
@@ -188,8 +188,8 @@ def test_gains_must_come_from_somewhere(folder: Path) -> None:
         ({"show": "peak-contact", "x": "K_e=0:1e5"}, "a surface to touch"),
     ],
 )
-def test_a_request_that_contradicts_itself_is_refused(folder: Path, asked: dict[str, Any], told: str) -> None:
-    with pytest.raises((UsageError, ParameterError), match=told):
+def test_a_request_that_contradicts_itself_is_refused(folder: Path, asked: dict[str, Any], message: str) -> None:
+    with pytest.raises((UsageError, ParameterError), match=message):
         plan_of(folder, **asked)
 
 

@@ -57,7 +57,7 @@ def test_an_identified_plant_has_no_controller_unless_one_is_given(folder: Path)
 
 
 @pytest.mark.parametrize(
-    ("name", "axis", "error", "told"),
+    ("name", "axis", "error", "message"),
     [
         ("two.yaml", None, UsageError, "holds the axes x, rz; say which one with --axis"),
         ("two.yaml", "y", UsageError, "does not hold axis y; it holds x, rz"),
@@ -67,16 +67,16 @@ def test_an_identified_plant_has_no_controller_unless_one_is_given(folder: Path)
     ],
 )
 def test_a_source_that_cannot_be_used_is_refused(
-    folder: Path, name: str, axis: str | None, error: type[Exception], told: str
+    folder: Path, name: str, axis: str | None, error: type[Exception], message: str
 ) -> None:
     (folder / "other.yaml").write_text("bounds: {mass: [6, 6]}\n", encoding="utf-8")
     altered = (folder / "controller.yaml").read_text(encoding="utf-8").replace("12.5", "12.6")
     (folder / "altered.yaml").write_text(altered, encoding="utf-8")
-    with pytest.raises(error, match=told):
+    with pytest.raises(error, match=message):
         read(folder / name, axis)
 
 
-def test_what_the_log_does_not_tell_must_be_set(folder: Path) -> None:
+def test_what_the_log_does_not_show_must_be_set(folder: Path) -> None:
     gains = ["mass=13", "damping=1000"]
     with pytest.raises(EstimateError, match=r"drag of axis x is not identified \(no free motion\); say --set drag="):
         plan_of(folder, "sample.yaml", axis="x", settings=gains)

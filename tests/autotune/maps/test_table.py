@@ -69,7 +69,9 @@ def test_the_intervals_are_in_the_files(folder: Path) -> None:
     tree = json.loads(table_text(setup, result, Path("map.json")))
     counts = set()
     for name, columns in result.intervals.items():
-        for value, column, told in zip(result.request.along.values(), columns, tree["intervals"][name], strict=True):
+        for value, column, reported in zip(
+            result.request.along.values(), columns, tree["intervals"][name], strict=True
+        ):
             here = [row for row in rows if row["case"] == name and float(row["drag"]) == value]
             counts.add(len(column))
             if not column:
@@ -79,5 +81,7 @@ def test_the_intervals_are_in_the_files(folder: Path) -> None:
                 assert ends == [(each.lower, each.upper) for each in column]
                 bounds = [(row["lower_is_bound"] == "1", row["upper_is_bound"] == "1") for row in here]
                 assert bounds == [(each.lower_is_bound, each.upper_is_bound) for each in column]
-            assert [(each["lower"], each["upper"]) for each in told] == [(each.lower, each.upper) for each in column]
+            assert [(each["lower"], each["upper"]) for each in reported] == [
+                (each.lower, each.upper) for each in column
+            ]
     assert counts == {0, 1}

@@ -180,7 +180,7 @@ def test_an_interval_holds_other_cells_as_often_as_it_says() -> None:
     identified = plant_of(cell).file()
     result = identified.result
     (name, axis) = next(iter(result.axes.items()))
-    told = replace(
+    reported = replace(
         axis,
         drag_n_s_per_m=replace(axis.drag_n_s_per_m, std=stds["drag"]),
         environments=tuple(
@@ -190,7 +190,7 @@ def test_an_interval_holds_other_cells_as_often_as_it_says() -> None:
         robot=replace(axis.robot, bandwidth_hz=replace(axis.robot.bandwidth_hz, std=stds["robot"] / (2.0 * np.pi))),
     )
     payload = replace(result.payload, mass_kg=replace(result.payload.mass_kg, std=stds["mass"]))
-    file = replace(identified, result=replace(result, axes={name: told}, payload=payload), domain={})
+    file = replace(identified, result=replace(result, axes={name: reported}, payload=payload), domain={})
     plants = replace(build_plants(file, Surface()), model_error=None)
     law, approach = Law(controller=PLAIN), Approach(force_n=30.0)
     nominal = nominal_contact(plants, law, approach)

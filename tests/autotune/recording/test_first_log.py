@@ -225,7 +225,7 @@ def test_a_program_that_cannot_be_run_is_refused(changes: dict[str, Any], senten
         FirstLog(**changes)
 
 
-def test_a_loop_that_sends_no_wrench_is_told_so() -> None:
+def test_a_loop_that_sends_no_wrench_is_reported_so() -> None:
     commands = FirstLog().commands(period_s=H)
     next(commands)
     with pytest.raises(ParameterError, match="not next"):

@@ -25,14 +25,14 @@ class Seen(HTMLParser):
         super().__init__()
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        told = dict(attrs)
-        self.ids += [told["id"] or ""] if "id" in told else []
-        if tag == "div" and "still" in (told.get("class") or "").split():
-            self.pictures.append(told)
+        reported = dict(attrs)
+        self.ids += [reported["id"] or ""] if "id" in reported else []
+        if tag == "div" and "still" in (reported.get("class") or "").split():
+            self.pictures.append(reported)
         self.drawings += tag == "svg"
         for name in ("src", "href"):
-            if name in told:
-                (self.links if tag == "a" else self.addresses).append(told[name] or "")
+            if name in reported:
+                (self.links if tag == "a" else self.addresses).append(reported[name] or "")
 
 
 def check_page(text: str, *, has_pictures: bool = True) -> Seen:

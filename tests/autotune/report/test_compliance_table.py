@@ -13,7 +13,7 @@ def controller(tried: list[tuple[float, float | None, bool]], **more: Any) -> An
         {"environment_stiffness_n_per_m": stiffness, "peak_force_n": peak, "meets_all": meets, **more}
         for stiffness, peak, meets in tried
     ]
-    told = {
+    reported = {
         "tolerance": 0.15,
         "chosen_n_per_m": 2e4,
         "active_bound": "lower",
@@ -21,7 +21,7 @@ def controller(tried: list[tuple[float, float | None, bool]], **more: Any) -> An
         "stiffest_that_meets_all_n_per_m": 5e4,
         "tried": rows,
     }
-    return SimpleNamespace(provenance={"compliance": {"x": told}})
+    return SimpleNamespace(provenance={"compliance": {"x": reported}})
 
 
 @pytest.mark.parametrize("wished", [False, True])

@@ -39,7 +39,7 @@ def test_every_contact_is_in_the_table_and_the_strongest_are_drawn_on_one_scale(
     assert len(table.rows) == COUNT
     texts = [[cell.text for cell in row] for row in table.rows]
     assert texts[0][:5] == ["0.10", "x1", "10", "10.2", "+2.0"]
-    # RMS of 0.02 · 10 · sin over whole waves is 0.2/√2, told with three digits.
+    # RMS of 0.02 · 10 · sin over whole waves is 0.2/√2, written with three digits.
     assert float(texts[0][5]) == pytest.approx(0.2 / np.sqrt(2.0), rel=5e-3)
     assert [float(row[0]) for row in texts] == pytest.approx([2.0 * k + 0.1 for k in range(COUNT)])
     charts = list(contact_charts("x", units, "x1", seen, PERIOD_S))

@@ -25,7 +25,7 @@ def test_peaks_with_the_response_stand_beside_those_without() -> None:
     assert gains_table(both).caption.endswith("collision response reset at 150 N")
 
 
-def test_without_a_response_nothing_is_told_of_one() -> None:
+def test_without_a_response_nothing_is_reported_of_one() -> None:
     plain = make_controller(("x",))
     (design,) = axis_designs(plain)
     assert response_table(design) is None

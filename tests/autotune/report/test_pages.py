@@ -70,13 +70,13 @@ def test_the_page_of_a_search_keeps_the_law_and_carries_every_figure_twice() -> 
     assert len(seen.pictures) == len(charts_of(page)) == 6
     assert short(CHECKSUM) in text
     for key in charts_of(page):
-        told = json.loads(unpacked(text, f"{key}-data"))
-        assert told["roots"] == [root["id"] for root in told["document"]["roots"]]
-        assert all(text.count(f'id="{key}-live-{i}"') == 1 for i in range(len(told["roots"])))
+        reported = json.loads(unpacked(text, f"{key}-data"))
+        assert reported["roots"] == [root["id"] for root in reported["document"]["roots"]]
+        assert all(text.count(f'id="{key}-live-{i}"') == 1 for i in range(len(reported["roots"])))
     assert "Bokeh" in unpacked(text, "engine")
 
 
-def test_the_contact_before_and_after_reaches_the_peaks_that_the_file_and_the_comparison_tell() -> None:
+def test_the_contact_before_and_after_reaches_the_peaks_that_the_file_and_the_comparison_show() -> None:
     found, chart = fast_optimized(), charts_of(controller_page())["x-contact"]
     scenarios = found.controller.predicted["x"].scenarios
     lines = lines_of(chart, 0)
@@ -96,7 +96,7 @@ def test_the_contact_before_and_after_reaches_the_peaks_that_the_file_and_the_co
     assert np.max(lines["before"].y) == pytest.approx(old.peak_contact_force_n, rel=5e-3)
 
 
-def test_the_comparison_tells_whose_curves_are_drawn_and_what_the_certificate_says_of_its_own() -> None:
+def test_the_comparison_shows_whose_curves_are_drawn_and_what_the_certificate_says_of_its_own() -> None:
     blocks = [each for section in controller_page().sections for each in section.blocks if isinstance(each, Table)]
     (compared,) = (each for each in blocks if "before is old.yaml" in each.caption)
     rows = {row[0].text: [cell.text for cell in row[1:]] for row in compared.rows}

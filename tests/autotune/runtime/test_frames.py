@@ -50,13 +50,13 @@ def test_a_way_is_refused_from_the_largest_on(axis: int, share: float) -> None:
 def test_weight_and_bias_are_taken_off_in_any_pose(
     rotvec: tuple[float, ...], force: tuple[float, ...], torque: tuple[float, ...]
 ) -> None:
-    rotation, told = Rotation.from_rotvec(3.0 * np.array(rotvec)), np.array([*force, *torque])
+    rotation, reported = Rotation.from_rotvec(3.0 * np.array(rotvec)), np.array([*force, *torque])
     weight = 16.0 * rotation.inv().apply([0.0, 0.0, -9.80665])
     moment = np.cross(PAYLOAD.com_S_m, weight)
-    raw = told + np.array([*(weight + PAYLOAD.force_bias_S_n), *(moment + PAYLOAD.torque_bias_S_n_m)])
+    raw = reported + np.array([*(weight + PAYLOAD.force_bias_S_n), *(moment + PAYLOAD.torque_bias_S_n_m)])
     a, b, c, d, e, f = map(float, raw)
     left = external_wrench(PAYLOAD, (a, b, c, d, e, f), nine(rotation.as_matrix()))
-    np.testing.assert_allclose(left, told, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(left, reported, rtol=0.0, atol=1e-12)
 
 
 def test_what_is_no_rotation() -> None:

@@ -190,7 +190,7 @@ def test_readings_that_stand_still_at_rest_are_those_of_a_coarse_sensor() -> Non
 
 
 @pytest.mark.parametrize("mass_kg", [-16.0, -0.8, 0.8, 3.2])
-def test_the_first_readings_tell_the_missing_mass(mass_kg: float) -> None:
+def test_the_first_readings_show_the_missing_mass(mass_kg: float) -> None:
     tilted, actual = Rotation.from_euler("xyz", [0.4, -0.3, 0.2]), replace(PAYLOAD, mass_kg=16.0 + mass_kg)
     heavy = [along(0, tilted, 0.0, actual, 0.1 * RNG.standard_normal(6)) for _ in range(20)]
     state = START
@@ -331,7 +331,7 @@ def test_an_argument_of_another_type_is_a_usage_error_of_the_loader(tmp_path: Pa
         load_controller(**arguments)
 
 
-def test_a_cell_that_is_told_in_numbers_beyond_any_is_a_usage_error(tmp_path: Path) -> None:
+def test_a_cell_that_is_reported_in_numbers_beyond_any_is_a_usage_error(tmp_path: Path) -> None:
     write_controller(tmp_path / "c.yaml", make_controller(("x",)))
     with pytest.raises(UsageError, match="payload_mass_kg must be a number, found one of 1329 bits"):
         load_controller(tmp_path / "c.yaml", sample_time_s=8e-4, payload_mass_kg=10**400)

@@ -69,7 +69,7 @@ def test_the_json_twin_is_the_same_controller(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "told"),
+    ("old", "new", "message"),
     [
         ("mass: 12.5", "mass: 12.4", "altered"),
         ("status: validated\n", "", "status must be present"),
@@ -81,12 +81,12 @@ def test_the_json_twin_is_the_same_controller(tmp_path: Path) -> None:
         ("threshold_n: 150.0", "threshold_n: null", "threshold_n must be a number"),
     ],
 )
-def test_a_damaged_file_is_refused_with_its_line(tmp_path: Path, old: str, new: str, told: str) -> None:
+def test_a_damaged_file_is_refused_with_its_line(tmp_path: Path, old: str, new: str, message: str) -> None:
     path = written(tmp_path, make_controller())
     text = path.read_text(encoding="utf-8")
     assert old in text
     path.write_text(text.replace(old, new, 1), encoding="utf-8")
-    with pytest.raises(CertificateError, match=rf"controller\.yaml, line \d+: .*{told}"):
+    with pytest.raises(CertificateError, match=rf"controller\.yaml, line \d+: .*{message}"):
         load_controller(path, **CELL)
 
 
@@ -102,23 +102,23 @@ def test_a_truncated_file_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         ({"status": "unvalidated"}, "not validated"),
         ({"compensation_mass_kg": 8.0}, "says nothing of axis rz"),
         ({"sample_time_s": 1e-3}, "certificate is for 0.0008 s, but the controller runs every 0.001 s"),
     ],
 )
-def test_a_sealed_file_that_claims_nothing_is_refused(tmp_path: Path, change: dict[str, Any], told: str) -> None:
-    with pytest.raises(CertificateError, match=told):
+def test_a_sealed_file_that_claims_nothing_is_refused(tmp_path: Path, change: dict[str, Any], message: str) -> None:
+    with pytest.raises(CertificateError, match=message):
         load_controller(resealed(tmp_path, change), **CELL)
 
 
-@pytest.mark.parametrize(("key", "told"), [("domain", "does not speak of axis x"), ("proved", "proves nothing")])
-def test_a_certificate_that_leaves_something_out_is_refused(tmp_path: Path, key: str, told: str) -> None:
+@pytest.mark.parametrize(("key", "message"), [("domain", "does not speak of axis x"), ("proved", "proves nothing")])
+def test_a_certificate_that_leaves_something_out_is_refused(tmp_path: Path, key: str, message: str) -> None:
     certificate = controller_tree(make_controller())["certificate"]
     empty: Any = {"domain": {"rz": certificate["domain"]["rz"]}, "proved": []}[key]
-    with pytest.raises(CertificateError, match=told):
+    with pytest.raises(CertificateError, match=message):
         load_controller(resealed(tmp_path, {"certificate": certificate | {key: empty}}), **CELL)
 
 
@@ -129,7 +129,7 @@ def test_gains_whose_equation_overflows_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         ({"sample_time_s": 1e-3}, r"runs every 0\.001 s, but .* for 0\.0008 s"),
         ({"sample_time_s": float("nan")}, "runs every nan s"),
@@ -140,14 +140,14 @@ def test_gains_whose_equation_overflows_are_refused(tmp_path: Path) -> None:
         ({"payload_inertia_kg_m2": None}, r"Axis rz is certified for an inertia from 14 to 18 kg·m²; give"),
     ],
 )
-def test_a_cell_outside_of_the_certificate_is_refused(tmp_path: Path, change: dict[str, Any], told: str) -> None:
+def test_a_cell_outside_of_the_certificate_is_refused(tmp_path: Path, change: dict[str, Any], message: str) -> None:
     path = written(tmp_path, make_controller())
-    with pytest.raises(CertificateError, match=rf"controller\.yaml: .*{told}"):
+    with pytest.raises(CertificateError, match=rf"controller\.yaml: .*{message}"):
         load_controller(path, **CELL | change)
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         ({"payload_mass_kg": "16.2"}, r"payload_mass_kg must be a number, found '16\.2'"),
         ({"payload_mass_kg": True}, "payload_mass_kg must be a number, found True"),
@@ -158,8 +158,8 @@ def test_a_cell_outside_of_the_certificate_is_refused(tmp_path: Path, change: di
         ({"payload_inertia_kg_m2": 0.4}, r"must hold inertias by axis, .*; found 0\.4"),
     ],
 )
-def test_a_cell_that_is_told_wrongly_is_a_usage_error(tmp_path: Path, change: dict[str, Any], told: str) -> None:
-    with pytest.raises(UsageError, match=told):
+def test_a_cell_that_is_reported_wrongly_is_a_usage_error(tmp_path: Path, change: dict[str, Any], message: str) -> None:
+    with pytest.raises(UsageError, match=message):
         load_controller(written(tmp_path, make_controller()), **CELL | change)
 
 

@@ -23,9 +23,9 @@ def test_the_peaks_in_closed_loop_are_those_in_the_file(tmp_path: Path) -> None:
     loaded = load_controller(tmp_path / "controller.yaml", sample_time_s=8e-4, payload_mass_kg=6.3)
     # What is predicted is the law without its deadband.
     runtime = replace(loaded, axes=tuple(replace(axis, deadband=0.0) for axis in loaded.axes))
-    domain, told = whole.certificate.domain["x"], whole.predicted["x"]
+    domain, reported = whole.certificate.domain["x"], whole.predicted["x"]
     responded = []
-    for said in (told.with_collision_response[0], told.with_collision_response[-1]):
+    for said in (reported.with_collision_response[0], reported.with_collision_response[-1]):
         driver = _Driver(runtime)
         seen = run_contact(
             driver.increment,

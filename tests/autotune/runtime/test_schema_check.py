@@ -51,7 +51,7 @@ def changed(tree: Any, at: tuple[Any, ...], value: Any) -> Any:
     return tree
 
 
-def told(tree: Any) -> tuple[set[str], set[str]]:
+def reported(tree: Any) -> tuple[set[str], set[str]]:
     ours = {f"{explain(breach)}" for breach in breaches(tree, SCHEMA)}
     theirs = {f"{explain(error)}" for error in ORACLE.iter_errors(tree)}
     return ours, theirs
@@ -64,10 +64,10 @@ def test_every_word_of_the_schema_is_understood() -> None:
 @pytest.mark.parametrize("part", list(SCHEMA["properties"]))
 def test_both_say_the_same_of_every_damage(part: str) -> None:
     tree = controller_tree(replace(make_controller(), limits=make_limits()))
-    assert told(tree) == (set(), set())
+    assert reported(tree) == (set(), set())
     for turn, at in enumerate(places(tree[part], (part,))):
         # The oracle takes milliseconds for a file: in the large parts every entry meets some of the values in turn.
         few = [WRONG[(turn + 5 * i) % len(WRONG)] for i in range(3)]
         for value in (KeyError, *(few if part in LARGE else WRONG)):
-            ours, theirs = told(changed(tree, at, value))
+            ours, theirs = reported(changed(tree, at, value))
             assert ours == theirs

@@ -230,7 +230,7 @@ def test_a_pose_that_cannot_be_holds_the_command(change: dict[str, np.ndarray], 
     "change",
     [{"wrench_S": [0.0] * 5}, {"position_W_m": [0.0] * 4}, {"R_WS": [[1.0] * 3] * 2}, {"desired_S": [None] * 6}],
 )
-def test_an_argument_of_another_shape_is_told(change: dict[str, list[float]]) -> None:
+def test_an_argument_of_another_shape_is_reported(change: dict[str, list[float]]) -> None:
     with pytest.raises(ParameterError, match=next(iter(change))):
         step(make_runtime(make_axis("x")), STARTED, **{**STILL.arguments(), **change})  # type: ignore[arg-type]
 
@@ -250,8 +250,8 @@ def met_with(controller: RuntimeController, axis: int, plant: Plant) -> Contact:
         state, command = step(controller, state, **reading.arguments())  # type: ignore[arg-type]
         return np.array(command.increment_S)
 
-    told = {"force_n": 30.0, "distance_m": 5e-3, "duration_s": 0.8}
-    return run_contact(increment, axis, plant=plant, payload=controller.payload, **told)
+    reported = {"force_n": 30.0, "distance_m": 5e-3, "duration_s": 0.8}
+    return run_contact(increment, axis, plant=plant, payload=controller.payload, **reported)
 
 
 def test_in_the_cell_the_peak_is_the_predicted_one() -> None:

@@ -122,11 +122,11 @@ def test_channels_of_other_rates_and_names_are_written_as_they_are(recording: Re
     assert stamps(decoded(path, "/tcp")) == other.pose.stamp_ns.tolist()
 
 
-def test_progress_is_told_in_steps_that_never_exceed_the_whole(recording: Recording, tmp_path: Path) -> None:
-    told: list[int] = []
-    write_mcap(recording, tmp_path / "run.mcap", progress=told.append)
-    assert told
-    assert sum(told) <= 3 * len(recording.wrench.stamp_ns)
+def test_progress_is_reported_in_steps_that_never_exceed_the_whole(recording: Recording, tmp_path: Path) -> None:
+    reported: list[int] = []
+    write_mcap(recording, tmp_path / "run.mcap", progress=reported.append)
+    assert reported
+    assert sum(reported) <= 3 * len(recording.wrench.stamp_ns)
 
 
 def test_a_failed_write_leaves_nothing_behind_and_an_older_file_as_it_was(recording: Recording, tmp_path: Path) -> None:

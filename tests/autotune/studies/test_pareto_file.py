@@ -38,8 +38,8 @@ def test_it_is_written_and_read_back(front: Front, tmp_path: Path) -> None:
 
 
 def test_a_rotational_axis_has_its_units(front: Front) -> None:
-    told = pareto_tree({"rz": front}, {})["axes"]["rz"]["objectives"]
-    assert [each["unit"] for each in told] == ["N·m", "rad/s/(N·m)", "rad/s per N·m"]
+    reported = pareto_tree({"rz": front}, {})["axes"]["rz"]["objectives"]
+    assert [each["unit"] for each in reported] == ["N·m", "rad/s/(N·m)", "rad/s per N·m"]
 
 
 def test_a_point_that_misses_a_requirement_is_no_point_of_a_front(front: Front) -> None:

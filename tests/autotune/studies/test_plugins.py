@@ -44,7 +44,7 @@ from problems.stability.noise import predict_command_noise
 from problems.stability.passivity import check_passivity
 from tests.autotune.studies.small import ROOT
 from tests.autotune.tuning.cases import FAST_PROBLEM_YAML, FAST_SPEC, identified_plant, write_plant
-from tests.told import is_next_alone
+from tests.next_step import is_next_alone
 
 RunCli = Callable[..., "subprocess.CompletedProcess[str]"]
 
@@ -247,7 +247,7 @@ def test_a_ratio_below_0_is_not_taken_for_one_that_is_met() -> None:
 
 
 @pytest.mark.parametrize(
-    ("pairs", "told"),
+    ("pairs", "message"),
     [
         ((("mine", "no_such_module:Mine"),), "cannot be loaded: No module named"),
         ((("mine", "problems.design.objectives:PeakForce"),), "whose name is 'mine'"),
@@ -258,17 +258,19 @@ def test_a_ratio_below_0_is_not_taken_for_one_that_is_met() -> None:
     ],
 )
 def test_a_plugin_that_cannot_be_used_is_refused(
-    pairs: tuple[tuple[str, str], ...], told: str, monkeypatch: pytest.MonkeyPatch
+    pairs: tuple[tuple[str, str], ...], message: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(plugins, "entry_points", entries(*pairs))
-    with pytest.raises(UsageError, match=told):
+    with pytest.raises(UsageError, match=message):
         load_objectives(("mine",))
 
 
-@pytest.mark.parametrize("told", [("nothing",), ("peak_force=0",), ("peak_force=x",), ("passive_band", "passive_band")])
-def test_a_demand_that_says_nothing_is_refused(told: tuple[str, ...]) -> None:
+@pytest.mark.parametrize(
+    "reported", [("nothing",), ("peak_force=0",), ("peak_force=x",), ("passive_band", "passive_band")]
+)
+def test_a_demand_that_says_nothing_is_refused(reported: tuple[str, ...]) -> None:
     with pytest.raises(UsageError):
-        load_demands(told)
+        load_demands(reported)
 
 
 # --- one of one's own ---------------------------------------------------------------------------------------------

@@ -21,14 +21,14 @@ NUMBERS = st.integers(0, 6).map(float)
 
 @st.composite
 def judgements(draw: st.DrawFn) -> list[Judgement]:
-    told = draw(st.lists(st.tuples(NUMBERS, NUMBERS, st.sampled_from([0.5, 1.0, 1.5])), max_size=25))
+    reported = draw(st.lists(st.tuples(NUMBERS, NUMBERS, st.sampled_from([0.5, 1.0, 1.5])), max_size=25))
     return [
         Judgement(
             controller=AdmittanceController(mass_kg=10.0 + i, damping_n_s_per_m=1000.0),
             values={"peak_force": peak, "admittance": free},
             requirements={"any": missed},
         )
-        for i, (peak, free, missed) in enumerate(told)
+        for i, (peak, free, missed) in enumerate(reported)
     ]
 
 

@@ -268,9 +268,9 @@ def check_two_workers(url: str, tmp_path: Path) -> None:
     trials = 16
     workers = [start_worker(url, trials) for _ in range(2)]
     for worker in workers:
-        told, wrong = worker.communicate(timeout=120)
+        reported, wrong = worker.communicate(timeout=120)
         assert worker.returncode == 0, wrong
-        assert int(told) >= 1
+        assert int(reported) >= 1
     with quiet_optuna():
         storage = open_storage(url, tmp_path / "unused.db")
         found = trials_of(storage)

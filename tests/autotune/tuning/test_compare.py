@@ -44,7 +44,7 @@ def file_of(controller: Controller) -> PresentGains:
     return PresentGains.of_file(file)
 
 
-def test_a_controller_beside_itself_is_the_same_and_tells_what_its_file_says() -> None:
+def test_a_controller_beside_itself_is_the_same_and_shows_what_its_file_says() -> None:
     found = fast_optimized()
     both = compare(file_of(found.controller), found.searches)["x"]
     assert both.old == both.new
@@ -59,7 +59,7 @@ def test_a_controller_beside_itself_is_the_same_and_tells_what_its_file_says() -
     assert said <= does.peak_contact_force_n <= 1.01 * said
 
 
-def test_what_the_old_one_misses_is_told_with_its_share() -> None:
+def test_what_the_old_one_misses_is_reported_with_its_share() -> None:
     # |G| is about 1/B_a: more damping than the target allows misses it by the ratio.
     both = compare(file_of(old_with(damping=2000.0)), fast_optimized().searches)["x"]
     assert both.old.performance is not None
@@ -67,9 +67,9 @@ def test_what_the_old_one_misses_is_told_with_its_share() -> None:
     share = both.old.performance.min_m_s_per_n / 6.5e-4
     assert both.old.performance.missed["free_space_admittance"] == pytest.approx(1.0 / share)
     assert not both.is_start  # 2000 is above the bound of 1600
-    told = "\n".join(compare_lines(file_of(old_with(damping=2000.0)), {"x": both}))
-    assert f"old: misses free_space_admittance ({100.0 * share:.4g} %) of what is asked" in told
-    assert "new: meets every requirement" in told
+    message = "\n".join(compare_lines(file_of(old_with(damping=2000.0)), {"x": both}))
+    assert f"old: misses free_space_admittance ({100.0 * share:.4g} %) of what is asked" in message
+    assert "new: meets every requirement" in message
 
 
 def test_an_unstable_old_controller_has_no_numbers_but_a_place() -> None:
@@ -81,18 +81,18 @@ def test_an_unstable_old_controller_has_no_numbers_but_a_place() -> None:
     mass, stiffness = both.old.unstable_at
     assert mass == 16.0
     assert stiffness == 0.0 or 1e5 <= stiffness <= 1.2e5
-    told = "\n".join(compare_lines(file_of(old), {"x": both}))
-    assert "old: UNSTABLE in" in told
+    message = "\n".join(compare_lines(file_of(old), {"x": both}))
+    assert "old: UNSTABLE in" in message
     tree = compare_tree(file_of(old), {"x": both})["axes"]["x"]["old"]
     assert (tree["is_stable"], tree["peak_contact_force_n"], tree["margins"], tree["missed"]) == (False,) + (None,) * 3
     json_text(tree)
 
 
-def test_a_rotational_axis_is_told_in_its_units() -> None:
+def test_a_rotational_axis_is_reported_in_its_units() -> None:
     found = both_optimized()
     both = compare(file_of(found.controller), found.searches)
-    told = "\n".join(compare_lines(file_of(found.controller), both))
-    assert all(unit in told for unit in ("M_a [kg·m²]", "B_a [N·m·s/rad]", "[rad/s/(N·m)]", "M_a [kg]", "[m/s/N]"))
+    message = "\n".join(compare_lines(file_of(found.controller), both))
+    assert all(unit in message for unit in ("M_a [kg·m²]", "B_a [N·m·s/rad]", "[rad/s/(N·m)]", "M_a [kg]", "[m/s/N]"))
     tree = compare_tree(file_of(found.controller), both)
     assert "peak_contact_torque_n_m" in tree["axes"]["ry"]["new"]
     assert "peak_contact_force_n" in tree["axes"]["x"]["new"]
@@ -108,7 +108,7 @@ def bare(**changes: object) -> Controller:
 
 
 @pytest.mark.parametrize(
-    ("changes", "told"),
+    ("changes", "message"),
     [
         (
             {"axes": {"z": fast_optimized().controller.axes["x"]}, "limits": None},
@@ -118,10 +118,10 @@ def bare(**changes: object) -> Controller:
         ({"collision": CollisionSettings(response=CollisionResponse.STOP, threshold_n=50.0)}, "responds to collisions"),
     ],
 )
-def test_a_controller_that_is_another_thing_is_refused(changes: dict[str, object], told: str) -> None:
+def test_a_controller_that_is_another_thing_is_refused(changes: dict[str, object], message: str) -> None:
     problems = {"x": fast_optimized().searches["x"].problem}
     check_comparable(file_of(bare()), problems)
-    with pytest.raises(UsageError, match=told):
+    with pytest.raises(UsageError, match=message):
         check_comparable(file_of(bare(**changes)), problems)
 
 

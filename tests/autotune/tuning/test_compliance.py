@@ -92,9 +92,9 @@ def valley(best: float) -> Curve:
     return lambda stiffness: 40.0 + 10.0 * math.log(stiffness / best) ** 2
 
 
-def is_told_for(told: float, edge: float) -> bool:
+def is_found_at(reported: float, edge: float) -> bool:
     """Whether the stiffest of those tried up to an edge is told, the next one lying at most the resolution above."""
-    return told <= edge < told * (1.0 + RESOLUTION) * (1.0 + 1e-3)
+    return reported <= edge < reported * (1.0 + RESOLUTION) * (1.0 + 1e-3)
 
 
 @pytest.mark.parametrize("best", [2.6e4, 7.3e4, 4.1e5])
@@ -102,18 +102,18 @@ def test_a_valley_between_the_bounds_is_found(on_curve: Any, best: float) -> Non
     found, asked = on_curve(valley(best))
     least = found.chosen.cost
     assert 40.0 <= least < 40.1
-    assert is_told_for(found.nearly_as_good.stiffness_n_per_m, best * math.exp(math.sqrt((1.01 * least - 40.0) / 10.0)))
+    assert is_found_at(found.nearly_as_good.stiffness_n_per_m, best * math.exp(math.sqrt((1.01 * least - 40.0) / 10.0)))
     assert (found.active_bound, found.stiffest.stiffness_n_per_m) == (None, BOUNDS[1])
     assert len(asked) <= 24
 
 
 def test_of_as_good_ones_the_stiffest_is_chosen(on_curve: Any) -> None:
     found, _ = on_curve(lambda stiffness: max(30.0, 30.0 * (stiffness / 1e5) ** 0.3))
-    assert is_told_for(found.chosen.stiffness_n_per_m, 1e5 * 1.001 ** (1.0 / 0.3))
+    assert is_found_at(found.chosen.stiffness_n_per_m, 1e5 * 1.001 ** (1.0 / 0.3))
 
 
 @pytest.mark.parametrize(("sign", "side", "chosen"), [(1.0, "lower", BOUNDS[0]), (-1.0, "upper", BOUNDS[1])])
-def test_a_bound_that_holds_the_choice_is_told(on_curve: Any, sign: float, side: str, chosen: float) -> None:
+def test_a_bound_that_holds_the_choice_is_reported(on_curve: Any, sign: float, side: str, chosen: float) -> None:
     found, _ = on_curve(lambda stiffness: 50.0 * (stiffness / 1e5) ** (0.3 * sign))
     assert (found.active_bound, found.chosen.stiffness_n_per_m) == (side, chosen)
 
@@ -123,11 +123,11 @@ def test_a_stiffness_that_is_given_is_taken_and_no_bound_is_active(on_curve: Any
     assert (asked, found.chosen.stiffness_n_per_m, found.active_bound) == ([3e4], 3e4, None)
 
 
-def test_the_stiffest_that_meets_everything_is_told(on_curve: Any) -> None:
+def test_the_stiffest_that_meets_everything_is_reported(on_curve: Any) -> None:
     found, _ = on_curve(lambda stiffness: 30.0 + stiffness * 1e-4 if stiffness <= 1.3e5 else 1.3e5 / stiffness - 1.0)
-    assert is_told_for(found.stiffest.stiffness_n_per_m, 1.3e5)
-    told = {each["environment_stiffness_n_per_m"]: each for each in compliance_tree(found)["tried"]}
-    assert told[BOUNDS[1]] == {
+    assert is_found_at(found.stiffest.stiffness_n_per_m, 1.3e5)
+    reported = {each["environment_stiffness_n_per_m"]: each for each in compliance_tree(found)["tried"]}
+    assert reported[BOUNDS[1]] == {
         "environment_stiffness_n_per_m": BOUNDS[1],
         "peak_force_n": None,
         "meets_all": False,
@@ -137,7 +137,7 @@ def test_the_stiffest_that_meets_everything_is_told(on_curve: Any) -> None:
 def test_a_limit_of_the_peak_leaves_the_table_whole(on_curve: Any) -> None:
     """30 + K 1e-4 N meets 45 N up to 1.5e5 N/m; what lies above is shown, and not chosen."""
     found, _ = on_curve(lambda stiffness: 30.0 + 1e-4 * stiffness, limit=45.0)
-    assert is_told_for(found.stiffest.stiffness_n_per_m, 1.5e5)
+    assert is_found_at(found.stiffest.stiffness_n_per_m, 1.5e5)
     last = compliance_tree(found)["tried"][-1]
     assert (last["peak_force_n"], last["meets_all"]) == (80.0, False)
     assert found.points[-1].missed == pytest.approx(80.0 / 45.0 - 1.0)
@@ -233,9 +233,9 @@ def test_what_is_certified_is_an_ordinary_problem_over_the_tolerance(tmp_path: P
     assert chosen.cost == found.searches["x"].evaluation.cost
     write_controller(tmp_path / "controller.yaml", found.controller)
     read = read_controller(tmp_path / "controller.yaml").controller
-    told = read.provenance["compliance"]["x"]
-    assert told == compliance_tree(found.compliance["x"])
-    assert (told["chosen_n_per_m"], told["active_bound"]) == (8e4, "lower")
+    reported = read.provenance["compliance"]["x"]
+    assert reported == compliance_tree(found.compliance["x"])
+    assert (reported["chosen_n_per_m"], reported["active_bound"]) == (8e4, "lower")
     assert validate_controller(read).passed
 
 
@@ -247,7 +247,7 @@ def test_the_built_compliance_is_held_against_the_tolerance(stiffness: float, fi
     assert all(check.passed for check in checks) is fits
 
 
-def test_no_compliance_at_all_tells_the_nearest_and_what_would_have_to_be_eased(
+def test_no_compliance_at_all_shows_the_nearest_and_what_would_have_to_be_eased(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """The relaxations are those of the ordinary problem on the compliance that misses least."""
@@ -270,7 +270,7 @@ def test_no_compliance_at_all_tells_the_nearest_and_what_would_have_to_be_eased(
 
 
 @pytest.mark.parametrize(
-    ("axes", "stiffness", "told"),
+    ("axes", "stiffness", "message"),
     [
         (("x",), (1e4, 2e4), "both say the surface"),
         (None, None, r"one axis at a time only; .*\(to be tuned: x, ry\)"),
@@ -278,9 +278,9 @@ def test_no_compliance_at_all_tells_the_nearest_and_what_would_have_to_be_eased(
     ],
 )
 def test_a_compliance_that_cannot_be_is_refused(
-    axes: tuple[str, ...] | None, stiffness: tuple[float, float] | None, told: str
+    axes: tuple[str, ...] | None, stiffness: tuple[float, float] | None, message: str
 ) -> None:
-    with pytest.raises(UsageError, match=told):
+    with pytest.raises(UsageError, match=message):
         build_compliance_problems(two_axes(), replace(SPEC, axes=axes).with_options(environment_stiffness=stiffness))
 
 

@@ -74,16 +74,18 @@ def test_a_default_that_cannot_be_had_is_lowered_to_what_can() -> None:
     assert lowered is not None
     found = solve_design(lowered)
     assert found.evaluation.is_feasible
-    told = default_admittance(problem, found)
-    assert told is not None
-    assert told.attainable is not None
-    assert found.problem.requirements.threshold("free_space_admittance") == told.target.min_m_s_per_n
-    message = default_message("x", told, found.problem)
+    reported = default_admittance(problem, found)
+    assert reported is not None
+    assert reported.attainable is not None
+    assert found.problem.requirements.threshold("free_space_admittance") == reported.target.min_m_s_per_n
+    message = default_message("x", reported, found.problem)
     assert "the usual 0.005 cannot be had in this cell" in message
-    assert f"{told.target.min_m_s_per_n:g} m/s/N are asked" in message
-    assert f"at 0.1 m/s a hand needs up to {0.1 / told.target.min_m_s_per_n:.3g} N, with the usual one 20." in message
+    assert f"{reported.target.min_m_s_per_n:g} m/s/N are asked" in message
+    assert (
+        f"at 0.1 m/s a hand needs up to {0.1 / reported.target.min_m_s_per_n:.3g} N, with the usual one 20." in message
+    )
     # A quarter above four fifths is all that can be had: a little more than that has no controller.
-    more = replace(default, min_m_s_per_n=1.1 * told.attainable)
+    more = replace(default, min_m_s_per_n=1.1 * reported.attainable)
     again = lower_default(
         replace(problem, requirements=replace(problem.requirements, free_space_admittance=more)), seed=0
     )
@@ -96,11 +98,11 @@ def test_the_price_of_the_band_is_that_of_a_search_with_the_usual_one() -> None:
     fixed = design_problem(requirements=FEW, mass=(16.0, 16.0))
     narrow = replace(fixed, requirements=follow_robot(FEW, fixed.plants.nominal.robot))
     found = solve_design(narrow)
-    told = default_admittance(narrow, found)
-    assert told is not None
-    assert told.attainable is None
-    assert told.objective == found.evaluation.cost
-    assert told.objective_with_usual == pytest.approx(solve_design(fixed).evaluation.cost, rel=5e-3)
-    assert told.objective_with_usual is not None
-    assert told.objective_with_usual > told.objective
+    reported = default_admittance(narrow, found)
+    assert reported is not None
+    assert reported.attainable is None
+    assert reported.objective == found.evaluation.cost
+    assert reported.objective_with_usual == pytest.approx(solve_design(fixed).evaluation.cost, rel=5e-3)
+    assert reported.objective_with_usual is not None
+    assert reported.objective_with_usual > reported.objective
     assert default_admittance(fixed, solve_design(fixed)) is None

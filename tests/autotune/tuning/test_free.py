@@ -86,14 +86,14 @@ def test_more_freedom_makes_a_gentler_contact_that_validates() -> None:
     assert found.controller.compensation_mass_kg >= 4.0
 
 
-def test_the_file_tells_what_was_chosen_and_is_read_back(tmp_path: Path) -> None:
+def test_the_file_shows_what_was_chosen_and_is_read_back(tmp_path: Path) -> None:
     found = free_optimized()
     write_controller(tmp_path / "controller.yaml", found.controller)
     read = read_controller(tmp_path / "controller.yaml").controller
     assert read == found.controller
     search = found.searches["x"]
-    told = (read.filters.velocity_rad_per_s, read.filters.acceleration_rad_per_s, read.compensation_mass_kg)
-    assert told == tuple(search.design[len(VARIABLES) :])
+    reported = (read.filters.velocity_rad_per_s, read.filters.acceleration_rad_per_s, read.compensation_mass_kg)
+    assert reported == tuple(search.design[len(VARIABLES) :])
     assert start_design(admittance_controller(read, "x"), search.problem) == pytest.approx(search.design, rel=0.0)
 
 

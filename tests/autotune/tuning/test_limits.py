@@ -39,18 +39,18 @@ def test_every_value_has_its_reason_and_room() -> None:
 def test_the_peaks_hold_the_weight_that_may_be_left_over() -> None:
     """Scaled by (F^d + r)/F^d; a second method presses the same contact with F^d + r."""
     controller = small_controller()
-    told, domain = controller.predicted["x"].with_residual_weight, controller.certificate.domain["x"]
+    reported, domain = controller.predicted["x"].with_residual_weight, controller.certificate.domain["x"]
     worst = max(controller.predicted["x"].scenarios, key=lambda each: each.peak_contact_force_n)
-    assert told is not None
+    assert reported is not None
     assert controller.limits is not None
-    assert told.force_n == controller.limits.rest_force_n
+    assert reported.force_n == controller.limits.rest_force_n
     force = domain.approach_force_n or 0.0
     plant = worst.scenario().plant(domain.plants.nominal)
     law = admittance_controller(controller, "x")
-    seen = replay_contact(plant, law, controller.sample_time_s, force + told.force_n)
+    seen = replay_contact(plant, law, controller.sample_time_s, force + reported.force_n)
     # As between a predicted contact and its replay: the touch falls between two ticks.
-    assert told.peak_contact_force_n == pytest.approx(seen.peak_contact_force_n, rel=0.02)
-    assert told.peak_contact_force_n > worst.peak_contact_force_n
+    assert reported.peak_contact_force_n == pytest.approx(seen.peak_contact_force_n, rel=0.02)
+    assert reported.peak_contact_force_n > worst.peak_contact_force_n
 
 
 def test_noise_and_what_was_left_over_in_the_log_widen_them() -> None:
@@ -79,15 +79,15 @@ def test_a_problem_says_its_own() -> None:
 
 
 @pytest.mark.parametrize(
-    ("axes", "told"),
+    ("axes", "message"),
     [
         ({"x": {"speed": 0.01}}, r"limits\.axes\.x\.speed must be above 0\.0\d+, .* found 0\.01"),
         ({"x": {"acceleration": 1.0}}, r"limits\.axes\.x\.acceleration must be above \d"),
         ({"z": {"speed": 1.0}}, r"limits\.axes must name tuned axes, x; found z"),
     ],
 )
-def test_a_limit_that_the_certified_contacts_reach_is_refused(axes: dict[str, dict[str, float]], told: str) -> None:
-    with pytest.raises(UsageError, match=told):
+def test_a_limit_that_the_certified_contacts_reach_is_refused(axes: dict[str, dict[str, float]], message: str) -> None:
+    with pytest.raises(UsageError, match=message):
         with_limits(small_controller(), LimitsSettings(spec=LimitsSpec(axes=axes)))
 
 

@@ -29,7 +29,7 @@ from tests.autotune.tuning.cases import (
     identified_plant,
     write_plant,
 )
-from tests.told import is_next_alone
+from tests.next_step import is_next_alone
 
 RunCli = Callable[..., "CompletedProcess[str]"]
 OTHERS = ("admittance", "hand_force", "command_noise", "robustness")

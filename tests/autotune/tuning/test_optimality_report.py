@@ -31,7 +31,7 @@ def search() -> SearchResult:
     return fast_optimized().searches["x"]
 
 
-def test_what_is_told_is_met_is_met_over_the_whole_grid() -> None:
+def test_what_is_reported_is_met_is_met_over_the_whole_grid() -> None:
     found = standing()
     assert found.is_feasible
     assert found.scenario_count == search().scenario_count
@@ -44,7 +44,7 @@ def test_what_is_told_is_met_is_met_over_the_whole_grid() -> None:
     assert found.ratio == pytest.approx(1.0, abs=1e-3)
 
 
-def test_a_missed_requirement_is_told() -> None:
+def test_a_missed_requirement_is_reported() -> None:
     missed = replace(search().evaluation, requirements={"modulus_margin": 1.01, "phase_margin_deg": 0.5})
     found = report_optimality(replace(search(), evaluation=missed))
     assert not found.is_feasible
@@ -68,7 +68,7 @@ def test_the_tree_is_rounded_upwards_and_names_its_units(rotational: bool, unit:
     assert all(f"price_{unit}_per_percent" in each for each in tree["active"])
 
 
-def test_nothing_found_elsewhere_is_told_as_nothing() -> None:
+def test_nothing_found_elsewhere_is_reported_as_nothing() -> None:
     alone = replace(standing(), reference=replace(standing().reference, elsewhere=float("inf"), arrived=0))
     assert optimality_tree(alone, rotational=False)["gap_against"]["from_elsewhere_n"] is None
 
@@ -117,7 +117,7 @@ def explained() -> tuple[ActiveConstraint, ...]:
     return active_constraints(found.problem, found.evaluation.cost, check_optimality(found.active, found.design))
 
 
-def test_the_active_requirements_are_told_dearest_first() -> None:
+def test_the_active_requirements_are_reported_dearest_first() -> None:
     active = explained()
     assert [a.price for a in active] == sorted((a.price for a in active), reverse=True)
     tight = {name for name, value in solved().evaluation.requirements.items() if value > 0.999}

@@ -69,19 +69,19 @@ def test_without_a_surface_there_is_nothing_to_compare_with() -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "output"),
     [
         (("--environment-stiffness", "20:500"), "N/mm ="),
         (("--payload-mass", "16200"), "did you mean 16.2?"),
     ],
 )
 def test_through_the_command_line_nothing_is_searched(
-    run_cli: RunCli, tmp_path: Path, options: tuple[str, str], told: str
+    run_cli: RunCli, tmp_path: Path, options: tuple[str, str], output: str
 ) -> None:
     write_plant(tmp_path)
     done = run_cli("optimize", "identified.yaml", *options)
     assert done.returncode == 2
-    assert told in done.stderr
+    assert output in done.stderr
     assert len(done.stderr) < 400
     assert not (tmp_path / "controller.yaml").exists()
 
@@ -99,7 +99,7 @@ def delayed(low: float, high: float) -> DesignProblem:
 
 
 @pytest.mark.parametrize(
-    ("interval", "told"),
+    ("interval", "output"),
     [
         ((0.0, 0.0), "delay_s in problem.yaml, 0, lies 1200 deviations off what was identified, 0.0024 ± 2e-06;"),
         ((2.5e-3, 3e-3), "delay_s in problem.yaml, 0.0025 to 0.003, lies 50 deviations off"),
@@ -107,14 +107,14 @@ def delayed(low: float, high: float) -> DesignProblem:
         ((2.0e-3, 3e-3), ""),
     ],
 )
-def test_a_range_far_from_what_was_identified_is_told(interval: tuple[float, float], told: str) -> None:
+def test_a_range_far_from_what_was_identified_is_reported(interval: tuple[float, float], output: str) -> None:
     axis = identified_axis()
     axis = replace(axis, robot=replace(axis.robot, delay_s=known(2.4e-3, 2e-6)))
     found = list(doubtful_ranges(delayed(*interval), axis, "x"))
-    assert [line.startswith(f"axis x: {told}") for line in found] == ([True] if told else [])
+    assert [line.startswith(f"axis x: {output}") for line in found] == ([True] if output else [])
 
 
-def test_what_is_known_without_deviation_or_not_at_all_is_no_doubt() -> None:
+def test_what_is_known_without_deviation_or_not_at_all_is_no_conflict() -> None:
     problem = delayed(0.0, 0.0)
     for delay in (known(2.4e-3, 0.0), replace(known(2.4e-3), value=None, std=None)):
         axis = replace(identified_axis(), robot=replace(identified_axis().robot, delay_s=delay))

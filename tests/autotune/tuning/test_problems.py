@@ -143,7 +143,7 @@ def _without_delay(axis: AxisEstimate) -> AxisEstimate:
 
 
 @pytest.mark.parametrize(
-    ("axis", "told"),
+    ("axis", "output"),
     [
         (_without_stiffness(identified_axis()), r"axes\.x\.coupling\.stiffness_n_per_m .*\(no free motion\)"),
         (_without_robot(identified_axis()), r"axes\.x\.robot\.denominator is not identified"),
@@ -152,8 +152,8 @@ def _without_delay(axis: AxisEstimate) -> AxisEstimate:
         (replace(identified_axis(), environments=()), r"no identified environment; .* --environment-stiffness LO:HI"),
     ],
 )
-def test_nothing_is_tuned_on_a_guess(axis: AxisEstimate, told: str) -> None:
-    with pytest.raises(EstimateError, match=told):
+def test_nothing_is_tuned_on_a_guess(axis: AxisEstimate, output: str) -> None:
+    with pytest.raises(EstimateError, match=output):
         build_problems(with_axis(axis), DEFAULT)
 
 

@@ -56,14 +56,14 @@ def test_where_no_single_requirement_is_enough_all_together_are_eased() -> None:
     assert solved.evaluation.is_feasible
 
 
-def test_nothing_is_told_where_nothing_is_stable() -> None:
+def test_nothing_is_reported_where_nothing_is_stable() -> None:
     problem = design_problem(bounds={"mass": (1.0, 1.0), "damping": (5.0, 6.0), "lead_s": (0.0, 0.0)})
     with pytest.raises(InfeasibleError, match="stable"):
         solve_design(problem)
     assert find_relaxations(problem) == ()
 
 
-def test_the_command_is_relaxed_like_the_loop_and_wishes_are_no_obstacle() -> None:
+def test_the_command_is_relaxed_like_the_loop_and_soft_limits_are_no_obstacle() -> None:
     asked = replace(FEW, passivity=PassivityTarget(passive_below_hz=80.0), soft_n={"free_space_admittance": 5.0})
     problem = design_problem(requirements=asked)
     assert asked_numbers(problem) == {"modulus_margin": 0.5, "passivity": 80.0}
@@ -77,7 +77,7 @@ def test_the_command_is_relaxed_like_the_loop_and_wishes_are_no_obstacle() -> No
     assert solve_design(design_problem(requirements=easier)).evaluation.is_feasible
 
 
-def test_what_would_be_enough_and_what_would_not_is_told() -> None:
+def test_what_would_be_enough_and_what_would_not_is_reported() -> None:
     problem = design_problem(requirements=replace(FEW, delay_margin_s=1e-3, decay_rate_per_s=3.0))
     enough = Relaxation(name="modulus_margin", asked=0.9, possible=0.641)
     rest = "Or narrow the ranges of stiffness and payload, or widen the bounds."

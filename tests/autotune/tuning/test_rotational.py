@@ -58,7 +58,7 @@ def test_the_defaults_are_those_of_a_straight_axis_at_the_lever_of_the_deadbands
     admittance=st.floats(1e-5, 1e-2),
     limit=st.none() | st.floats(1.0, 1e3),
 )
-def test_wishes_go_through_the_lever_as_forces_and_speeds_do(
+def test_soft_limits_go_through_the_lever_as_forces_and_speeds_do(
     mass: float, force_n: float, admittance: float, limit: float | None
 ) -> None:
     asked = Requirements(max_peak_force_n=limit, free_space_admittance=AdmittanceTarget(min_m_s_per_n=admittance))
@@ -103,7 +103,7 @@ def test_the_inertia_of_the_axis_is_what_it_moves() -> None:
 
 
 @pytest.mark.parametrize("mass", [None, absent("only turned at rest")])
-def test_an_inertia_that_no_motion_tells_is_asked_back(mass: object) -> None:
+def test_an_inertia_that_no_motion_shows_is_asked_back(mass: object) -> None:
     axis = replace(turned_axis(), mass_kg=mass)  # type: ignore[arg-type]  # None or an estimate
     with pytest.raises(EstimateError, match=r"axes\.ry\.inertia_kg_m2 is not identified"):
         turned(axis)
@@ -173,7 +173,7 @@ def test_both_axes_are_tuned_in_one_call_to_the_same_optimum() -> None:
     } == {"payload"}
 
 
-def test_the_file_tells_rotational_units_and_survives_validate_export_and_map(tmp_path: Path) -> None:
+def test_the_file_shows_rotational_units_and_survives_validate_export_and_map(tmp_path: Path) -> None:
     controller, path = both_optimized().controller, tmp_path / "controller.yaml"
     tree = controller_tree(controller)
     certificate = tree["certificate"]
@@ -187,8 +187,8 @@ def test_the_file_tells_rotational_units_and_survives_validate_export_and_map(tm
         "environment_stiffness_n_m_per_rad",
         "payload_inertia_kg_m2",
     }
-    told = [tree["predicted"]["ry"]["scenarios"][0]["name"], *(p["over"] for p in certificate["proved"][2:])]
-    assert all("kg·m²" in text for text in told)
+    reported = [tree["predicted"]["ry"]["scenarios"][0]["name"], *(p["over"] for p in certificate["proved"][2:])]
+    assert all("kg·m²" in text for text in reported)
     write_controller(path, controller)
     assert read_controller(path).controller == controller
     export_controller(path, "json", tmp_path / "controller.json")
@@ -203,14 +203,14 @@ def test_the_file_tells_rotational_units_and_survives_validate_export_and_map(tm
 def test_an_identified_plant_is_compared_by_its_inertia() -> None:
     controller, plant = both_optimized().controller, two_axes()
     assert [check.passed for check in check_domain(controller, plant)] == [True, True, True]
-    for inertia, told in ((known(0.7, 0.01), "is 0.7, certified for [0.64, 0.64]"), (None, "is not identified")):
+    for inertia, reported in ((known(0.7, 0.01), "is 0.7, certified for [0.64, 0.64]"), (None, "is not identified")):
         other = replace(plant, axes={**plant.axes, "ry": replace(plant.axes["ry"], mass_kg=inertia)})
         straight, about, _ = check_domain(controller, other)
-        assert (straight.passed, about.passed, about.message) == (True, False, f"payload inertia [kg·m²] {told}")
+        assert (straight.passed, about.passed, about.message) == (True, False, f"payload inertia [kg·m²] {reported}")
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         ({"rotational_requirements": None}, "does not say what was asked of rotational axes"),
         ({"rotational_requirements": {"modulus_margin": 0.6}}, "modulus_margin must be at least 0.6"),
@@ -225,7 +225,7 @@ def test_an_identified_plant_is_compared_by_its_inertia() -> None:
         ({"rotational_requirements": {"max_peak_force_n": 6.5}}, "the peak torque must be at most 6.5 N·m"),
     ],
 )
-def test_validation_asks_rotational_axes_for_their_own_requirements(change: dict[str, object], told: str) -> None:
+def test_validation_asks_rotational_axes_for_their_own_requirements(change: dict[str, object], message: str) -> None:
     controller = both_optimized().controller
     only = replace(
         controller,
@@ -243,7 +243,7 @@ def test_validation_asks_rotational_axes_for_their_own_requirements(change: dict
     )
     failed = [check for check in validate_controller(only).checks if not check.passed]
     assert len(failed) == 1
-    assert told in failed[0].message
+    assert message in failed[0].message
 
 
 def test_prices_and_speeds_go_through_the_lever_and_the_noise_does_not() -> None:

@@ -65,13 +65,13 @@ def test_the_table_is_every_combination_in_order_with_readable_names() -> None:
 
 
 @given(POSITIVE, POSITIVE)
-def test_a_name_tells_every_digit(first: float, second: float) -> None:
+def test_a_name_shows_every_digit(first: float, second: float) -> None:
     low, high = min(first, second), max(first, second)
     name = ScheduleClass(payload_mass_kg=(low, high), environment_stiffness_n_per_m=(low, high)).name
     mass, stiffness = name.split("_")
-    for told, letter in ((mass, "m"), (stiffness, "k")):
-        assert told[0] == letter
-        numbers = [float(part) for part in re.split(r"(?<!e)-", told[1:])]
+    for reported, letter in ((mass, "m"), (stiffness, "k")):
+        assert reported[0] == letter
+        numbers = [float(part) for part in re.split(r"(?<!e)-", reported[1:])]
         assert (numbers[0], numbers[-1]) == (low, high)
 
 
@@ -87,7 +87,7 @@ def test_what_is_covered_is_the_union_and_the_hull_its_span(intervals: list[tupl
 
 
 @pytest.mark.parametrize(
-    ("masses", "stiffnesses", "told"),
+    ("masses", "stiffnesses", "message"),
     [
         ([(8.0, 8.0), (8.0, 8.0)], [], "8 to 8 is named twice"),
         ([], [(1e4, 2e4), (3e4, 4e4), (1e4, 2e4)], "10000 to 20000 is named twice"),
@@ -95,9 +95,9 @@ def test_what_is_covered_is_the_union_and_the_hull_its_span(intervals: list[tupl
     ],
 )
 def test_classes_that_say_nothing_new_are_refused(
-    masses: list[tuple[float, float]], stiffnesses: list[tuple[float, float]], told: str
+    masses: list[tuple[float, float]], stiffnesses: list[tuple[float, float]], message: str
 ) -> None:
-    with pytest.raises(UsageError, match=told):
+    with pytest.raises(UsageError, match=message):
         build_classes(masses, stiffnesses)
 
 
@@ -175,7 +175,7 @@ def test_all_infeasible_classes_are_named() -> None:
     assert "m16_k4e4-5e4" not in str(at.value)
 
 
-def test_a_hull_that_no_controller_serves_is_told_and_is_no_error(tmp_path: Path) -> None:
+def test_a_hull_that_no_controller_serves_is_reported_and_is_no_error(tmp_path: Path) -> None:
     # Either mass alone is compensated; nobody can say which weight a range without the identified one would need.
     classes = build_classes([(16.5, 16.5), (16.6, 16.6)], [])
     schedule = tune_schedule(PLANT, BARE_SPEC.with_options(environment_stiffness=(1e5, 1.1e5)), classes, seed=1)

@@ -54,16 +54,16 @@ def worst_scenario(controller: Controller) -> Scenario:
 
 def test_no_threshold_of_a_finer_grid_is_better_and_none_above_as_good() -> None:
     controller = responding().controller
-    contacts, told = contacts_of(controller, "x"), controller.provenance["collision"]
+    contacts, reported = contacts_of(controller, "x"), controller.provenance["collision"]
     predicted = [each.scenario() for each in controller.predicted["x"].scenarios]
     scenarios = list(dict.fromkeys([*predicted, *responding().searches["x"].active.scenarios]))
     chosen = controller.collision.threshold_n
     assert chosen is not None
-    grid = [*np.geomspace(told["lowest_n"] * 1.0001, 40.0, 60), chosen]
+    grid = [*np.geomspace(reported["lowest_n"] * 1.0001, 40.0, 60), chosen]
     runs = [[contacts.run(each, float(threshold)) for each in scenarios] for threshold in grid]
     worst = np.array([max(run.peak_sensor_force_n for run in of_threshold) for of_threshold in runs])
     assert worst[-1] <= (1.0 + SAME_PEAK) * worst.min()
-    assert worst[-1] == pytest.approx(told["worst_peak_n"]["with"], rel=1e-12)
+    assert worst[-1] == pytest.approx(reported["worst_peak_n"]["with"], rel=1e-12)
     begins = [[run.collision_time_s for run in of_threshold] for of_threshold in runs]
     # As good, to a tenth of a percent, is above it only what is the same: detected at the same ticks everywhere.
     for threshold, peak, begun in zip(grid, worst, begins, strict=True):
@@ -73,12 +73,12 @@ def test_no_threshold_of_a_finer_grid_is_better_and_none_above_as_good() -> None
 def test_on_the_robot_of_the_paper_it_saves_a_tenth() -> None:
     """The paper sees 44 N go down to 36 N with a threshold of 7 N, which the start of the approach passes here."""
     controller = responding().controller
-    told = controller.provenance["collision"]
+    reported = controller.provenance["collision"]
     assert controller.collision.response is CollisionResponse.RESET
-    assert told["worst_peak_n"]["without"] == pytest.approx(45.0, abs=2.0)
-    assert told["worst_peak_n"]["with"] < 0.9 * told["worst_peak_n"]["without"]
-    assert 7.0 < told["lowest_n"] < controller.collision.threshold_n
-    assert told["limited_by"] == "free motion"
+    assert reported["worst_peak_n"]["without"] == pytest.approx(45.0, abs=2.0)
+    assert reported["worst_peak_n"]["with"] < 0.9 * reported["worst_peak_n"]["without"]
+    assert 7.0 < reported["lowest_n"] < controller.collision.threshold_n
+    assert reported["limited_by"] == "free motion"
 
 
 def from_rest(controller: Controller, threshold: float, seed: int) -> NonlinearRun:
@@ -144,20 +144,20 @@ def test_where_nothing_is_saved_there_is_no_response_and_the_file_says_so() -> N
     assert not choice.is_used
     assert controller.collision == CollisionSettings(response=CollisionResponse.NONE, threshold_n=None)
     assert controller.predicted == found.controller.predicted
-    told = controller.provenance["collision"]
-    assert told["response"] == "none"
-    assert told["worst_peak_n"]["with"] >= (1.0 - SAME_PEAK) * told["worst_peak_n"]["without"]
+    reported = controller.provenance["collision"]
+    assert reported["response"] == "none"
+    assert reported["worst_peak_n"]["with"] >= (1.0 - SAME_PEAK) * reported["worst_peak_n"]["without"]
     lines = list(response_lines(controller))
     assert lines[0].startswith("collision response: none. No threshold from ")
     assert "; the best, 18." in lines[0]
-    assert told["worst_peak_n"]["with"] > told["worst_peak_n"]["without"] + 0.5
+    assert reported["worst_peak_n"]["with"] > reported["worst_peak_n"]["without"] + 0.5
     late, _ = choose_threshold(found.controller, found.searches, replace(WIDE, bounds_n=(5.0, 60.0)))
     assert next(response_lines(late)).endswith("at best it stays as it is")
     assert lines[1].startswith("thresholds below ")
     assert not list(response_lines(found.controller))
 
 
-def test_the_higher_bound_is_told_where_it_holds() -> None:
+def test_the_higher_bound_is_reported_where_it_holds() -> None:
     found = responding()
     plain, best = without_response(found.controller), found.controller.provenance["collision"]
     level = best["worst_peak_n"]["with"]
@@ -183,8 +183,8 @@ def test_of_several_axes_the_straight_ones_are_watched_together() -> None:
     found, search = responding(), responding().searches["x"]
     alike, choice = choose_threshold(on_axes("x", "y", "ry"), dict.fromkeys(("x", "y", "ry"), search), WIDE)
     assert choice.tree(SensorForce()) == found.controller.provenance["collision"]
-    told = found.controller.predicted["x"].with_collision_response
-    assert [alike.predicted[name].with_collision_response for name in ("x", "y", "ry")] == [told, told, ()]
+    reported = found.controller.predicted["x"].with_collision_response
+    assert [alike.predicted[name].with_collision_response for name in ("x", "y", "ry")] == [reported, reported, ()]
 
 
 def test_one_axis_is_not_made_worse_for_another_one() -> None:

@@ -228,17 +228,17 @@ def test_a_prior_that_took_part_in_the_fit_keeps_the_correlations_of_the_fit() -
 
 
 @pytest.mark.parametrize(
-    ("uncertain", "axis", "told"),
+    ("uncertain", "axis", "message"),
     [
         ({"delay_s": "identified"}, identified_axis(), r"delay_s .* axes\.x\.covariance is not in it"),
         ({"robot_damping_ratio": "identified"}, AXIS, r"says nothing of it; give a range"),
         ({"environment_damping_n_s_per_m": "identified"}, identified_axis(), r"says nothing of x1\.B_e"),
     ],
 )
-def test_an_uncertainty_that_the_file_does_not_tell_is_refused(
-    uncertain: Uncertain, axis: AxisEstimate, told: str
+def test_an_uncertainty_that_the_file_does_not_show_is_refused(
+    uncertain: Uncertain, axis: AxisEstimate, message: str
 ) -> None:
-    with pytest.raises(EstimateError, match=told):
+    with pytest.raises(EstimateError, match=message):
         built(uncertain, axis)
 
 
@@ -276,7 +276,7 @@ def test_ranges_stay_where_they_were_said_and_origins_hold_for_turning_axes_too(
     assert dict(turned.uncertain) == {"delay_s": "nominal", "drag_n_s_per_m": (0.1, 0.2)}
 
 
-def test_a_damping_of_which_only_an_interval_is_told_is_that_interval() -> None:
+def test_a_damping_of_which_only_an_interval_is_reported_is_that_interval() -> None:
     bounded = Estimate(value=None, std=None, status=Status.UNIDENTIFIABLE, ci95=(0.0, 63.0))
     coupling = replace(AXIS.coupling, damping_n_s_per_m=bounded)
     axis = replace(AXIS, coupling=coupling, drag_n_s_per_m=replace(bounded, ci95=(200.0, 300.0)))

@@ -148,7 +148,7 @@ def test_torques_pass_the_same_filter() -> None:
 
 
 @pytest.mark.parametrize(
-    ("wrench", "said", "error", "told"),
+    ("wrench", "said", "error", "message"),
     [
         (WrenchFilterEstimate(corner_hz=absent("the sweep is too slow")), {}, EstimateError, "the sweep is too slow"),
         (WrenchFilterEstimate(corner_hz=known(50.0, 30.0)), {}, EstimateError, "with a range that reaches 0"),
@@ -157,9 +157,9 @@ def test_torques_pass_the_same_filter() -> None:
     ],
 )
 def test_a_filter_that_nobody_knows_is_refused(
-    wrench: WrenchFilterEstimate | None, said: Uncertain, error: type[Exception], told: str
+    wrench: WrenchFilterEstimate | None, said: Uncertain, error: type[Exception], message: str
 ) -> None:
-    with pytest.raises(error, match=told):
+    with pytest.raises(error, match=message):
         built(wrench, said)
 
 

@@ -71,7 +71,7 @@ def test_the_same_log_gives_the_same_comparison() -> None:
     assert compare_with_log(small_controller(), recorded()) == own()
 
 
-def test_a_heavier_payload_is_told_as_outside() -> None:
+def test_a_heavier_payload_is_reported_as_outside() -> None:
     found = compare_with_log(small_controller(), recorded(payload_mass_kg=20.0))
     assert found.mass_kg == pytest.approx(20.0, rel=0.01)
     assert {each.outside for each in found.contacts} == {f"M_p {found.mass_kg:.4g} kg outside of 16 to 16"}
@@ -101,7 +101,7 @@ def test_a_log_under_another_controller_is_refused(change: dict[str, float]) -> 
         compare_with_log(small_controller(), recorded(controller=other))
 
 
-def test_gains_in_the_log_tell_another_controller_at_once() -> None:
+def test_gains_in_the_log_show_another_controller_at_once() -> None:
     recording = recorded()
     mass, damping = np.full((1, 6), 6.0), np.full((1, 6), 900.0)
     gains = GainsSignal(topic="/gains", stamp_ns=recording.wrench.stamp_ns[:1], mass=mass, damping=damping)
@@ -170,16 +170,16 @@ def test_a_turn_into_a_wall_that_is_too_stiff_is_outside() -> None:
 def test_turning_and_straight_contacts_have_a_table_each(capsys: pytest.CaptureFixture[str]) -> None:
     both = replace(own(), contacts=(*own().contacts, *turned().contacts))
     print_comparison(both)
-    told = capsys.readouterr().out
-    assert told.count("certified set") == 2
-    assert "N·m/mrad" in told
-    assert "N/mm" in told
+    output = capsys.readouterr().out
+    assert output.count("certified set") == 2
+    assert "N·m/mrad" in output
+    assert "N/mm" in output
     (section,) = measured_section(Validated(report=ValidationReport(checks=()), compared=both))
     tables = [block for block in section.blocks if isinstance(block, Table)]
     assert [table.columns[3] for table in tables] == ["measured [N]", "measured [N·m]"]
 
 
-def test_a_log_that_tells_nothing_is_refused() -> None:
+def test_a_log_that_shows_nothing_is_refused() -> None:
     with pytest.raises(LogError, match=r"must hold contacts along x .* found none"):
         compare_with_log(small_controller(), recorded(replace(PROGRAM, contact_count=0)))
     with pytest.raises(LogError, match="must hold the commanded pose, found none"):

@@ -50,8 +50,8 @@ def test_a_file_whose_contact_bounces_for_ever_is_refused_with_plant_speed_and_f
     report = validate_controller(bouncing_controller())
     failed = [check for check in report.checks if not check.passed]
     assert [check.name for check in failed] == ["bouncing"]
-    for told in ("K_e = 3.12022e+06 N/m", "M_p = 4 kg", "m/s with F^d = ", "times a second"):
-        assert told in failed[0].message
+    for reported in ("K_e = 3.12022e+06 N/m", "M_p = 4 kg", "m/s with F^d = ", "times a second"):
+        assert reported in failed[0].message
 
 
 def test_the_same_plant_with_less_lead_passes_and_the_file_says_what_was_searched(
@@ -87,8 +87,8 @@ def test_a_law_as_a_matrix_is_searched_too() -> None:
 def test_a_turning_axis_is_searched_in_its_own_units() -> None:
     domain = bouncing_controller().certificate.domain["x"]
     seen = search_bouncing("rx", domain, BOUNCY, PERIOD_S)
-    for told in ("N·m/rad", "kg·m²", "rad/s", "N·m:"):
-        assert told in seen.message()
+    for reported in ("N·m/rad", "kg·m²", "rad/s", "N·m:"):
+        assert reported in seen.message()
     assert "torque" in str(bouncing_claim("rx", domain, "").over)
 
 

@@ -46,10 +46,10 @@ def plants(delay_s: float) -> tuple[Plant, ...]:
 def test_squares_of_an_impulse_response_add_up_to_the_variance(delay: float, law: AdmittanceController) -> None:
     set_ = plants(delay)
     found = speed_rms(set_, law, H)
-    told = [predict_command_noise(build_sampled_plant(plant, H), law, 1.0).speed_rms_m_s for plant in set_]
+    reported = [predict_command_noise(build_sampled_plant(plant, H), law, 1.0).speed_rms_m_s for plant in set_]
     # The response is followed until a thousandth is left, whose square is a millionth.
-    assert found == pytest.approx(told, rel=1e-6)
-    assert worst_speed_rms(set_[:6], law, H) == pytest.approx(max(told), rel=1e-6)
+    assert found == pytest.approx(reported, rel=1e-6)
+    assert worst_speed_rms(set_[:6], law, H) == pytest.approx(max(reported), rel=1e-6)
 
 
 def test_plants_with_different_delays_are_played_together() -> None:
@@ -75,8 +75,8 @@ def test_the_passive_band_ends_where_the_real_part_of_the_response_turns(
 def test_behind_a_filter_noise_and_passive_band_are_those_of_the_exact_loop(wrench: WrenchFilter) -> None:
     law = replace(LAWS["lead and feedback"], feedback_damping_s=0.0, damping_n_s_per_m=3000.0)
     set_ = [replace(plant, wrench_filter=wrench) for plant in plants(2.4e-3)]
-    told = [predict_command_noise(build_sampled_plant(plant, H), law, 1.0).speed_rms_m_s for plant in set_]
-    assert speed_rms(set_, law, H) == pytest.approx(told, rel=1e-6)
+    reported = [predict_command_noise(build_sampled_plant(plant, H), law, 1.0).speed_rms_m_s for plant in set_]
+    assert speed_rms(set_, law, H) == pytest.approx(reported, rel=1e-6)
     fails = check_passivity(build_sampled_plant(set_[0], H), law).fails_above_hz
     assert fails is not None
     # Frequencies of the transform are 0.005 Hz apart.

@@ -32,7 +32,7 @@ def _surface(axis: AxisEstimate, stiffness: float) -> AxisEstimate:
 
 
 @pytest.mark.parametrize(
-    ("axis", "told"),
+    ("axis", "message"),
     [
         (_surface(identified_axis(), 2e5), "K_e of x1 [N/m] is 200000, certified for [100000, 120000]"),
         (_surface(identified_axis(), 9e4), "K_e of x1 [N/m] is 90000, certified for [100000, 120000]"),
@@ -40,8 +40,8 @@ def _surface(axis: AxisEstimate, stiffness: float) -> AxisEstimate:
         (replace(identified_axis(), drag_n_s_per_m=absent()), "B_p [N·s/m] is not identified"),
     ],
 )
-def test_a_plant_outside_is_told_with_both_numbers(axis: AxisEstimate, told: str) -> None:
-    assert messages(with_axis(axis)) == [told]
+def test_a_plant_outside_is_reported_with_both_numbers(axis: AxisEstimate, message: str) -> None:
+    assert messages(with_axis(axis)) == [message]
 
 
 def test_an_estimate_within_its_own_uncertainty_is_the_same_number() -> None:
@@ -49,14 +49,14 @@ def test_an_estimate_within_its_own_uncertainty_is_the_same_number() -> None:
     assert messages(with_axis(near)) == []
 
 
-def test_another_payload_and_another_axis_are_told() -> None:
+def test_another_payload_and_another_axis_are_reported() -> None:
     plant = identified_plant()
     heavy = replace(plant, payload=replace(plant.payload, mass_kg=known(20.0, 0.1)))
     assert messages(heavy) == ["payload mass [kg] is 20, certified for [16, 16]"]
     assert messages(replace(plant, axes={"y": identified_axis()})) == ["the plant does not hold this axis"]
 
 
-def test_another_robot_and_another_coupling_are_told() -> None:
+def test_another_robot_and_another_coupling_are_reported() -> None:
     axis = identified_axis()
     slow = replace(axis, robot=replace(axis.robot, delay_s=known(4e-3, 1e-5)))
     assert messages(with_axis(slow)) == ["T_d [s] is 0.004, certified for 0.0024"]
@@ -65,7 +65,7 @@ def test_another_robot_and_another_coupling_are_told() -> None:
 
 
 @pytest.mark.parametrize(
-    ("certified", "ranges", "found", "told"),
+    ("certified", "ranges", "found", "message"),
     [
         (
             WrenchFilter(),
@@ -91,8 +91,8 @@ def test_another_robot_and_another_coupling_are_told() -> None:
         (WrenchFilter(delay_s=2e-3), {"wrench_delay_s": (1e-3, 3e-3)}, {"delay_s": 2.5e-3}, ""),
     ],
 )
-def test_a_wrench_that_is_later_than_the_certified_one_is_told(
-    certified: WrenchFilter, ranges: dict[str, tuple[float, float]], found: dict[str, float], told: str
+def test_a_wrench_that_is_later_than_the_certified_one_is_reported(
+    certified: WrenchFilter, ranges: dict[str, tuple[float, float]], found: dict[str, float], message: str
 ) -> None:
     controller, identified = small_controller(), identified_plant()
     domain = controller.certificate.domain["x"]
@@ -101,8 +101,8 @@ def test_a_wrench_that_is_later_than_the_certified_one_is_told(
     estimate = WrenchFilterEstimate(**{name: known(value) for name, value in found.items()})
     identified = replace(identified, sensor=replace(identified.sensor, wrench_filter=estimate))
     check, *_ = check_domain(controller, identified)
-    assert check.passed == (told == "")
-    assert told in check.message
+    assert check.passed == (message == "")
+    assert message in check.message
 
 
 def compensated(controller: Controller, identified: Identified) -> Check:
@@ -112,7 +112,7 @@ def compensated(controller: Controller, identified: Identified) -> Check:
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         ({"mass_kg": 16.2}, "payload.mass_kg is 16.2, identified as 16"),
         ({"com_m": (5.0, 5.0, 5.0)}, "payload.com_m is 5, 5, 5, identified as 0.01, -0.02, 0.15"),
@@ -120,12 +120,12 @@ def compensated(controller: Controller, identified: Identified) -> Check:
         ({"torque_bias_n_m": (0.1, 9.0, -0.1)}, "payload.torque_bias_n_m is 0.1, 9, -0.1, identified as 0.1, 0.2"),
     ],
 )
-def test_a_compensation_that_was_not_identified_is_told(change: dict[str, Any], told: str) -> None:
+def test_a_compensation_that_was_not_identified_is_reported(change: dict[str, Any], message: str) -> None:
     controller = small_controller()
     assert compensated(controller, identified_plant()).passed
     check = compensated(replace(controller, payload=replace(controller.payload, **change)), identified_plant())
     assert not check.passed
-    assert check.message.startswith(told)
+    assert check.message.startswith(message)
     assert ";" not in check.message
 
 

@@ -56,7 +56,7 @@ def test_the_file_s_own_law_is_certified_as_the_controller_s_margins_say(task: A
 
 
 @pytest.mark.parametrize(
-    ("asked", "told"),
+    ("asked", "message"),
     [
         ({"modulus_margin": 0.7}, "modulus_margin must be at least 0.7"),
         ({"max_peak_force_n": 31.0}, "the peak force must be at most 31 N"),
@@ -69,10 +69,10 @@ def test_the_file_s_own_law_is_certified_as_the_controller_s_margins_say(task: A
         ({"something_new": 1.0}, "something_new cannot be verified"),
     ],
 )
-def test_what_is_missed_is_told_with_its_numbers(task: AxisTask, asked: dict[str, float], told: str) -> None:
+def test_what_is_missed_is_reported_with_its_numbers(task: AxisTask, asked: dict[str, float], message: str) -> None:
     found = certify_law(replace(task, asked=asked), sprung(2500.0, 1.0))
     assert not found.holds
-    assert told in found.missed[0]
+    assert message in found.missed[0]
 
 
 def test_an_unstable_law_has_no_margins_and_no_peak(task: AxisTask) -> None:
@@ -109,7 +109,7 @@ def test_a_spring_that_is_not_weak_is_refused(task: AxisTask) -> None:
     assert not found.is_unproved
 
 
-def test_a_proof_that_ran_out_is_told_from_a_plant_that_is_unstable(
+def test_a_proof_that_ran_out_is_reported_from_a_plant_that_is_unstable(
     task: AxisTask, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     unstable = certify_law(task, ForwardDynamics(proportional=0.05, derivative=0.0).law(PERIOD_S))

@@ -84,7 +84,7 @@ def test_both_roads_agree_on_random_stable_loops(plant: Plant, law: AdmittanceCo
     check_same(dict(sweep_margins(set_of_one, law, PERIOD_S, stiffness=1, mass=1).values), expected)
 
 
-def test_the_worst_plant_of_a_sweep_is_told() -> None:
+def test_the_worst_plant_of_a_sweep_is_reported() -> None:
     these, law = uncertain(mass=(14.0, 18.0), stiffness=(5e4, 3e5)), admittance(13.0, 1800.0, 0.013)
     swept = sweep_margins(these, law, PERIOD_S, stiffness=7, mass=3)
     assert swept.plants == 7 * 3 + 3

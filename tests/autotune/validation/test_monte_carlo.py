@@ -26,9 +26,9 @@ def gains(controller: Controller, **values: Any) -> Controller:
 
 
 def on_x(
-    controller: Controller, *, count: int = FEW, seed: int = 1, told: Disturbances | None = None
+    controller: Controller, *, count: int = FEW, seed: int = 1, reported: Disturbances | None = None
 ) -> AxisMonteCarlo:
-    (found,) = run_monte_carlo(controller, count=count, seed=seed, disturbances=told)
+    (found,) = run_monte_carlo(controller, count=count, seed=seed, disturbances=reported)
     return found
 
 
@@ -55,13 +55,13 @@ def test_the_peaks_of_the_linear_loop_are_those_of_the_exact_transient() -> None
 
 
 def test_without_disturbances_the_full_simulation_is_the_linear_one() -> None:
-    found = on_x(gains(small_controller(), deadband=0.0), told=NOTHING)
+    found = on_x(gains(small_controller(), deadband=0.0), reported=NOTHING)
     assert found.contact is not None
     assert found.contact.observed == found.contact.linear
     assert found.contact.limit == pytest.approx(1.02 * found.contact.predicted)
 
 
-def test_a_good_file_passes_and_tells_what_was_simulated() -> None:
+def test_a_good_file_passes_and_shows_what_was_simulated() -> None:
     found = run_monte_carlo(small_controller(), count=16)
     checks = monte_carlo_checks(found)
     assert [(check.name, check.passed) for check in checks] == [("sampled peaks", True), ("full simulation", True)]
@@ -86,9 +86,9 @@ def test_the_seed_settles_everything() -> None:
 def test_a_deadband_adds_no_more_than_a_constant_force_of_its_width(kind: DeadbandType, width: float) -> None:
     """The reason of the limit: F^d + b in place of F^d scales the whole contact, and no deadband is worse than that."""
     controller = gains(small_controller(), deadband=width, deadband_type=kind)
-    found = on_x(controller, told=NOTHING)
+    found = on_x(controller, reported=NOTHING)
     assert found.contact is not None
-    shifted = on_x(domain(approach_force_n=30.0 + width)(gains(controller, deadband=0.0)), told=NOTHING)
+    shifted = on_x(domain(approach_force_n=30.0 + width)(gains(controller, deadband=0.0)), reported=NOTHING)
     assert shifted.contact is not None
     # Linear but for the touch: exactly in proportion (rounding of 4000 steps).
     assert shifted.contact.linear.largest == pytest.approx(found.contact.linear.largest * (1 + width / 30.0), rel=1e-9)
@@ -116,7 +116,7 @@ def test_a_plant_of_the_set_whose_loop_is_unstable_is_named() -> None:
 def test_disturbances_that_explain_less_than_they_do_fail() -> None:
     """Half of all commands late is more delay than any plant of the set has, and no bias of the force."""
     controller = gains(small_controller(), deadband=0.0)
-    found = on_x(controller, told=replace(NOTHING, late_share=0.85))
+    found = on_x(controller, reported=replace(NOTHING, late_share=0.85))
     (linear, full) = monte_carlo_checks((found,))
     assert linear.passed
     assert not full.passed
@@ -130,7 +130,7 @@ def test_a_simulation_that_is_not_possible_is_no_verification() -> None:
     assert check.message.startswith("not possible: approach.speed_m_s")
 
 
-def test_plants_without_any_delay_are_left_out_and_told_so() -> None:
+def test_plants_without_any_delay_are_left_out_and_reported_so() -> None:
     """What `optimize` writes for them is verified by the exact transients; it would otherwise never be valid."""
     (check,) = monte_carlo_checks(run_monte_carlo(domain(delay_s=0.0)(small_controller()), count=2))
     assert (check.name, check.verdict) == ("full simulation", "note")
@@ -148,8 +148,8 @@ def test_what_is_not_said_is_taken_from_the_file_and_then_as_usual() -> None:
         },
     )
     assert axis_effects(replace(controller, certificate=limited), "x", Disturbances(), 0.02).force_noise_rms_n == 0.3
-    told = Disturbances(noise_rms=(0.4, None), sensor_range=(200.0, None), speed_limit=(0.1, None), late_share=0.0)
-    effects = axis_effects(replace(controller, certificate=limited), "x", told, 0.02)
+    reported = Disturbances(noise_rms=(0.4, None), sensor_range=(200.0, None), speed_limit=(0.1, None), late_share=0.0)
+    effects = axis_effects(replace(controller, certificate=limited), "x", reported, 0.02)
     assert (effects.force_noise_rms_n, effects.force_limit_n, effects.late_share) == (0.4, 200.0, 0.0)
     assert effects.limits is not None
     assert effects.limits.speed_m_s == 0.1

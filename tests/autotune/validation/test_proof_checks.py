@@ -98,14 +98,14 @@ FALSE_STATEMENTS: dict[str, tuple[Change, str]] = {
 
 
 @pytest.mark.parametrize("name", list(FALSE_STATEMENTS))
-def test_a_statement_that_the_domain_does_not_make_is_told(name: str) -> None:
-    change, told = FALSE_STATEMENTS[name]
+def test_a_statement_that_the_domain_does_not_make_is_reported(name: str) -> None:
+    change, reported = FALSE_STATEMENTS[name]
     (wrong,) = wrong_statements(change(uncertain()), "x", proofs(uncertain()))
-    with pytest.raises(AssertionError, match=told):
+    with pytest.raises(AssertionError, match=reported):
         raise AssertionError(wrong)
 
 
-def test_another_method_of_the_continuous_proof_is_told() -> None:
+def test_another_method_of_the_continuous_proof_is_reported() -> None:
     (reach,) = (small_controller().certificate.continuous or {})["x"]
     other = _certified(small_controller(), continuous={"x": (replace(reach, method="belief"),)})
     (wrong,) = wrong_statements(other, "x", proofs(other))

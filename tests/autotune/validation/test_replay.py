@@ -97,8 +97,8 @@ def test_the_difference_equation_is_the_one_of_the_paper() -> None:
     ours, printed = DifferenceEquation(law, PERIOD_S), reference.DifferenceEquation(law, PERIOD_S)
     rng = np.random.default_rng(2)
     forces, positions = rng.normal(size=300) * 20.0, np.cumsum(rng.normal(size=300)) * 1e-5
-    told = [(ours.step(f, x), printed.step(f, x)) for f, x in zip(forces, positions, strict=True)]
-    mine, theirs = np.array(told).T
+    message = [(ours.step(f, x), printed.step(f, x)) for f, x in zip(forces, positions, strict=True)]
+    mine, theirs = np.array(message).T
     np.testing.assert_allclose(mine, theirs, rtol=0.0, atol=1e-10 * float(np.max(np.abs(theirs))))
 
 

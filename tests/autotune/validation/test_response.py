@@ -92,16 +92,16 @@ FALSE_CLAIMS: dict[str, tuple[Callable[[Controller], Controller], str]] = {
 
 
 def test_the_contacts_of_a_good_file_are_confirmed_and_none_is_detected_early() -> None:
-    told, wrong = verified(two_contacts())
+    reported, wrong = verified(two_contacts())
     assert wrong == []
-    assert "2 contacts replayed, it begins in 2 and never before the touch" in told
+    assert "2 contacts replayed, it begins in 2 and never before the touch" in reported
 
 
 @pytest.mark.parametrize("name", list(FALSE_CLAIMS))
 def test_a_false_claim_is_found_out(name: str) -> None:
-    change, told = FALSE_CLAIMS[name]
+    change, reported = FALSE_CLAIMS[name]
     _, wrong = verified(change(two_contacts()))
-    with pytest.raises(AssertionError, match=told):
+    with pytest.raises(AssertionError, match=reported):
         raise AssertionError("; ".join(wrong))
 
 

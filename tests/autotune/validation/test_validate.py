@@ -54,8 +54,8 @@ def margins(**values: float | None) -> Change:
 
 def reach(**values: Any) -> Change:
     def changed(c: Controller) -> Controller:
-        (told,) = (c.certificate.continuous or {})["x"]
-        return _certified(c, continuous={"x": (replace(told, **values),)})
+        (reported,) = (c.certificate.continuous or {})["x"]
+        return _certified(c, continuous={"x": (replace(reported, **values),)})
 
     return changed
 
@@ -234,12 +234,12 @@ def test_a_good_file_passes_every_check() -> None:
 
 @pytest.mark.parametrize("name", list(FALSE_CLAIMS))
 def test_a_false_claim_is_found_out_with_its_numbers(name: str) -> None:
-    change, check_name, told = FALSE_CLAIMS[name]
+    change, check_name, reported = FALSE_CLAIMS[name]
     report = validate_controller(change(small_controller()))
     assert not report.passed
     failed = [check for check in report.checks if not check.passed]
     assert check_name in [check.name for check in failed]
-    with pytest.raises(AssertionError, match=told):
+    with pytest.raises(AssertionError, match=reported):
         raise AssertionError(next(check.message for check in failed if check.name == check_name))
     with pytest.raises(CertificateError, match="Axis x, "):
         report.require()
@@ -251,7 +251,7 @@ def test_a_modest_claim_is_no_false_one() -> None:
     assert validate_controller(replace(modest, delay_samples=4.0)).passed
 
 
-def test_what_is_passed_without_being_shown_is_told_so() -> None:
+def test_what_is_passed_without_being_shown_is_reported_so() -> None:
     """A budget for nothing proves nothing, and a deadband of nearly F^d hides the contact: neither is wrong."""
     whole = small_controller()
     swept, options = whole.certificate.margins["x"].modulus, ProofOptions(budget_s=1e-4)
@@ -278,7 +278,7 @@ def test_an_axis_without_certificate_is_not_valid() -> None:
     assert (check.passed, check.message) == (False, "the file holds no certificate for this axis")
 
 
-def test_progress_is_told_and_never_more_than_the_whole() -> None:
+def test_progress_is_reported_and_never_more_than_the_whole() -> None:
     shares: list[float] = []
     validate_controller(small_controller(), shares.append)
     assert min(shares) > 0.0

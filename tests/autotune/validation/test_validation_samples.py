@@ -39,13 +39,13 @@ def uncertain(**ranges: tuple[float, float]) -> Change:
     return changed
 
 
-def test_the_file_tells_proved_from_sampled() -> None:
+def test_the_file_shows_proved_from_sampled() -> None:
     certificate = uncertain_optimized().controller.certificate
     assert dict(certificate.domain["x"].uncertain or {}) == FURTHER
     assert all("everything else at its nominal value" in str(proof.over) for proof in certificate.proved)
     claim, bouncing = certificate.sampled
-    for told in ("K_s in [285000, 315000] N/m", "T_d in [0.00235, 0.0026] s", "f_b in [3.1, 3.27] Hz"):
-        assert told in str(claim.over)
+    for reported in ("K_s in [285000, 315000] N/m", "T_d in [0.00235, 0.0026] s", "f_b in [3.1, 3.27] Hz"):
+        assert reported in str(claim.over)
     assert (claim.numbers or {})["plants"] >= 64.0
     assert str(bouncing.over).startswith(str(claim.over))
     assert (bouncing.numbers or {})["runs"] >= 1000.0
@@ -74,7 +74,7 @@ def test_the_file_survives_the_disk_and_is_verified_from_it(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize(
-    ("change", "check", "told"),
+    ("change", "check", "output"),
     [
         (uncertain(delay_s=(2.35e-3, 6e-3)), "delay", r"delay_samples says 3\.25, .* has 7\.5"),
         (uncertain(coupling_damping_n_s_per_m=(0.0, 170.0)), "margins", r"modulus is claimed as 0\.\d+, found 0\.\d+"),
@@ -83,14 +83,14 @@ def test_the_file_survives_the_disk_and_is_verified_from_it(tmp_path: Path) -> N
         (uncertain(coupling_stiffness_n_per_m=(2.95e5, 3.05e5), mass=(1.0, 2.0)), "", "one of"),
     ],
 )  # fmt: skip
-def test_a_set_that_is_claimed_too_wide_is_found_out(change: Change, check: str, told: str) -> None:
+def test_a_set_that_is_claimed_too_wide_is_found_out(change: Change, check: str, output: str) -> None:
     if not check:
-        with pytest.raises(ParameterError, match=told):
+        with pytest.raises(ParameterError, match=output):
             change(small())
         return
     report = validate_controller(change(small()))
     messages = {each.name: each.message for each in report.checks if not each.passed}
-    with pytest.raises(AssertionError, match=told):
+    with pytest.raises(AssertionError, match=output):
         raise AssertionError(messages[check])
     with pytest.raises(CertificateError, match="Axis x, "):
         report.require()

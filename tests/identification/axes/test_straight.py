@@ -196,7 +196,7 @@ def test_a_ring_begins_when_the_tap_is_over_and_ends_before_the_next() -> None:
     assert second.start == pytest.approx(2000 + 12 + 25, abs=3)
 
 
-def test_what_is_free_anyway_or_no_louder_than_noise_is_not_told_twice() -> None:
+def test_what_is_free_anyway_or_no_louder_than_noise_is_not_reported_twice() -> None:
     span = Span(start=990, stop=3000)
     assert find_ringing(on_axis(ringing(1000, 4000, 40.0)), [span], [span], [], 0.1, MS) == ()
     assert find_ringing(on_axis(ringing(1000, 4000, 0.5)), [span], [], [], 0.1, MS) == ()
@@ -218,7 +218,7 @@ def tapped() -> CellRun:
     return simulate_cell(SimulatedCell(), TAPPED, seed=5)
 
 
-def test_taps_tell_the_spring_where_a_slow_sweep_does_not(tapped: CellRun) -> None:
+def test_taps_show_the_spring_where_a_slow_sweep_does_not(tapped: CellRun) -> None:
     slow = identify_joint(gathered(simulate_cell(SimulatedCell(), SLOW_SWEEP, seed=5).recording))
     fit = identify_joint(gathered(tapped.recording))
     # 4.4 deviations: the quantile of 1e-4 for six values.
@@ -238,7 +238,7 @@ def test_a_delay_of_whole_samples_is_not_surer_than_its_two_readings_allow(tappe
     assert std >= 1e-3 * period
 
 
-def test_taps_alone_tell_the_spring_with_the_mass_from_gravity() -> None:
+def test_taps_alone_show_the_spring_with_the_mass_from_gravity() -> None:
     """Taps and contacts, and no free motion that shows the payload's mass: the weight stands in for it."""
     cell = SimulatedCell()
     data = gathered(simulate_cell(cell, dataclasses.replace(TAPPED, contact_count=3), seed=5).recording)
@@ -251,7 +251,7 @@ def test_taps_alone_tell_the_spring_with_the_mass_from_gravity() -> None:
         joint_fit._identify(dataclasses.replace(data, rings=data.rings[:1]), fit_ringing, ProgressSlice())
 
 
-def test_where_free_motion_tells_nothing_taps_are_asked() -> None:
+def test_where_free_motion_shows_nothing_taps_are_asked() -> None:
     cell = SimulatedCell()
     data = gathered(simulate_cell(cell, dataclasses.replace(TAPPED, contact_count=3), seed=5).recording)
     deaf = dataclasses.replace(data, free=(), coupling=np.array([5e6, 0.0, 0.0, 1.0]))

@@ -42,7 +42,7 @@ def test_turning_to_and_fro_is_found_with_its_angle_and_torque(index: int) -> No
     ],
     ids=["between the axes", "a change of pose", "once there and back", "hardly at all"],
 )
-def test_turns_that_tell_nothing_of_an_axis_are_left_alone(turns: FloatArray) -> None:
+def test_turns_that_show_nothing_of_an_axis_are_left_alone(turns: FloatArray) -> None:
     assert turns_of(recorded(turns)) == ()
 
 

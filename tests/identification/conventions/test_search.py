@@ -106,7 +106,7 @@ def test_a_reversed_sign_is_a_question_with_both_answers() -> None:
     assert "about the vertical" not in str(caught.value)
 
 
-def test_readings_that_the_poses_cannot_tell_apart_are_asked_with_their_residuals() -> None:
+def test_readings_that_the_poses_cannot_distinguish_are_asked_with_their_residuals() -> None:
     # About horizontal axes from a tool that points down, turning back is tilting to the other side: an inverted pose
     # is a sensor turned about its axis with the sign reversed.
     log = misread(noisy(tilted(9, 1.1)), inverted=True)
@@ -172,9 +172,9 @@ def test_a_sensor_at_an_angle_is_refused_with_the_entry_that_mends_it(degrees: f
     assert (ranking.mounting * angle.inv()).magnitude() < np.radians(0.1)
     with pytest.raises(EstimateError, match=r"cell\.yaml") as caught:
         ranking.chosen()
-    told = re.search(r"declare `sensor\.orientation: \[(.+?)\]`", str(caught.value))
-    assert told is not None
-    numbers = np.array([float(number) for number in told.group(1).split(",")])
+    message = re.search(r"declare `sensor\.orientation: \[(.+?)\]`", str(caught.value))
+    assert message is not None
+    numbers = np.array([float(number) for number in message.group(1).split(",")])
     np.testing.assert_allclose(numbers, angle.as_quat(), rtol=0.0, atol=1e-3)
 
 
@@ -193,7 +193,7 @@ def test_a_wrench_that_follows_nothing_fits_no_convention() -> None:
         ranking.chosen()
 
 
-def test_too_few_or_weightless_rests_tell_nothing() -> None:
+def test_too_few_or_weightless_rests_show_nothing() -> None:
     few = rank_conventions(noisy(tilted(3, 1.0)))
     assert few.verdict is ConventionVerdict.UNDECIDED
     assert few.chosen() is None
@@ -235,7 +235,7 @@ def test_an_inverted_pose_is_read_back_with_its_position(demo_recording: Recordi
     assert identify_gravity(found.poses).mass_kg == pytest.approx(16.2, rel=5e-3)
 
 
-def test_moves_tell_a_wrench_of_the_other_body_from_gravity_reversed(demo_recording: Recording) -> None:
+def test_moves_show_a_wrench_of_the_other_body_from_gravity_reversed(demo_recording: Recording) -> None:
     wrench = demo_recording.wrench
     flipped = replace(demo_recording, wrench=replace(wrench, force_n=-wrench.force_n, torque_n_m=-wrench.torque_n_m))
     hanging = Rotation.from_rotvec([0.0, np.pi, 0.0])
@@ -254,7 +254,7 @@ def test_moves_tell_a_wrench_of_the_other_body_from_gravity_reversed(demo_record
 
 
 @pytest.mark.parametrize("lean_deg", [15.0, 90.0])
-def test_a_base_that_leans_is_told_with_its_direction(lean_deg: float) -> None:
+def test_a_base_that_leans_is_reported_with_its_direction(lean_deg: float) -> None:
     down = Rotation.from_euler("xy", [0.6 * lean_deg, -0.8 * lean_deg], degrees=True).apply([0.0, 0.0, -1.0])
     rng = np.random.default_rng(7)
     poses = list(poses_at(general(12), rng, noise_n=0.3, torque_noise_n_m=0.02, down=down))
@@ -264,10 +264,10 @@ def test_a_base_that_leans_is_told_with_its_direction(lean_deg: float) -> None:
     assert ranking.verdict is ConventionVerdict.NONE
     with pytest.raises(EstimateError, match=r"declare `gravity_direction: \[") as caught:
         ranking.chosen()
-    told = re.search(r"gravity_direction: \[(.*?)\]", str(caught.value))
-    assert told is not None
+    message = re.search(r"gravity_direction: \[(.*?)\]", str(caught.value))
+    assert message is not None
     # 0.3 N / √1000 a rest over 160 N, many times.
-    assert [float(each) for each in told[1].split(",")] == pytest.approx(down.tolist(), abs=1e-3)
+    assert [float(each) for each in message[1].split(",")] == pytest.approx(down.tolist(), abs=1e-3)
 
 
 @pytest.mark.parametrize("count", [4, 5, 8, 12])

@@ -39,7 +39,7 @@ CELL = SimulatedCell()
 def exact_cell() -> PlanValues:
     """The values of the simulated cell, nothing known of them, and a model that misses nothing."""
     assert CELL.coupling.stiffness_n_per_m == 3.1e5
-    told = {
+    reported = {
         "damping_n_s_per_m": CELL.coupling.damping_n_s_per_m,
         "drag_n_s_per_m": CELL.drag_n_s_per_m,
         "environment_stiffness_n_per_m": CELL.environment.stiffness_n_per_m,
@@ -53,7 +53,7 @@ def exact_cell() -> PlanValues:
         "pose_torque_std_n_m": 1e-7,
     }
     usual = usual_values(mass_kg=CELL.payload_mass_kg, stiffness_n_per_m=3.1e5)
-    return with_known(usual, {name: Known(value=value) for name, value in told.items()})
+    return with_known(usual, {name: Known(value=value) for name, value in reported.items()})
 
 
 def with_known(values: PlanValues, entries: Mapping[str, Known]) -> PlanValues:
@@ -159,7 +159,7 @@ def test_a_robot_without_a_delay_is_planned_for_as_one_with_hardly_any() -> None
     np.testing.assert_allclose(found[0], found[1], rtol=1e-3)
 
 
-def test_taps_tell_what_their_samples_tell() -> None:
+def test_taps_show_what_their_samples_show() -> None:
     values = exact_cell()
     plan = plan_taps(values, max_force_n=80.0, mass_std_kg=0.05)
     h = values.sample_time_s.value
@@ -240,8 +240,8 @@ def test_what_is_known_of_the_coupling_makes_the_first_sweep_louder_and_spares_t
     usual = usual_values()
     sharp = {name: replace(usual.known()[name], std=0.03 * usual.known()[name].value) for name in allowed_std(usual)}
     sharp["bandwidth_hz"] = replace(usual.bandwidth_hz, std=0.01 * usual.bandwidth_hz.value)
-    told = with_known(usual, sharp)
-    first, later = (settings_of(plan_experiment("x", v, ExperimentLimits()), StepKind.SWEEP) for v in (usual, told))
+    reported = with_known(usual, sharp)
+    first, later = (settings_of(plan_experiment("x", v, ExperimentLimits()), StepKind.SWEEP) for v in (usual, reported))
     assert isinstance(first, SweepPlan)
     assert isinstance(later, SweepPlan)
     assert first.repeat is not None
@@ -348,8 +348,8 @@ def test_the_noise_of_the_pose_that_was_measured_is_planned_with() -> None:
     """A delay is told by the pose: at four times the noise of the usual one a sweep tells it less well."""
     found = make_identified()
     noisy = Estimate(value=2e-5, std=1e-7, status=Status.IDENTIFIED)
-    told = replace(found, sensor=replace(found.sensor, position_noise_rms_m=noisy))
-    (_, before), (_, values) = values_of(found), values_of(told)
+    reported = replace(found, sensor=replace(found.sensor, position_noise_rms_m=noisy))
+    (_, before), (_, values) = values_of(found), values_of(reported)
     assert before.position_noise_rms_m == Known(value=5e-6)
     assert values.position_noise_rms_m == Known(value=2e-5, std=1e-7, is_assumed=False)
     sweep = Sweep(low_hz=1.0, high_hz=35.0, flange_speed_m_s=0.01, duration_s=8.0)

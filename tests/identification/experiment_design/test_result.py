@@ -17,14 +17,16 @@ CHANGES = {"stiffness_n_per_m": 3e3, "drag_n_s_per_m": 10.0, "environment_stiffn
 
 def peak_n(values: PlanValues, damping: float, **changed: float) -> float:
     """The peak of the reference contact, simulated apart, with some values changed."""
-    told = {name: entry.value for name, entry in values.known().items()} | changed
+    reported = {name: entry.value for name, entry in values.known().items()} | changed
     plant = Plant(
         robot=values.robot,
-        coupling=Coupling(stiffness_n_per_m=told["stiffness_n_per_m"], damping_n_s_per_m=told["damping_n_s_per_m"]),
-        payload=PayloadDynamics(mass_kg=told["mass_kg"], drag_n_s_per_m=told["drag_n_s_per_m"]),
+        coupling=Coupling(
+            stiffness_n_per_m=reported["stiffness_n_per_m"], damping_n_s_per_m=reported["damping_n_s_per_m"]
+        ),
+        payload=PayloadDynamics(mass_kg=reported["mass_kg"], drag_n_s_per_m=reported["drag_n_s_per_m"]),
         environment=Environment(
-            stiffness_n_per_m=told["environment_stiffness_n_per_m"],
-            damping_n_s_per_m=told["environment_damping_n_s_per_m"],
+            stiffness_n_per_m=reported["environment_stiffness_n_per_m"],
+            damping_n_s_per_m=reported["environment_damping_n_s_per_m"],
         ),
     )
     pair = build_sampled_contact(build_sampled_plant(plant, CELL.sample_time_s))
@@ -53,10 +55,10 @@ def test_what_moves_the_peak_most_binds_and_not_what_is_known_worst_in_percent()
     """B_s at five times what is allowed moves the peak less than a drag that is known well enough by its share."""
     values = exact_cell()
     allowed = allowed_std(values)
-    told = known(
+    reported = known(
         values, damping_n_s_per_m=1.5 * allowed["damping_n_s_per_m"], drag_n_s_per_m=0.9 * allowed["drag_n_s_per_m"]
     )
-    plan = plan_experiment("x", told, ExperimentLimits())
+    plan = plan_experiment("x", reported, ExperimentLimits())
     entries = {entry.name: entry for step in plan.steps for entry in step.predictions}
     damping, drag = entries["damping_n_s_per_m"], entries["drag_n_s_per_m"]
     assert damping.urgency > drag.urgency
@@ -69,8 +71,8 @@ def test_what_moves_the_peak_most_binds_and_not_what_is_known_worst_in_percent()
 
 def test_what_hardly_moves_the_peak_makes_no_recording_necessary() -> None:
     values = exact_cell()
-    told = known(values, damping_n_s_per_m=1.5 * allowed_std(values)["damping_n_s_per_m"])
-    plan = plan_experiment("x", told, ExperimentLimits())
+    reported = known(values, damping_n_s_per_m=1.5 * allowed_std(values)["damping_n_s_per_m"])
+    plan = plan_experiment("x", reported, ExperimentLimits())
     (sweep,) = [step for step in plan.steps if step.kind is StepKind.SWEEP]
     (damping,) = [entry for entry in sweep.predictions if entry.name == "damping_n_s_per_m"]
     assert plan.effect is not None
@@ -86,8 +88,8 @@ def test_where_no_usual_controller_is_stable_the_share_of_what_is_allowed_binds(
         values, {"environment_stiffness_n_per_m": replace(values.environment_stiffness_n_per_m, value=5e8)}
     )
     assert peak_effect(hard) is None
-    told = known(hard, bandwidth_hz=3.0 * allowed_std(hard)["bandwidth_hz"])
-    plan = plan_experiment("x", told, ExperimentLimits(pose_count=0))
+    reported = known(hard, bandwidth_hz=3.0 * allowed_std(hard)["bandwidth_hz"])
+    plan = plan_experiment("x", reported, ExperimentLimits(pose_count=0))
     assert plan.effect is None
     assert plan.binding == "bandwidth_hz"
     assert all(entry.peak_now_n is None for step in plan.steps for entry in step.predictions)

@@ -88,7 +88,7 @@ def deviations(fit: JointFit) -> FloatArray:
     return np.asarray((fit.values - np.array([STIFFNESS, DAMPING, DRAG, MASS])) / fit.std)
 
 
-def test_a_part_that_swings_is_told_and_leaves_the_coupling_right() -> None:
+def test_a_part_that_swings_is_reported_and_leaves_the_coupling_right() -> None:
     """One mass on one spring is 6 % off here, 10 deviations."""
     fit = identify_joint(logged(Cell(share=0.1)))
     assert fit.part is not None
@@ -101,7 +101,7 @@ def test_a_part_that_swings_is_told_and_leaves_the_coupling_right() -> None:
     assert np.all(np.abs(deviations(fit)) < 2.5)
 
 
-def test_a_part_is_not_told_beside_a_larger_misfit() -> None:
+def test_a_part_is_not_reported_beside_a_larger_misfit() -> None:
     """Ten times the noise at rest shakes the force in motion, so what fits a part may be some of that."""
     data = logged(Cell(share=0.1))
     shaken, moving = data.force_n.copy(), data.moving[0].slice
@@ -111,7 +111,7 @@ def test_a_part_is_not_told_beside_a_larger_misfit() -> None:
     assert fit.friction_n is None
 
 
-def test_friction_in_the_coupling_is_told_and_widens_what_it_moves() -> None:
+def test_friction_in_the_coupling_is_reported_and_widens_what_it_moves() -> None:
     fit = identify_joint(logged(Cell(friction_n=1.5)))
     assert fit.friction_n is not None
     assert abs(fit.friction_n[0] - 1.5) < 2.0 * fit.friction_n[1] < 0.8
@@ -153,12 +153,12 @@ def test_friction_has_no_value_beside_a_part_or_a_coupling_without_one(both: boo
         part=part if both else None,
         friction_n=(0.23, 0.05),
     )
-    told = with_extension(fit, found)
-    assert (told.part, told.friction_n) == (None, None)
-    assert [each.code for each in payload_findings("z", told)] == ["payload-unclear"]
+    reported = with_extension(fit, found)
+    assert (reported.part, reported.friction_n) == (None, None)
+    assert [each.code for each in payload_findings("z", reported)] == ["payload-unclear"]
 
 
-def test_a_latency_of_zero_within_two_deviations_is_not_told() -> None:
+def test_a_latency_of_zero_within_two_deviations_is_not_reported() -> None:
     fit = identify_joint(logged(Cell()))
     for seconds, codes in ((-1.8e-5, []), (-2.9e-4, ["wrench-lag"])):
         late = WrenchLatency(seconds=seconds, std_s=3.5e-5, applied_s=seconds)

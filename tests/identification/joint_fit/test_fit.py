@@ -100,14 +100,14 @@ def test_every_parameter_of_the_demo_cell_is_where_it_is_said_to_be(demo_fit: Jo
 
 
 def test_what_remains_is_the_sensors_noise(demo_fit: JointFit) -> None:
-    told = demo_fit.quality
-    assert told.whiteness_contact is not None
-    assert told.explained_contact is not None
-    assert (told.noise_ratio_free, told.noise_ratio_contact) == pytest.approx((1.0, 1.0), abs=0.1)
-    assert min(told.whiteness_free, told.whiteness_contact) > 1e-3
-    assert min(told.explained_free, told.explained_contact) > 0.999
+    reported = demo_fit.quality
+    assert reported.whiteness_contact is not None
+    assert reported.explained_contact is not None
+    assert (reported.noise_ratio_free, reported.noise_ratio_contact) == pytest.approx((1.0, 1.0), abs=0.1)
+    assert min(reported.whiteness_free, reported.whiteness_contact) > 1e-3
+    assert min(reported.explained_free, reported.explained_contact) > 0.999
     # A contact that took no part is predicted to its noise: 0.14 N of some 15 N.
-    assert told.left_out_contact == pytest.approx(0.01, abs=0.01)
+    assert reported.left_out_contact == pytest.approx(0.01, abs=0.01)
 
 
 def test_the_stiffest_spring_that_shows_swings_once_in_two_samples() -> None:
@@ -115,7 +115,9 @@ def test_the_stiffest_spring_that_shows_swings_once_in_two_samples() -> None:
     assert 2.0 * np.pi / np.sqrt(stiffest / 3.2) == pytest.approx(2.0 * 4e-3)
 
 
-def test_a_spring_that_swings_faster_than_it_is_sampled_is_not_told_and_nor_is_k_e_alone(demo_fit: JointFit) -> None:
+def test_a_spring_that_swings_faster_than_it_is_sampled_is_not_reported_and_nor_is_k_e_alone(
+    demo_fit: JointFit,
+) -> None:
     values = demo_fit.values.copy()
     stiffest = stiffest_seen_n_per_m(float(values[3]), 8e-4)
     assert np.array_equal(without_aliases(values, demo_fit.covariance, 8e-4), demo_fit.covariance)
@@ -123,11 +125,11 @@ def test_a_spring_that_swings_faster_than_it_is_sampled_is_not_told_and_nor_is_k
     covariance = without_aliases(values, demo_fit.covariance, 8e-4)
     assert np.array_equal(covariance[1:, 1:], demo_fit.covariance[1:, 1:])
     assert not np.any(covariance[0, 1:])
-    told = JointEstimates(
+    reported = JointEstimates(
         name="x", fit=dataclasses.replace(demo_fit, values=values, covariance=covariance), period_s=8e-4
     )
-    assert told.coupling.stiffness_n_per_m.status is Status.UNIDENTIFIABLE
-    (surface,) = told.environments
+    assert reported.coupling.stiffness_n_per_m.status is Status.UNIDENTIFIABLE
+    (surface,) = reported.environments
     assert surface.stiffness_n_per_m.status is Status.WEAK
     assert "K_s is not identified" in surface.stiffness_n_per_m.note
 
@@ -197,7 +199,7 @@ def test_a_start_far_off_leads_to_the_same_place(demo_data: JointData, demo_fit:
     assert np.max(np.abs(fit.values - demo_fit.values) / demo_fit.std) < 0.1
 
 
-def test_nothing_to_fit_is_refused_and_told(demo_data: JointData) -> None:
+def test_nothing_to_fit_is_refused_and_reported(demo_data: JointData) -> None:
     with pytest.raises(EstimateError, match=r"Of 0 spans of motion.*record a commanded sweep"):
         identify_joint(dataclasses.replace(demo_data, free=(), mixed=()))
     with pytest.raises(EstimateError, match="measured at rest without contact"):
@@ -251,7 +253,7 @@ def test_a_command_at_another_rate_than_the_log_costs_little(control_period_s: f
     recording = resampled_wrench(simulate_cell(cell, program, seed=4).recording, 1e-3)
     fit = identify_joint(gathered(recording))
     assert np.max(np.abs(scores(fit, cell))) < 4.4
-    # What is `identified` needs 5 %, and the environment is told through K_s.
+    # What is `identified` needs 5 %, and the environment is known through K_s.
     for name in ("stiffness_n_per_m", "mass_kg", "environment1_stiffness_n_per_m"):
         value, std = fit.value(name)
         assert std < 0.02 * value

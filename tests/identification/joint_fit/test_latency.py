@@ -48,7 +48,7 @@ def whole(recording: Recording) -> JointFit:
 
 
 @pytest.mark.parametrize("samples", [-1.3, 0.4, 1.0])
-def test_a_late_wrench_is_told_and_taken_out(recording: Recording, whole: JointFit, samples: float) -> None:
+def test_a_late_wrench_is_reported_and_taken_out(recording: Recording, whole: JointFit, samples: float) -> None:
     late = recording.wrench.stamp_ns + round(samples * H_S * 1e9)
     fit = identify_joint(
         gathered(dataclasses.replace(recording, wrench=dataclasses.replace(recording.wrench, stamp_ns=late)))

@@ -25,7 +25,7 @@ def test_white_noise_needs_no_past() -> None:
     assert fit_whitener([0.1 * rng.standard_normal(5000) for _ in range(3)]).order == 0
 
 
-def test_whiteness_tells_white_from_coloured() -> None:
+def test_whiteness_shows_white_from_coloured() -> None:
     rng = np.random.default_rng(RNG_SEED)
     chances = [whiteness([rng.standard_normal(800)]) for _ in range(200)]
     # Uniform on (0, 1): the share below 0.05 is within 0.05 ± 4·0.0154.

@@ -198,7 +198,7 @@ def test_windows_divide_a_span_and_join_to_what_they_came_from() -> None:
     assert not outside(span, [Span(start=0, stop=18)])
 
 
-def test_the_pieces_that_tell_are_those_that_nothing_drives() -> None:
+def test_the_pieces_that_show_are_those_that_nothing_drives() -> None:
     """A hand does F dx > 0 all along, a payload takes and gives back: F = −M a."""
     time = np.arange(2000) * H_S
     position = 0.01 * np.sin(2.0 * np.pi * 1.0 * time)

@@ -122,12 +122,12 @@ def test_joint_states(tmp_path: Path) -> None:
     assert recording.command is None
 
 
-def test_the_choice_is_told(tmp_path: Path) -> None:
+def test_the_choice_is_reported(tmp_path: Path) -> None:
     recording = read_recording(write_log(tmp_path / "run.mcap", [FT, POSE]))
-    told = [finding.message for finding in recording.findings if finding.code == "channel-chosen"]
-    assert told[0].startswith("The wrench is read from /ft (geometry_msgs/msg/WrenchStamped, 200 messages, ")
-    assert told[0].endswith("frame ft): the only plausible geometry_msgs/msg/WrenchStamped.")
-    assert len(told) == 2
+    message = [finding.message for finding in recording.findings if finding.code == "channel-chosen"]
+    assert message[0].startswith("The wrench is read from /ft (geometry_msgs/msg/WrenchStamped, 200 messages, ")
+    assert message[0].endswith("frame ft): the only plausible geometry_msgs/msg/WrenchStamped.")
+    assert len(message) == 2
 
 
 def test_arrays_without_a_header_are_stamped_by_the_recorder_and_so_is_all_else(tmp_path: Path) -> None:
@@ -142,9 +142,9 @@ def test_arrays_without_a_header_are_stamped_by_the_recorder_and_so_is_all_else(
     path = write_log(tmp_path / "run.mcap", [NUMBERS, POSE])
     recording = read_recording(path, cell)
     assert_same_motion(recording, delayed=True)
-    told = [finding for finding in recording.findings if finding.code == "log-clock"]
-    assert len(told) == 1
-    assert told[0].message.startswith("/numbers has no header stamps")
+    reported = [finding for finding in recording.findings if finding.code == "log-clock"]
+    assert len(reported) == 1
+    assert reported[0].message.startswith("/numbers has no header stamps")
     mixed = read_recording(path, replace(cell, pose=None))
     assert mixed.clocks == {"wrench": "log", "pose": "log"}
     assert np.array_equal(mixed.pose.stamp_ns, POSE.stamps + DELAY_NS)
@@ -193,7 +193,7 @@ def test_a_transform_is_the_pose(tmp_path: Path) -> None:
     assert inspect_log(path, Cell(pose=PoseSource(parent="base", child="tool0"))).roles[1].child == "tool0"
 
 
-def test_the_admittance_state_tells_gains_and_a_wrench_in_base_axes(tmp_path: Path) -> None:
+def test_the_admittance_state_shows_gains_and_a_wrench_in_base_axes(tmp_path: Path) -> None:
     def state(i: int, stamp: int) -> Tree:
         turned = {"force": xyz(TURN[i].apply(WRENCH[i, :3])), "torque": xyz(TURN[i].apply(WRENCH[i, 3:]))}
         return {
@@ -312,7 +312,7 @@ def test_files_that_hold_other_channels_are_one_recording(tmp_path: Path) -> Non
         table=TableLayout(time="t", time_unit="ns"),
     )
     recording = read_recording([table, files[1]], cell)
-    # Nanoseconds since 1970 are told as whole numbers, and the pose follows the table's clock.
+    # Nanoseconds since 1970 are written as whole numbers, and the pose follows the table's clock.
     assert_same_motion(recording, delayed=True)
 
 
@@ -323,7 +323,7 @@ def test_a_part_that_lacks_a_channel_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         (
             {"wrench": WrenchSource(topic="/state", fields=WrenchFields(force=paths("effort", 10, 13)))},
@@ -332,9 +332,9 @@ def test_a_part_that_lacks_a_channel_is_refused(tmp_path: Path) -> None:
         ({"wrench": WrenchSource(topic="/state", fields=WrenchFields(force=("a", "b", "c")))}, "must have a, b, c,"),
     ],
 )
-def test_fields_that_are_not_there_are_named(tmp_path: Path, change: dict[str, Any], told: str) -> None:
+def test_fields_that_are_not_there_are_named(tmp_path: Path, change: dict[str, Any], message: str) -> None:
     path = write_log(tmp_path / "run.mcap", [JOINTS])
-    with pytest.raises(LogError, match=told):
+    with pytest.raises(LogError, match=message):
         read_recording(path, replace(OF_JOINTS, **change))
 
 
@@ -352,8 +352,8 @@ def test_one_channel_may_be_stamped_for_one_role_and_not_for_the_other(tmp_path:
 
 def test_an_axis_that_stays_in_the_deadband_is_refused_unless_one_is_declared(tmp_path: Path) -> None:
     def quiet(i: int, stamp: int) -> Tree:
-        told = {"force": xyz([*WRENCH[i, :2], 0.0]), "torque": xyz(WRENCH[i, 3:])}
-        return {"header": header(stamp, "ft"), "wrench": told}
+        reported = {"force": xyz([*WRENCH[i, :2], 0.0]), "torque": xyz(WRENCH[i, 3:])}
+        return {"header": header(stamp, "ft"), "wrench": reported}
 
     path = write_log(tmp_path / "run.mcap", [replace(FT, message=quiet), POSE])
     with pytest.raises(LogError, match="force z axis of topic /ft is 0 in all 200 samples"):
@@ -361,8 +361,8 @@ def test_an_axis_that_stays_in_the_deadband_is_refused_unless_one_is_declared(tm
     deadband = DeclaredDeadband(type=DeadbandType.SUBTRACTIVE)
     recording = read_recording(path, Cell(wrench=WrenchSource(deadband=deadband)))
     assert np.array_equal(recording.wrench.force_n[:, :2], WRENCH[:, :2])
-    told = [finding for finding in recording.findings if finding.code == "stuck-axis"]
-    assert [finding.severity for finding in told] == ["warning"]
+    reported = [finding for finding in recording.findings if finding.code == "stuck-axis"]
+    assert [finding.severity for finding in reported] == ["warning"]
 
 
 def test_a_command_that_stands_still_is_no_broken_sensor(tmp_path: Path) -> None:
@@ -404,7 +404,7 @@ def test_rows_without_a_time_have_no_rate(tmp_path: Path) -> None:
         )
 
 
-def test_an_orientation_that_jumps_is_told(tmp_path: Path) -> None:
+def test_an_orientation_that_jumps_is_reported(tmp_path: Path) -> None:
     path = write_log(tmp_path / "a.mcap", [JOINTS])
     assert "orientation-jumps" not in codes(read_recording(path, OF_JOINTS))
     leap = Topic(
@@ -416,7 +416,7 @@ def test_an_orientation_that_jumps_is_told(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         (
             {"wrench": WrenchSource(topic="/ft", gravity_compensated=True, expressed_in=Frame.SENSOR)},
@@ -425,10 +425,12 @@ def test_an_orientation_that_jumps_is_told(tmp_path: Path) -> None:
         ({"displacement": PoseSource(topic="/pose")}, "Topic /pose shows a displacement from an unknown pose"),
     ],
 )
-def test_what_mass_cannot_be_told_from_ends_in_a_reason(tmp_path: Path, change: dict[str, Any], told: str) -> None:
+def test_what_mass_cannot_be_separated_from_ends_in_a_reason(
+    tmp_path: Path, change: dict[str, Any], message: str
+) -> None:
     path = write_log(tmp_path / "run.mcap", [FT, POSE])
     recording = read_recording(path, Cell(**change))
-    with pytest.raises(EstimateError, match=told):
+    with pytest.raises(EstimateError, match=message):
         identify_cell(recording)
     assert any("cell.yaml declares" in sentence for sentence in inspect_log(path, Cell(**change)).missing)
 

@@ -57,13 +57,13 @@ def test_dropped_samples_are_counted(tmp_path: Path) -> None:
     kept = np.delete(np.arange(200), [*range(50, 54), 120])
     holed = replace(full, stamp_ns=full.stamp_ns[kept], log_ns=full.log_ns[kept], values=full.values[kept])
     summary = inspect_log(write_mcap(tmp_path / "run.mcap", [holed, pose_stream()]))
-    told = [finding.message for finding in summary.findings if finding.code == "dropped-samples"]
-    assert len(told) == 1
-    assert "lacks about 5 messages in 2 gaps" in told[0]
-    assert "the longest lasts 0.0100 s" in told[0]
+    text = [finding.message for finding in summary.findings if finding.code == "dropped-samples"]
+    assert len(text) == 1
+    assert "lacks about 5 messages in 2 gaps" in text[0]
+    assert "the longest lasts 0.0100 s" in text[0]
 
 
-def test_clocks_that_differ_are_told(tmp_path: Path) -> None:
+def test_clocks_that_differ_are_reported(tmp_path: Path) -> None:
     other = pose_stream()
     late = other.with_stamps(other.stamp_ns - 40_000_000)
     summary = inspect_log(write_mcap(tmp_path / "run.mcap", [wrench_stream(), late]))
@@ -73,7 +73,7 @@ def test_clocks_that_differ_are_told(tmp_path: Path) -> None:
     assert re.search(r"/ft/wrench and /robot/pose are \+0\.0399 ", spread[0])
 
 
-def test_ambiguous_channels_are_told_as_missing_decisions(tmp_path: Path) -> None:
+def test_ambiguous_channels_are_reported_as_missing_decisions(tmp_path: Path) -> None:
     streams = [wrench_stream("/a"), wrench_stream("/b"), pose_stream("/p"), pose_stream("/q")]
     missing = inspect_log(write_mcap(tmp_path / "run.mcap", streams)).missing
     assert ["--wrench-topic" in missing[0], "--pose-topic" in missing[1], "commanded pose" in missing[2]] == [True] * 3

@@ -77,8 +77,8 @@ def test_joint_states_are_poses_of_the_tip(arm: Path, tmp_path: Path) -> None:
     assert same(recording.command, poses(arm, SWING + 0.01))
     assert recording.pose.topic == "/joint_states"
     assert recording.clocks == {"wrench": "header", "pose": "header", "command": "header"}
-    told = [finding.message for finding in recording.findings if finding.code == "channel-chosen"]
-    assert told[1].endswith("joint positions through arm.urdf up to tool0.")
+    reported = [finding.message for finding in recording.findings if finding.code == "channel-chosen"]
+    assert reported[1].endswith("joint positions through arm.urdf up to tool0.")
 
 
 @pytest.mark.parametrize("is_arm", [lambda i: i % 2 == 0, lambda i: i % 5 > 0, lambda i: i >= 150])
@@ -129,7 +129,7 @@ def test_ros_1_holds_the_same(arm: Path, tmp_path: Path) -> None:
     assert same(read_recording(path, Cell().with_urdf(arm, "tool0")).pose, poses(arm))
 
 
-def told_beside(arm: Path, tmp_path: Path, pose: Array) -> tuple[Recording, str, str]:
+def read_beside(arm: Path, tmp_path: Path, pose: Array) -> tuple[Recording, str, str]:
     """Read a log that also has a pose topic, and return how it compares."""
 
     def stamped(i: int, stamp: int) -> Tree:
@@ -144,24 +144,24 @@ def told_beside(arm: Path, tmp_path: Path, pose: Array) -> tuple[Recording, str,
 
 
 def test_a_pose_topic_goes_before_and_is_compared(arm: Path, tmp_path: Path) -> None:
-    recording, code, _ = told_beside(arm, tmp_path, poses(arm))
+    recording, code, _ = read_beside(arm, tmp_path, poses(arm))
     assert recording.pose.topic == "/tcp_pose"
     assert code == "joints-agree"
 
 
-def test_a_pose_of_another_tip_is_told_with_its_offset(arm: Path, tmp_path: Path) -> None:
+def test_a_pose_of_another_tip_is_reported_with_its_offset(arm: Path, tmp_path: Path) -> None:
     pose = poses(arm)
     pose[:, :3] += Rotation.from_quat(pose[:, 3:]).apply([0.0, 0.01, -0.12])
-    _, code, message = told_beside(arm, tmp_path, pose)
+    _, code, message = read_beside(arm, tmp_path, pose)
     assert code == "joints-disagree"
     assert "is 120.42 mm and 0.00° (rms) away" in message  # the length of the offset
     assert "a constant offset of (0.0, 10.0, -120.0) mm in the axes of the tip leaves 0.00 mm." in message
 
 
-def test_a_pose_that_is_turned_is_told(arm: Path, tmp_path: Path) -> None:
+def test_a_pose_that_is_turned_is_reported(arm: Path, tmp_path: Path) -> None:
     pose = poses(arm)
     pose[:, 3:] = (Rotation.from_quat(pose[:, 3:]) * Rotation.from_rotvec([0.0, 0.0, np.radians(5)])).as_quat()
-    _, code, message = told_beside(arm, tmp_path, pose)
+    _, code, message = read_beside(arm, tmp_path, pose)
     assert code == "joints-disagree"
     assert "is 0.00 mm and 5.00° (rms) away" in message
 
@@ -201,7 +201,7 @@ def test_a_message_of_another_type_names_its_joints_in_order(arm: Path, tmp_path
 
 
 @pytest.mark.parametrize(
-    ("topics", "told"),
+    ("topics", "output"),
     [
         ([FT], "must have one channel of measured joint positions, found 0"),
         ([FT, JOINT_STATES, replace(JOINT_STATES, topic="/b")], "found 2; name it with `joints: {topic: …}`"),
@@ -215,10 +215,10 @@ def test_a_message_of_another_type_names_its_joints_in_order(arm: Path, tmp_path
         ),
     ],
 )
-def test_joints_that_do_not_fit_are_refused(topics: list[Topic], told: str, arm: Path, tmp_path: Path) -> None:
+def test_joints_that_do_not_fit_are_refused(topics: list[Topic], output: str, arm: Path, tmp_path: Path) -> None:
     with pytest.raises(LogError) as caught:
         read_recording(write_log(tmp_path / "run.mcap", topics), Cell().with_urdf(arm, "tool0"))
-    assert told in str(caught.value)
+    assert output in str(caught.value)
 
 
 def test_urdf_and_tip_go_together(arm: Path) -> None:

@@ -70,7 +70,7 @@ def test_a_row_without_a_number_has_no_pose(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "tip", "base", "told"),
+    ("text", "tip", "base", "message"),
     [
         (ARM, "tool1", None, "has no link 'tool1' to be the tip; its links are: world, base, l1"),
         (ARM, "tool0", "floor", "has no link 'floor' to be the base"),
@@ -83,10 +83,10 @@ def test_a_row_without_a_number_has_no_pose(folder: Path) -> None:
         ("", "tool0", None, "arm.urdf must be a URDF"),
     ],
 )
-def test_what_is_no_chain_is_refused(text: str, tip: str, base: str | None, told: str, tmp_path: Path) -> None:
+def test_what_is_no_chain_is_refused(text: str, tip: str, base: str | None, message: str, tmp_path: Path) -> None:
     path = tmp_path / "arm.urdf"
     path.write_text(text)
-    with pytest.raises(LogError, match=told):
+    with pytest.raises(LogError, match=message):
         read_chain(path, tip, base)
 
 

@@ -94,14 +94,14 @@ def test_the_tool_points_down_and_moves_with_the_force_on_every_axis(
 def test_the_twist_confirms_the_sequence_of_the_angles_and_refutes_others(
     shared_data: Path, cell: Cell, recordings: dict[str, Recording]
 ) -> None:
-    def told(recording: Recording) -> list[str]:
+    def reported(recording: Recording) -> list[str]:
         return [finding.code for finding in recording.findings if finding.severity != "info"]
 
     path = shared_data / "nj60" / "yellow_table_1.bag"
-    assert "twist-disagrees" not in told(recordings[path.name])
+    assert "twist-disagrees" not in reported(recordings[path.name])
     for kind in ("rotation_vector", "euler_xyz", "euler_zyz"):
         wrong = replace(cell, pose=replace(cell.pose or PoseSource(), orientation_as=kind))
-        assert "twist-disagrees" in told(read_recording(path, wrong))
+        assert "twist-disagrees" in reported(read_recording(path, wrong))
     # Formed with a period of 4 ms where 5.11 ms passed.
     other = [f.message for f in recordings[BAGS[0]].findings if f.code == "twist-disagrees"]
     assert any("translation" in message and "times 0.782 it fits within 1 %" in message for message in other)
@@ -136,7 +136,7 @@ def test_compensation_that_is_not_declared_is_suspected(shared_data: Path, cell:
         identify_cell(recording)
 
 
-def test_clocks_are_told_to_be_off(shared_data: Path, cell: Cell) -> None:
+def test_clocks_are_reported_to_be_off(shared_data: Path, cell: Cell) -> None:
     summary = inspect_log(shared_data / "nj60" / "yellow_table_1.bag", cell)
     assert any("53.938 s ahead of the recording clock" in finding.message for finding in summary.findings)
     assert not [finding for finding in summary.findings if finding.severity == "error"]

@@ -57,7 +57,7 @@ def test_parts_give_the_whole_in_any_order_with_repeats_dropped(
     assert joined.findings == ()
 
 
-def test_a_gap_between_parts_is_told_with_its_length(demo_recording: Recording) -> None:
+def test_a_gap_between_parts_is_reported_with_its_length(demo_recording: Recording) -> None:
     joined = join_recordings([part(demo_recording, 0.0, 20.0, "a"), part(demo_recording, 20.5, 40.0, "b")])
     assert [each.code for each in joined.findings] == ["gap-between-parts"] * 3
     assert "0.5008 s of `/ft_sensor/wrench` are missing" in joined.findings[0].message

@@ -111,7 +111,7 @@ FAULTS: dict[str, tuple[Change, str]] = {
 
 
 @pytest.mark.parametrize("name", FAULTS)
-def test_samples_that_cannot_be_used_are_refused_and_told_by_inspect(tmp_path: Path, name: str) -> None:
+def test_samples_that_cannot_be_used_are_refused_and_reported_by_inspect(tmp_path: Path, name: str) -> None:
     change, complaint = FAULTS[name]
     path = write_mcap(tmp_path / "run.mcap", change(complete()))
     with pytest.raises(LogError, match=complaint):
@@ -232,7 +232,7 @@ def test_a_robot_may_rest_for_a_whole_part_of_a_recording(tmp_path: Path) -> Non
         read_recording(halves[1])
 
 
-def test_the_checks_of_identify_are_told_by_inspect(tmp_path: Path) -> None:
+def test_the_checks_of_identify_are_reported_by_inspect(tmp_path: Path) -> None:
     """A pose an hour off the wrench: the channels are healthy each, together they are of no use."""
     pose = pose_stream()
     path = write_mcap(tmp_path / "run.mcap", [wrench_stream(), pose.with_stamps(pose.stamp_ns + 3600 * 10**9)])

@@ -98,7 +98,7 @@ def steps(quaternion: Array) -> Array:
     ],
 )
 @pytest.mark.parametrize("seed", range(4))
-def test_every_way_to_tell_an_orientation_gives_the_same_continuous_quaternion(kind: str, seed: int) -> None:
+def test_every_way_to_show_an_orientation_gives_the_same_continuous_quaternion(kind: str, seed: int) -> None:
     truth = turning(seed)
     numbers = {
         "quaternion_xyzw": lambda: truth.as_quat(canonical=True),
@@ -119,9 +119,9 @@ def test_a_rotation_vector_that_flips_at_half_a_turn_is_made_continuous() -> Non
     # About one axis through 180 degrees: the vector jumps from +π to −π, the motion does not.
     angle = np.linspace(np.pi - 0.1, np.pi + 0.1, 50)
     axis = np.array([0.6, 0.0, 0.8])
-    told = np.where(angle > np.pi, angle - 2.0 * np.pi, angle)[:, None] * axis
-    assert np.max(steps(told)) > 6.0
-    found = make_continuous(orientation_quaternion("rotation_vector", told))
+    reported = np.where(angle > np.pi, angle - 2.0 * np.pi, angle)[:, None] * axis
+    assert np.max(steps(reported)) > 6.0
+    found = make_continuous(orientation_quaternion("rotation_vector", reported))
     assert np.max(steps(found)) < 0.003
     back = Rotation.from_quat(found[:1]).inv() * Rotation.from_quat(found)
     assert back.magnitude()[-1] == pytest.approx(0.2, abs=1e-7)
@@ -152,7 +152,7 @@ def test_signs_of_quaternions_never_matter(flips: list[bool]) -> None:
     st.integers(0, 10**6),
 )
 @settings(deadline=None)
-def test_a_wrench_told_in_any_unit_sign_and_frame_comes_back(
+def test_a_wrench_reported_in_any_unit_sign_and_frame_comes_back(
     force: str, torque: str, signs: list[float], by: ExertedBy, frame: Frame, seed: int
 ) -> None:
     rng = np.random.default_rng(seed)
@@ -165,14 +165,14 @@ def test_a_wrench_told_in_any_unit_sign_and_frame_comes_back(
     )
     # Tell it as the log would: sensor to flange to base, in other units, signs flipped, or as the reaction.
     turn = {Frame.SENSOR: Rotation.identity(), Frame.FLANGE: mounted, Frame.BASE: orientation * mounted}[frame]
-    told = np.hstack([turn.apply(truth[:, :3]), turn.apply(truth[:, 3:])])
+    reported = np.hstack([turn.apply(truth[:, :3]), turn.apply(truth[:, 3:])])
     in_si = {"N": 1.0, "kN": 1e3, "lbf": 4.4482216152605, "kgf": 9.80665}[force]
     in_n_m = {"N·m": 1.0, "N·mm": 1e-3, "kN·m": 1e3, "lbf·ft": 1.3558179483314004}[torque]
-    told = told / np.repeat([in_si, in_n_m], 3) * signs * (-1.0 if by is ExertedBy.SENSOR else 1.0)
+    reported = reported / np.repeat([in_si, in_n_m], 3) * signs * (-1.0 if by is ExertedBy.SENSOR else 1.0)
     source = WrenchSource(
         units=WrenchUnits(force=force, torque=torque), signs=tuple(signs), exerted_by=by, expressed_in=frame
     )
-    found = wrench_of(told, source, frames, pose)
+    found = wrench_of(reported, source, frames, pose)
     assert np.allclose(found.force_n, truth[:, :3], rtol=0, atol=1e-9)
     assert np.allclose(found.torque_n_m, truth[:, 3:], rtol=0, atol=1e-9)
 
@@ -230,16 +230,16 @@ def test_a_displacement_along_one_axis_has_that_axis_alone() -> None:
 
 
 @pytest.mark.parametrize("frame", list(Frame))
-def test_a_twist_is_told_in_base_axes(frame: Frame) -> None:
+def test_a_twist_is_reported_in_base_axes(frame: Frame) -> None:
     mounted, orientation = Rotation.from_rotvec([0.1, 0.7, -0.4]), turning(2)
     frames = build_frames(Cell(sensor=Mounting(orientation=tuple(mounted.as_quat()))))
     values = np.hstack([np.zeros((200, 3)), orientation.as_quat()])
     pose = interpret_pose(columns(values), PoseSource(), frames, is_displacement=False)
     truth = np.random.default_rng(1).standard_normal((200, 6))
     turn = {Frame.BASE: Rotation.identity(), Frame.FLANGE: orientation, Frame.SENSOR: orientation * mounted}[frame]
-    told = np.hstack([turn.inv().apply(truth[:, :3]) * 1e3, turn.inv().apply(truth[:, 3:]) * 180.0 / np.pi])
+    reported = np.hstack([turn.inv().apply(truth[:, :3]) * 1e3, turn.inv().apply(truth[:, 3:]) * 180.0 / np.pi])
     source = TwistSource(units=TwistUnits(linear="mm", angular="deg"), expressed_in=frame)
-    found = interpret_twist(columns(told), source, frames, pose)
+    found = interpret_twist(columns(reported), source, frames, pose)
     assert np.allclose(found.linear_m_s, truth[:, :3], rtol=0, atol=1e-11)
     assert np.allclose(found.angular_rad_s, truth[:, 3:], rtol=0, atol=1e-11)
 

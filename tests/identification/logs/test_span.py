@@ -31,8 +31,8 @@ def test_a_part_holds_the_samples_between_its_ends(log: Path) -> None:
         inside = (before.stamp_ns >= START_NS + 100_000_000) & (before.stamp_ns <= START_NS + 300_000_000)
         assert np.array_equal(after.stamp_ns, before.stamp_ns[inside])
     assert np.array_equal(part.wrench.force_n, whole.wrench.force_n[50:151])
-    [told] = [finding.message for finding in part.findings if finding.code == "part-read"]
-    assert told == "Of run.mcap only 0.1 s to 0.3 s is read."
+    [message] = [finding.message for finding in part.findings if finding.code == "part-read"]
+    assert message == "Of run.mcap only 0.1 s to 0.3 s is read."
 
 
 def test_a_log_starts_where_wrench_and_pose_have_both_begun(tmp_path: Path) -> None:

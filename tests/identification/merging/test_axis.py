@@ -24,7 +24,7 @@ from identification.result import (
     Status,
     Timeline,
 )
-from tests.identification.merging.test_combine import UNDECIDED, codes, combined, known, told, vector
+from tests.identification.merging.test_combine import UNDECIDED, codes, combined, known, reported, vector
 
 
 def recorded(values: dict[str, tuple[float, float]], correlation: float = 0.3) -> Identified:
@@ -43,10 +43,10 @@ def recorded(values: dict[str, tuple[float, float]], correlation: float = 0.3) -
         slope = (value / found[springs]) ** 2
         return known(float(value), float(np.sqrt(slope @ matrix[np.ix_(springs, springs)] @ slope)))
 
-    axis = told().axes["x"]
+    axis = reported().axes["x"]
     omega, omega_std = values["omega"]
     return replace(
-        told(),
+        reported(),
         axes={
             "x": replace(
                 axis,
@@ -204,7 +204,7 @@ def test_a_prior_counts_once_however_many_logs_there_are() -> None:
     assert damping.status is Status.GIVEN
     assert [f.code for f in found.findings] == ["given-used"]
     weighed = combine_identified(
-        [NamedResult(name=f"{i}", result=told(known(16.2, 0.1))) for i in range(2)],
+        [NamedResult(name=f"{i}", result=reported(known(16.2, 0.1))) for i in range(2)],
         {"mass_kg": Given(value=16.3, std=0.05)},
     ).payload.mass_kg
     shared = LOCAL_GRAVITY_STD * 16.2

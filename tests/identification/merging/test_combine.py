@@ -56,7 +56,7 @@ def surface(stiffness: float, std: float, peaks: tuple[float, ...] = (40.0,), na
     )
 
 
-def told(
+def reported(
     mass: Estimate | None = None,
     *,
     surfaces: tuple[EnvironmentEstimate, ...] = (),
@@ -104,7 +104,7 @@ def codes(result: Identified, severity: str) -> list[str]:
 @given(st.lists(st.tuples(st.floats(15.9, 16.1), st.floats(0.05, 0.5)), min_size=2, max_size=5))
 def test_the_mean_is_that_of_least_squares(values: list[tuple[float, float]]) -> None:
     """A second road: the normal equations of what is different in each log, the shared local gravity added after."""
-    found = combined(*(told(known(value, std)) for value, std in values)).payload.mass_kg
+    found = combined(*(reported(known(value, std)) for value, std in values)).payload.mass_kg
     seen, std = np.array(values).T
     shared = LOCAL_GRAVITY_STD * np.mean(seen)
     noise = np.sqrt(std**2 - shared**2)
@@ -122,26 +122,26 @@ def test_the_mean_is_that_of_least_squares(values: list[tuple[float, float]]) ->
     assert found.std == pytest.approx(min(np.hypot(alone, shared), np.inf if beyond else np.min(std)), rel=1e-6)
 
 
-def test_a_payload_changed_by_0_1_kg_of_16_2_is_told_apart() -> None:
+def test_a_payload_changed_by_0_1_kg_of_16_2_is_distinguished() -> None:
     """Both logs share local gravity, 0.024 kg of each deviation of 0.026 kg: the difference does not hold it."""
     shared = LOCAL_GRAVITY_STD * 16.2
     std = float(np.hypot(shared, 0.008))
-    found = combined(told(known(16.2, std)), told(known(16.3, std)))
+    found = combined(reported(known(16.2, std)), reported(known(16.3, std)))
     assert codes(found, "error") == ["logs-disagree"]
     # Chance: 0.02 kg is 1.8 deviations of the difference of two masses known to 0.008 kg beside gravity.
-    again = combined(told(known(16.2, std)), told(known(16.22, std)))
+    again = combined(reported(known(16.2, std)), reported(known(16.22, std)))
     assert codes(again, "error") == []
     # Two that scatter are known to half their distance.
     assert again.payload.mass_kg.std == pytest.approx(np.hypot(shared, 0.02 / 2.0), rel=1e-2)
 
 
 def test_one_log_is_what_it_is() -> None:
-    alone = told()
+    alone = reported()
     assert combined(alone) is alone
 
 
 def test_logs_of_two_payloads_disagree_loudly() -> None:
-    found = combined(told(known(16.2, 0.02)), told(known(22.0, 0.03)))
+    found = combined(reported(known(16.2, 0.02)), reported(known(22.0, 0.03)))
     assert codes(found, "error") == ["logs-disagree"]
     (finding,) = (f for f in found.findings if f.code == "logs-disagree")
     assert "payload mass [kg]: 16.2 ± 0.02 (log0), 22 ± 0.03 (log1)" in finding.message
@@ -152,37 +152,37 @@ def test_logs_of_two_payloads_disagree_loudly() -> None:
 
 def test_a_mean_of_two_payloads_is_weak_at_best() -> None:
     """16 and 18 kg: 17 ± 1.4 is nobody's mass, however sharply each log tells its own."""
-    parts = [NamedResult(name=f"{m}", result=told(known(m, 0.01))) for m in (15.0, 18.0)]
+    parts = [NamedResult(name=f"{m}", result=reported(known(m, 0.01))) for m in (15.0, 18.0)]
     mass = combine_identified(parts).payload.mass_kg
     assert mass.status is Status.WEAK
     assert "disagree" in mass.note
-    alike = [NamedResult(name=f"{m}", result=told(known(m, 0.01))) for m in (16.0, 16.01)]
+    alike = [NamedResult(name=f"{m}", result=reported(known(m, 0.01))) for m in (16.0, 16.01)]
     assert combine_identified(alike).payload.mass_kg.status is Status.IDENTIFIED
 
 
 def test_a_bias_may_change_from_log_to_log() -> None:
-    found = combined(told(bias=1.0), told(bias=4.0))
+    found = combined(reported(bias=1.0), reported(bias=4.0))
     assert codes(found, "error") == []
     assert codes(found, "warning") == ["logs-differ"]
 
 
-def test_what_one_log_lacks_another_tells() -> None:
+def test_what_one_log_lacks_another_shows() -> None:
     missing = Finding(code="robot", severity="error", message="Axis x: no motion.", advice="")
-    found = combined(told(delay=UNDECIDED, findings=(missing,)), told())
+    found = combined(reported(delay=UNDECIDED, findings=(missing,)), reported())
     # Rounding of a matrix inverse.
     assert found.axes["x"].robot.delay_s.value == pytest.approx(2.4e-3, rel=1e-12)
     assert found.axes["x"].robot.delay_s.std == pytest.approx(1e-5, rel=1e-9)
     assert found.axes["x"].robot.delay_s.status is Status.IDENTIFIED
     assert codes(found, "error") == []
     assert "log0: Axis x: no motion." in [finding.message for finding in found.findings]
-    both = combined(told(delay=UNDECIDED, findings=(missing,)), told(delay=UNDECIDED, findings=(missing,)))
+    both = combined(reported(delay=UNDECIDED, findings=(missing,)), reported(delay=UNDECIDED, findings=(missing,)))
     assert codes(both, "error") == ["robot", "robot"]
 
 
 def test_surfaces_that_agree_are_one_and_others_stay_apart() -> None:
     soft, hard = surface(5e4, 1e3, (30.0, 31.0)), surface(2e5, 4e3, name="x2")
     again = surface(5.1e4, 1e3, (33.0,))
-    found = combined(told(surfaces=(soft, hard)), told(surfaces=(again,))).axes["x"].environments
+    found = combined(reported(surfaces=(soft, hard)), reported(surfaces=(again,))).axes["x"].environments
     assert [each.name for each in found] == ["x1", "x2"]
     # The mean of compliances is that of stiffnesses to the square of their scatter, 1 % here, up to a factor.
     assert found[0].stiffness_n_per_m.value == pytest.approx(5.05e4, rel=5e-4)
@@ -193,26 +193,28 @@ def test_surfaces_that_agree_are_one_and_others_stay_apart() -> None:
 
 def test_two_surfaces_of_one_log_are_never_one() -> None:
     twins = (surface(5e4, 1e4), surface(5.2e4, 1e4, name="x2"))
-    assert len(combined(told(surfaces=twins), told(surfaces=(surface(5.1e4, 1e4),))).axes["x"].environments) == 2
+    assert (
+        len(combined(reported(surfaces=twins), reported(surfaces=(surface(5.1e4, 1e4),))).axes["x"].environments) == 2
+    )
 
 
 def test_logs_of_two_control_periods_are_refused() -> None:
     with pytest.raises(LogError, match=r"one control period, found 0\.8000 ms \(log0\), 1\.0000 ms \(log1\)"):
-        combined(told(), told(period=1e-3))
+        combined(reported(), reported(period=1e-3))
 
 
 def test_an_axis_that_only_one_log_moved_is_kept() -> None:
-    one = told()
+    one = reported()
     other = replace(one, axes={"y": one.axes["x"]})
     assert dict(combined(one, other).axes) == {"x": one.axes["x"], "y": one.axes["x"]}
 
 
 def test_the_rate_of_a_wrench_is_no_control_period() -> None:
     """A log without a command calls the period of its wrench weak; one with a command knows."""
-    wrench = replace(told(), sample_time_s=known(1e-3, 1e-9, Status.WEAK))
-    assert combined(wrench, told()).sample_time_s.value == 8e-4
-    assert combined(told(), wrench).sample_time_s.value == 8e-4
-    other = replace(told(), sample_time_s=known(2e-3, 1e-9, Status.WEAK))
+    wrench = replace(reported(), sample_time_s=known(1e-3, 1e-9, Status.WEAK))
+    assert combined(wrench, reported()).sample_time_s.value == 8e-4
+    assert combined(reported(), wrench).sample_time_s.value == 8e-4
+    other = replace(reported(), sample_time_s=known(2e-3, 1e-9, Status.WEAK))
     found = combined(wrench, other)
     assert found.sample_time_s.value is None
     assert codes(found, "error") == ["control-period"]
@@ -222,7 +224,7 @@ def test_the_rate_of_a_wrench_is_no_control_period() -> None:
 
 
 def test_the_worst_of_a_known_and_an_unknown_noise_is_the_known_one() -> None:
-    quiet, unknown = told(), told()
+    quiet, unknown = reported(), reported()
     unknown = replace(unknown, sensor=replace(unknown.sensor, force_noise_rms_n=UNDECIDED))
     for pair in ((quiet, unknown), (unknown, quiet)):
         noise = combined(*pair).sensor.force_noise_rms_n
@@ -233,12 +235,12 @@ def test_the_worst_of_a_known_and_an_unknown_noise_is_the_known_one() -> None:
 
 def test_each_log_keeps_its_time_line_under_its_name() -> None:
     phase = LogPhase(kind=PhaseKind.REST, start_s=0.0, stop_s=1.0)
-    parts = [replace(told(), timelines=(Timeline(phases=(phase,)),)) for _ in range(2)]
+    parts = [replace(reported(), timelines=(Timeline(phases=(phase,)),)) for _ in range(2)]
     assert [line.log for line in combined(*parts).timelines] == ["log0", "log1"]
 
 
 def filtered(late: WrenchFilterEstimate | None) -> Identified:
-    result = told()
+    result = reported()
     return replace(result, sensor=replace(result.sensor, wrench_filter=late))
 
 
@@ -287,7 +289,7 @@ def test_a_filter_and_a_delay_disagree_and_the_later_one_counts() -> None:
 
 def test_the_noisiest_pose_counts_and_a_log_that_is_silent_of_it_does_not() -> None:
     def with_noise(value: Estimate | None) -> Identified:
-        found = told()
+        found = reported()
         return replace(found, sensor=replace(found.sensor, position_noise_rms_m=value))
 
     noises = (None, known(2e-6, 1e-8), known(2e-5, 1e-7), UNDECIDED)

@@ -73,7 +73,7 @@ def fitted(logs: Sequence[Log]) -> Normal:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_two_merged_logs_are_what_one_fit_of_both_tells(seed: int) -> None:
+def test_two_merged_logs_are_what_one_fit_of_both_shows(seed: int) -> None:
     """One log tells the payload's swing, the other mostly 1/K_s + 1/K_e: each lends the other what it lacks."""
     swinging = simulated((2.0, 30.0), (0.2, 0.5), 6e3, 2 * seed)
     pressing = simulated((2.0, 12.0), (0.2, 12.0), 1.5e3, 2 * seed + 1)

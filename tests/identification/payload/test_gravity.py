@@ -89,7 +89,7 @@ def test_a_payload_that_tilts_in_its_coupling_is_covered(turning_n_m_per_rad: fl
     assert np.linalg.norm(error) > 0.2 * np.linalg.norm(COM_M) ** 2 * MASS_KG * G_M_S2 / turning_n_m_per_rad
 
 
-def test_one_pose_tells_nothing() -> None:
+def test_one_pose_shows_nothing() -> None:
     alike = poses_at(Rotation.concatenate([tilted(1, 0.0)] * 6))
     with pytest.raises(
         EstimateError,
@@ -98,12 +98,12 @@ def test_one_pose_tells_nothing() -> None:
         identify_gravity(alike)
 
 
-def test_no_rest_at_all_is_told() -> None:
+def test_no_rest_at_all_is_reported() -> None:
     with pytest.raises(EstimateError, match="never at rest in this log; record"):
         identify_gravity(())
 
 
-def test_poses_that_hardly_tilt_are_refused_and_told_to_tilt() -> None:
+def test_poses_that_hardly_tilt_are_refused_and_reported_to_tilt() -> None:
     angles = np.radians(2.0) * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1], [1, 1], [-1, -1]])
     turns = np.column_stack([angles, np.zeros(len(angles))])
     with pytest.raises(EstimateError, match="tilted by 30 to 70 degrees about two axes"):
@@ -185,10 +185,10 @@ def test_the_covariance_holds_between_the_parameters() -> None:
     stated = fit.covariance - np.diag([(LOCAL_GRAVITY_STD * fit.mass_kg) ** 2, *np.zeros(9)])
     stated[1:4, 1:4] -= COM_TILT_STD_RAD**2 * np.outer(fit.com_S_m, fit.com_S_m)
     size = np.sqrt(np.diag(stated))
-    told, seen = stated / np.outer(size, size), np.corrcoef(np.array(found), rowvar=False)
+    reported, seen = stated / np.outer(size, size), np.corrcoef(np.array(found), rowvar=False)
     # A correlation over 400 draws is known to 0.05; four deviations and what the fit's own scatter moves it.
-    assert float(np.max(np.abs(told - seen))) < 0.25
-    assert float(np.max(np.abs(told - np.eye(10)))) > 0.5  # mass and bias, bias and centre are not independent
+    assert float(np.max(np.abs(reported - seen))) < 0.25
+    assert float(np.max(np.abs(reported - np.eye(10)))) > 0.5  # mass and bias, bias and centre are not independent
     assert fit.mass_std_kg == pytest.approx(np.sqrt(fit.covariance[0, 0]), rel=1e-12)
 
 
@@ -243,7 +243,7 @@ def test_a_tare_is_taken_out_on_both_sides_of_it() -> None:
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-def test_tilts_about_one_axis_tell_mass_and_only_then_a_centre_if_they_are_large(axis: int) -> None:
+def test_tilts_about_one_axis_show_mass_and_only_then_a_centre_if_they_are_large(axis: int) -> None:
     down = Rotation.from_euler("x", np.pi)
     small = down * Rotation.from_rotvec(np.outer(np.linspace(-0.35, 0.35, 8), np.eye(3)[axis]))
     fit = identify_gravity(poses_at(small))

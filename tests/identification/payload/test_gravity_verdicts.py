@@ -41,7 +41,7 @@ def test_a_sound_sensor_gives_no_findings(seed: int) -> None:
     assert com_estimate(fit).status is Status.IDENTIFIED
 
 
-def test_drift_is_told_per_axis_and_widens_the_bias() -> None:
+def test_drift_is_reported_per_axis_and_widens_the_bias() -> None:
     drift = np.array([0.03, -0.02, 0.0])
     fit = identify_gravity(tuple(replace(pose, force_S_n=pose.force_S_n + drift * pose.time_s) for pose in rests(1)))
     found = term(fit, TermKind.DRIFT)
@@ -55,7 +55,7 @@ def test_drift_is_told_per_axis_and_widens_the_bias() -> None:
     assert fit.force_bias_std_n[0] > 0.25 * found.effect_n[0]
 
 
-def test_axes_that_show_other_masses_are_told_and_widen_the_mass() -> None:
+def test_axes_that_show_other_masses_are_reported_and_widen_the_mass() -> None:
     gain = np.array([1.0, 1.01, 0.99])
     fit = identify_gravity(
         tuple(replace(p, force_S_n=p.force_S_n + (gain - 1.0) * 16.2 * p.gravity_S_m_s2) for p in rests(2))
@@ -68,7 +68,7 @@ def test_axes_that_show_other_masses_are_told_and_widen_the_mass() -> None:
     assert fit.mass_std_kg > 2.0 * identify_gravity(rests(2)).mass_std_kg
 
 
-def test_a_load_curve_is_told_and_widens_the_mass() -> None:
+def test_a_load_curve_is_reported_and_widens_the_mass() -> None:
     per_n = 1e-4
     fit = identify_gravity(curved(50.0, per_n))
     found = term(fit, TermKind.LOAD_CURVE)
@@ -79,7 +79,7 @@ def test_a_load_curve_is_told_and_widens_the_mass() -> None:
     assert abs(fit.mass_kg - 50.0) < 3.0 * fit.mass_std_kg
 
 
-def test_a_large_residual_is_told_as_a_share_of_the_load() -> None:
+def test_a_large_residual_is_reported_as_a_share_of_the_load() -> None:
     rng = np.random.default_rng(5)
     fit = identify_gravity(
         tuple(replace(p, force_S_n=p.force_S_n + 23.0 * rng.standard_normal(3)) for p in rests(5, mass_kg=50.0))
@@ -89,7 +89,7 @@ def test_a_large_residual_is_told_as_a_share_of_the_load() -> None:
     assert f"{fit.residual_rms_n:.2f} N rms, {share:.1f} % of a load" in found.message
 
 
-def test_a_residual_that_outgrows_the_load_is_told() -> None:
+def test_a_residual_that_outgrows_the_load_is_reported() -> None:
     light, heavy = identify_gravity(curved(16.0, 3e-5)), identify_gravity(curved(50.0, 3e-4))
     loads = [(fit.mass_kg, fit.residual_rms_n) for fit in (heavy, light)]
     (found,) = load_growth_findings(loads)
@@ -100,13 +100,13 @@ def test_a_residual_that_outgrows_the_load_is_told() -> None:
     assert load_growth_findings([(16.0, 1.1), (50.0, 3.4)]) == ()
 
 
-def test_a_sensor_that_bends_with_the_load_doubts_the_scale_of_every_force() -> None:
+def test_a_sensor_that_bends_with_the_load_conflict_the_scale_of_every_force() -> None:
     """q w|w| has the slope 2 q w: 30 % of a load of 50 kg for q = 3e-4 1/N."""
     assert identify_gravity(curved(50.0, 3e-4)).gain_error_share == pytest.approx(2.0 * 3e-4 * 50.0 * 9.81, rel=0.2)
     assert identify_gravity(rests(1)).gain_error_share < 1e-3
 
 
-def test_a_centre_that_one_tilt_does_not_tell_has_no_value() -> None:
+def test_a_centre_that_one_tilt_does_not_show_has_no_value() -> None:
     down = Rotation.from_euler("x", np.pi)
     one_axis = down * Rotation.from_rotvec(np.outer(np.linspace(-0.35, 0.35, 8), [1.0, 0.0, 0.0]))
     estimate = com_estimate(identify_gravity(poses_at(one_axis)))
@@ -123,7 +123,7 @@ def test_a_vague_centre_is_weak() -> None:
     assert 5e-3 < float(np.max(fit.com_std_m)) < 25e-3
 
 
-def test_contacts_and_a_tare_are_told() -> None:
+def test_contacts_and_a_tare_are_reported() -> None:
     step = np.array([3.0, -4.0, 0.0])
     poses = [replace(p, force_S_n=p.force_S_n + (step if i >= 6 else 0.0)) for i, p in enumerate(rests(3))]
     poses[9] = replace(poses[9], force_S_n=poses[9].force_S_n + np.array([0.0, 0.0, 30.0]))

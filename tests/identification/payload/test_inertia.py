@@ -13,7 +13,7 @@ from identification.payload.inertia import (
     PAIRS,
     InertiaFit,
     _unfold,
-    _unfold_slope,
+    _unfold_jacobian,
     identify_inertia,
     inertia_matrix,
     inertial_sign,
@@ -125,18 +125,18 @@ def test_point_masses_have_the_tensor_of_their_sums() -> None:
     assert abs(fit.lag_s) < 1e-3
 
 
-def test_an_axis_that_nothing_turns_about_is_not_told() -> None:
+def test_an_axis_that_nothing_turns_about_is_not_reported() -> None:
     fit = scene(turns(np.array([[1.0, 0, 0], [0, 1.0, 0], [0.7, 0.7, 0], [0.7, -0.7, 0]])), noise=0.05).fit()
     assert fit.components[0].status is Status.IDENTIFIED
     assert fit.components[1].status is Status.IDENTIFIED
     assert fit.components[2].status is Status.UNIDENTIFIABLE
-    (told,) = fit.findings
-    assert told.code == "inertia-not-excited"
-    assert "zz" in told.message
-    assert "xx" not in told.message
+    (reported,) = fit.findings
+    assert reported.code == "inertia-not-excited"
+    assert "zz" in reported.message
+    assert "xx" not in reported.message
 
 
-def test_the_mass_is_told_by_acceleration_where_the_origin_moves() -> None:
+def test_the_mass_is_reported_by_acceleration_where_the_origin_moves() -> None:
     orientation = turns(ALL_AXES)
     there_and_back = np.concatenate([ramp(MOVE), np.ones(HOLD), ramp(MOVE)[::-1], np.zeros(HOLD)])
     leap = np.concatenate([np.zeros(HOLD), np.tile(there_and_back, len(ALL_AXES))])
@@ -145,24 +145,24 @@ def test_the_mass_is_told_by_acceleration_where_the_origin_moves() -> None:
     assert fit.mass_kg.status is Status.IDENTIFIED
     assert fit.mass_kg.value == pytest.approx(MASSES_KG.sum(), rel=0.01)
     assert fit.findings == ()
-    # Weight and acceleration of a payload with a mass twice as large as the rests are told would disagree.
+    # Weight and acceleration of a payload with a mass twice as large as the rests are given would disagree.
     lighter = replace(moving.gravity, mass_kg=0.8 * moving.gravity.mass_kg)
     disagreeing = identify_inertia(moving.log, moving.motion, moving.poses, lighter)
     assert "mass-disagreement" in {finding.code for finding in disagreeing.findings}
     assert all(each.status is not Status.IDENTIFIED for each in disagreeing.components)
 
 
-def test_a_lag_of_the_wrench_is_told_and_taken_out() -> None:
+def test_a_lag_of_the_wrench_is_reported_and_taken_out() -> None:
     fit = scene(turns(ALL_AXES), noise=0.05, lag=2).fit()
     assert fit.lag_s == pytest.approx(2.0 / RATE_HZ, abs=4.0 * fit.lag_std_s + 1e-4)
     expected = true_inertia()
     assert fit.components[0].value == pytest.approx(expected[0, 0], rel=0.02)
 
 
-def test_a_pose_of_another_origin_is_told() -> None:
+def test_a_pose_of_another_origin_is_reported() -> None:
     fit = scene(turns(ALL_AXES), noise=0.05, origin_S_m=np.array([0.0, 0.0, 0.1])).fit()
-    (told,) = (finding for finding in fit.findings if finding.code == "origin-offset")
-    assert "+100) mm" in told.message
+    (reported,) = (finding for finding in fit.findings if finding.code == "origin-offset")
+    assert "+100) mm" in reported.message
     assert all(each.status is not Status.IDENTIFIED for each in fit.components)
 
 
@@ -177,7 +177,7 @@ def test_moves_that_something_touches_are_left_out() -> None:
     assert fit.components[1].value == pytest.approx(true_inertia()[1, 1], rel=0.02)
 
 
-def test_without_moves_nothing_is_told() -> None:
+def test_without_moves_nothing_is_reported() -> None:
     still = scene(turns(ALL_AXES), noise=0.05)
     fit = identify_inertia(still.log, replace(still.motion, moving=()), still.poses, still.gravity)
     assert {each.status for each in fit.components} == {Status.UNIDENTIFIABLE}
@@ -185,7 +185,7 @@ def test_without_moves_nothing_is_told() -> None:
     assert [finding.code for finding in fit.findings] == ["inertia-not-excited"]
 
 
-def test_the_sign_of_acceleration_tells_reversed_gravity() -> None:
+def test_the_sign_of_acceleration_shows_reversed_gravity() -> None:
     for sign in (1.0, -1.0):
         found = scene(turns(ALL_AXES), noise=0.05, sign=sign)
         score = inertial_sign(found.log, found.motion, found.poses, found.gravity)
@@ -213,24 +213,26 @@ def parameters(bodies: list[tuple[float, float, float, float]]) -> FloatArray:
 @settings(max_examples=60, deadline=None)
 @given(bodies=points)
 def test_the_pseudo_inertia_is_the_second_moment_of_the_mass(bodies: list[tuple[float, float, float, float]]) -> None:
-    told = parameters(bodies)
+    reported = parameters(bodies)
     at = np.array([[*body[:3], 1.0] for body in bodies])
     mass = np.array([body[3] for body in bodies])
     moment = (at * mass[:, None]).T @ at
-    np.testing.assert_allclose(pseudo_inertia(told), moment, rtol=0.0, atol=1e-10)
-    np.testing.assert_allclose(parameters_of(pseudo_inertia(told)), told, rtol=0.0, atol=1e-10)
-    np.testing.assert_array_equal(inertia_matrix(told[4:]), inertia_matrix(told[4:]).T)
+    np.testing.assert_allclose(pseudo_inertia(reported), moment, rtol=0.0, atol=1e-10)
+    np.testing.assert_allclose(parameters_of(pseudo_inertia(reported)), reported, rtol=0.0, atol=1e-10)
+    np.testing.assert_array_equal(inertia_matrix(reported[4:]), inertia_matrix(reported[4:]).T)
     if float(np.min(np.linalg.eigvalsh(moment))) > 1e-9:
-        assert is_consistent(told)
-        nearest, distance = nearest_consistent(told, np.eye(10))
-        np.testing.assert_array_equal(nearest, told)
+        assert is_consistent(reported)
+        nearest, distance = nearest_consistent(reported, np.eye(10))
+        np.testing.assert_array_equal(nearest, reported)
         assert distance == 0.0
 
 
 def test_the_nearest_consistent_tensor_is_consistent_and_stationary() -> None:
-    told = parameters([(0.1, 0, 0, 1.0), (0, 0.2, 0, 1.0), (0, 0, 0.3, 2.0), (-0.1, -0.1, 0.1, 1.0), (0, 0, 0, 1.0)])
-    wrong = told.copy()
-    wrong[6] = 3.0 * (told[4] + told[5])  # no principal moment exceeds the sum of the others
+    reported = parameters(
+        [(0.1, 0, 0, 1.0), (0, 0.2, 0, 1.0), (0, 0, 0.3, 2.0), (-0.1, -0.1, 0.1, 1.0), (0, 0, 0, 1.0)]
+    )
+    wrong = reported.copy()
+    wrong[6] = 3.0 * (reported[4] + reported[5])  # no principal moment exceeds the sum of the others
     assert not is_consistent(wrong)
     std = np.concatenate([[0.1], np.full(3, 0.01), np.full(6, 0.05)])
     nearest, distance = nearest_consistent(wrong, np.diag(std**2))
@@ -238,19 +240,19 @@ def test_the_nearest_consistent_tensor_is_consistent_and_stationary() -> None:
     assert distance == pytest.approx(float(np.sum(((nearest - wrong) / std) ** 2)), rel=1e-6)
     # No point on the way to a consistent one is both consistent and nearer: the set is convex.
     for share in np.linspace(0.02, 1.0, 50):
-        between = (1.0 - share) * nearest + share * told
+        between = (1.0 - share) * nearest + share * reported
         assert float(np.sum(((between - wrong) / std) ** 2)) > distance * (1.0 - 1e-6)
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_the_slope_of_the_free_numbers_is_that_of_finite_differences(seed: int) -> None:
     free, step = np.random.default_rng(seed).normal(size=10), 1e-6
-    told = [
+    reported = [
         (parameters_of(_unfold(free + change)) - parameters_of(_unfold(free - change))) / (2.0 * step)
         for change in step * np.eye(10)
     ]
     # Central differences of numbers of size 10: steps squared, and rounding over the step.
-    np.testing.assert_allclose(_unfold_slope(free), np.array(told).T, rtol=1e-7, atol=2e-8)
+    np.testing.assert_allclose(_unfold_jacobian(free), np.array(reported).T, rtol=1e-7, atol=2e-8)
 
 
 def test_parameters_and_matrix_are_each_others_inverse() -> None:
@@ -262,10 +264,10 @@ def test_parameters_and_matrix_are_each_others_inverse() -> None:
 
 def test_a_moment_that_is_not_known_is_filled_consistently_at_no_cost() -> None:
     # 20 kg at 0.1 m along z turn about x and y; nothing turned about z, whose moment is a guess of the fit.
-    told = np.array([20.0, 0.0, 0.0, 2.0, 0.6, 0.55, -40.0, 0.0, 0.0, 0.0])
+    reported = np.array([20.0, 0.0, 0.0, 2.0, 0.6, 0.55, -40.0, 0.0, 0.0, 0.0])
     std = np.array([0.01, 0.01, 0.01, 0.01, 2e-3, 2e-3, 100.0, 1e-3, 1e-3, 1e-3])
-    found, distance = nearest_consistent(told, np.diag(std**2))
+    found, distance = nearest_consistent(reported, np.diag(std**2))
     assert is_consistent(found)
     # A consistent moment about z lies within 0.41 standard deviations of the guess, and costs nothing else.
     assert distance < 0.41**2
-    np.testing.assert_allclose(found[[0, 3, 4, 5]], told[[0, 3, 4, 5]], rtol=0.0, atol=1e-3)
+    np.testing.assert_allclose(found[[0, 3, 4, 5]], reported[[0, 3, 4, 5]], rtol=0.0, atol=1e-3)

@@ -95,7 +95,7 @@ def test_stated_deviations_hold() -> None:
     assert 0.6 < float(np.std(scores)) < 1.36
 
 
-def test_poses_that_hardly_differ_tell_neither() -> None:
+def test_poses_that_hardly_differ_show_neither() -> None:
     fit = fitted(tilted(9, 0.25), 3, noise=30.0)
     assert fit.mounting_S_rad.status is Status.UNIDENTIFIABLE
     assert fit.mounting_S_rad.value is None
@@ -103,7 +103,7 @@ def test_poses_that_hardly_differ_tell_neither() -> None:
     assert "turned about the vertical" in fit.mounting_S_rad.note
 
 
-def test_few_poses_tell_neither() -> None:
+def test_few_poses_show_neither() -> None:
     fit = fitted(tilted(6, 1.1), 3)
     assert fit.base_tilt_B_rad.status is Status.UNIDENTIFIABLE
     assert "seven" in fit.base_tilt_B_rad.note

@@ -68,7 +68,7 @@ def test_the_desired_force_drives_too() -> None:
     np.testing.assert_allclose(asked, 9.0 / DAMPING_N_S_PER_M, rtol=1e-12)
 
 
-def test_the_motion_is_told_in_the_axes_of_the_wrench() -> None:
+def test_the_motion_is_reported_in_the_axes_of_the_wrench() -> None:
     run = Led(force_n=np.zeros(SAMPLES), position_m=np.asarray(0.02 * TIME_S))
     for axis, name in enumerate("xyz"):
         for motion in admittance_motions(recorded(run, axis=axis, noise_m=0.0)):

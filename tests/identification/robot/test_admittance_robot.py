@@ -113,7 +113,7 @@ def test_a_robot_later_than_the_search_is_refused() -> None:
         fitted(recorded(led(ONE_POLE, 0.31, hand_force(12.0, np.random.default_rng(1), band_hz=0.5))))
 
 
-def test_a_slow_hand_tells_the_lag_but_not_its_parts() -> None:
+def test_a_slow_hand_shows_the_lag_but_not_its_parts() -> None:
     extra = hand_force(12.0, np.random.default_rng(7), band_hz=1.0, rms_n=1.0)
     run = led(TWO_POLES, DELAY_S, hand_force(12.0, np.random.default_rng(5), band_hz=0.4), extra)
     fit = fitted(recorded(run))

@@ -92,7 +92,7 @@ def test_a_spring_that_the_encoders_noise_hides_is_not_mistaken_for_a_softer_one
         fit = identify_coupling([motion], H_S, RATE_HZ, noise)
         assert abs(fit.stiffness_n_per_m - load.stiffness) < 5.0 * fit.std[0]
         assert fit.stiffness_n_per_m == pytest.approx(load.stiffness, rel=0.15)
-        # A mass that is told by the slow half of the sweep: a few percent, whatever the spring.
+        # A mass that is shown by the slow half of the sweep: a few percent, whatever the spring.
         assert fit.mass_kg == pytest.approx(load.mass, rel=0.03)
 
 
@@ -156,12 +156,12 @@ def test_spans_of_the_same_payload_are_used_together() -> None:
         assert np.all(both.std < identify_coupling([motion], H_S, RATE_HZ, noise).std)
 
 
-def test_short_spans_are_refused_and_told() -> None:
+def test_short_spans_are_refused_and_reported() -> None:
     with pytest.raises(EstimateError, match=r"of 1 spans none lasts that long\. Record a commanded sweep"):
         identify_coupling([swept(LOADS[0], 1.0)], H_S, RATE_HZ, NO_NOISE)
 
 
-def test_no_span_at_all_is_refused_and_told() -> None:
+def test_no_span_at_all_is_refused_and_reported() -> None:
     with pytest.raises(EstimateError, match="of 0 spans none lasts that long"):
         identify_coupling([], H_S, RATE_HZ, NO_NOISE)
 

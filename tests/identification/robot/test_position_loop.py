@@ -42,7 +42,7 @@ def test_one_pole_and_a_fractional_delay_are_found(samples: float) -> None:
 
 
 @pytest.mark.parametrize("samples", [1.0, 3.36])
-def test_two_poles_are_told_from_one(samples: float) -> None:
+def test_two_poles_are_reported_from_one(samples: float) -> None:
     command = sweep(6.0, 1.0 / H_S)
     fit = identify_robot(command, noisy(followed(TWO_POLES, round(samples * PARTS), command)), H_S)
     assert fit.model.order == 2
@@ -123,7 +123,7 @@ def test_a_command_in_another_unit_is_refused() -> None:
         identify_robot(1000.0 * command, followed(ONE_POLE, 120, command), H_S)
 
 
-def test_a_robot_that_was_not_moved_is_told_with_its_travel() -> None:
+def test_a_robot_that_was_not_moved_is_reported_with_its_travel() -> None:
     command = 1e-5 * np.sin(np.arange(4000) * 0.01)
     with pytest.raises(EstimateError, match=r"moves by 0\.020 mm only.*record a commanded sweep"):
         identify_robot(command, command, H_S)

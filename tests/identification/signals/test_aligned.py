@@ -96,7 +96,7 @@ def test_channels_that_do_not_overlap_are_refused(shift_s: float) -> None:
 
 
 @pytest.mark.parametrize("which", ["/ft", "/tcp"])
-def test_a_hole_is_refused_and_told_where_it_is(which: str) -> None:
+def test_a_hole_is_refused_and_reported_where_it_is(which: str) -> None:
     whole = clock(500.0, 6.0)
     holed = whole[(whole < START_NS + 2_000_000_000) | (whole >= START_NS + 2_500_000_000)]
     wrench, pose = (holed, whole) if which == "/ft" else (whole, holed)
@@ -154,7 +154,7 @@ def without(stamps: Stamps, start_s: float, stop_s: float) -> Stamps:
 
 @pytest.mark.parametrize("which", ["/ft", "/tcp", "both"])
 @pytest.mark.parametrize("pose_hz", [500.0, 250.0])
-def test_a_hole_of_a_salvaged_log_is_kept_and_nothing_is_told_in_it(which: str, pose_hz: float) -> None:
+def test_a_hole_of_a_salvaged_log_is_kept_and_nothing_is_reported_in_it(which: str, pose_hz: float) -> None:
     wrench, pose = clock(500.0, 6.0), clock(pose_hz, 6.0)
     log = align(
         salvaged(

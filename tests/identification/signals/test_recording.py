@@ -70,14 +70,14 @@ def test_every_column_has_a_row_per_stamp() -> None:
 
 def test_only_a_raw_wrench_and_a_whole_pose_identify() -> None:
     Recording(wrench=wrench(), pose=pose(), command=None).require_raw()
-    for signals, told in (
+    for signals, reported in (
         ({"wrench": wrench(gravity_compensated=True)}, "Gravity is already removed from the force of topic /ft"),
         ({"wrench": wrench(measured_axes=("z",))}, "/ft must have forces along x, y and z, found none for x, y;"),
         ({"pose": pose(is_displacement=True)}, "Topic /p shows a displacement"),
         ({"pose": pose(measured_axes=("x", "y", "z"))}, "The pose of topic /p .* found none for rx, ry, rz"),
     ):
         recording = Recording(**{"wrench": wrench(), "pose": pose(), "command": None, **signals})  # type: ignore[arg-type]  # by name
-        with pytest.raises(EstimateError, match=told):
+        with pytest.raises(EstimateError, match=reported):
             recording.require_raw()
     Recording(wrench=wrench(measured_axes=("x", "y", "z")), pose=pose(), command=None).require_raw()
     with pytest.raises(EstimateError) as refused:

@@ -99,7 +99,7 @@ def test_a_short_stop_is_no_rest() -> None:
     assert len(rest.still) == 3
 
 
-def test_velocity_is_told_in_the_sensor_frame() -> None:
+def test_velocity_is_reported_in_the_sensor_frame() -> None:
     position = line(held(0.5), moved(1.0, 0.1), held(0.5, 0.1))
     quarter = Rotation.from_rotvec(np.tile([0.0, 0.0, np.pi / 2.0], (len(position), 1)))
     velocity = find_motion(log_of(position, orientation=quarter)).velocity_S_m_s

@@ -91,16 +91,16 @@ def test_the_stated_deviation_is_that_of_repetition(corner_hz: float | None) -> 
     assert 0.55 < float(np.std(scores)) < 1.25
 
 
-def test_a_line_is_told_with_its_frequency_and_size() -> None:
+def test_a_line_is_reported_with_its_frequency_and_size() -> None:
     signal = white(2)
     signal[:, 1] += 0.2 * np.sqrt(2.0) * np.sin(2.0 * np.pi * 50.0 * np.arange(len(signal)) / RATE_HZ)
     found = described(signal)
     (line,) = found.lines
     assert line.frequency_hz == pytest.approx(50.0, abs=1.0)
     assert line.rms[1] == pytest.approx(0.2, rel=0.1)  # the window's skirts beyond two bins are left out
-    (told,) = found.findings
-    assert told.code == "noise-line"
-    assert "axis y" in told.message
+    (reported,) = found.findings
+    assert reported.code == "noise-line"
+    assert "axis y" in reported.message
 
 
 def test_a_payload_that_swings_is_not_the_sensors_noise() -> None:
@@ -145,7 +145,7 @@ def test_steps_larger_than_the_noise_are_warned_of() -> None:
     assert "coarse-sensor" in {finding.code for finding in found.findings}
 
 
-def test_a_deadband_is_told_with_kind_and_width() -> None:
+def test_a_deadband_is_reported_with_kind_and_width() -> None:
     time = np.arange(10 * REST) / RATE_HZ
     signal = white(7)
     pressed = 12.0 * np.sin(2.0 * np.pi * 0.31 * time) + 0.05 * np.random.default_rng(9).standard_normal(len(time))
@@ -155,9 +155,9 @@ def test_a_deadband_is_told_with_kind_and_width() -> None:
     assert band is not None
     assert band.kind == "threshold"
     assert band.width == pytest.approx(5.0, abs=0.1)
-    (told,) = (finding for finding in found.findings if finding.code == "deadband-applied")
-    assert told.severity == "error"
-    assert "x threshold, 5" in told.message
+    (reported,) = (finding for finding in found.findings if finding.code == "deadband-applied")
+    assert reported.severity == "error"
+    assert "x threshold, 5" in reported.message
 
 
 def test_without_rest_nothing_is_said() -> None:
@@ -165,17 +165,17 @@ def test_without_rest_nothing_is_said() -> None:
     assert identify_sensor_noise(log, [Span(start=0, stop=250)], wrench) is None
 
 
-def test_the_spectrum_that_is_told_keeps_the_power() -> None:
+def test_the_spectrum_that_is_reported_keeps_the_power() -> None:
     """White noise: every band has 2 σ²/rate, mean of the axes; coloured noise falls where the filter does."""
-    told = described(white(4)).spectrum()
-    np.testing.assert_allclose(told.force_n2_per_hz, 2.0 * np.mean(RMS[:3] ** 2) / RATE_HZ, rtol=0.4)
-    wide = [i for i, f in enumerate(told.frequency_hz) if f > 20.0]
-    force, torque = np.array(told.force_n2_per_hz)[wide], np.array(told.torque_n2_m2_per_hz)[wide]
+    reported = described(white(4)).spectrum()
+    np.testing.assert_allclose(reported.force_n2_per_hz, 2.0 * np.mean(RMS[:3] ** 2) / RATE_HZ, rtol=0.4)
+    wide = [i for i, f in enumerate(reported.frequency_hz) if f > 20.0]
+    force, torque = np.array(reported.force_n2_per_hz)[wide], np.array(reported.torque_n2_m2_per_hz)[wide]
     np.testing.assert_allclose(force, 2.0 * np.mean(RMS[:3] ** 2) / RATE_HZ, rtol=0.2)
     np.testing.assert_allclose(torque, 2.0 * np.mean(RMS[3:] ** 2) / RATE_HZ, rtol=0.2)
-    assert list(told.frequency_hz) == sorted(told.frequency_hz)
-    assert told.frequency_hz[-1] < 0.5 * RATE_HZ
-    assert told.resolution == (None,) * 6
+    assert list(reported.frequency_hz) == sorted(reported.frequency_hz)
+    assert reported.frequency_hz[-1] < 0.5 * RATE_HZ
+    assert reported.resolution == (None,) * 6
     sections = butter(2, 50.0, fs=RATE_HZ, output="sos")
     dull = described(np.asarray(sosfilt(sections, white(5) - 5.0, axis=0))).spectrum()
     assert dull.force_n2_per_hz[-1] < 1e-2 * max(dull.force_n2_per_hz)

@@ -117,7 +117,7 @@ def test_an_arm_that_holds_the_payload_is_no_surface() -> None:
     assert len(found.by_hand) == 1
 
 
-def test_a_log_that_begins_and_ends_under_force_tells_nothing_of_it() -> None:
+def test_a_log_that_begins_and_ends_under_force_shows_nothing_of_it() -> None:
     press = there_and_back(1.5e5, 3e-4)
     inside = slice(press.first + 300, press.last - 300)
     found = find_contacts(*pressed(press.position_m[inside], press.force_n[inside]), H_S)
@@ -155,10 +155,10 @@ def test_a_hand_on_the_way_in_is_noticed(size_n: float) -> None:
 def test_the_slow_way_into_a_soft_surface_is_no_hand(stiffness: float) -> None:
     # Speed and depth go together on that way: what tells K_e from B_e there is little more than the position's noise.
     press = led_by_force(stiffness, 28.0)
-    told = [
+    reported = [
         find_contacts(*pressed(press.position_m, press.force_n, seed=seed, jitter_m=5e-6), H_S) for seed in range(5)
     ]
-    assert [contact.hand_suspected for found in told for contact in found.contacts] == [False] * 5
+    assert [contact.hand_suspected for found in reported for contact in found.contacts] == [False] * 5
 
 
 def test_without_a_hand_none_is_suspected() -> None:

@@ -119,7 +119,7 @@ def test_what_the_way_in_does_not_show_is_an_error_with_its_time_and_peak() -> N
     assert f"0.0 s ({peak:.1f} N)" in finding.message
 
 
-def test_without_a_coupling_no_slope_is_told() -> None:
+def test_without_a_coupling_no_slope_is_reported() -> None:
     _, axis = seen(restless(2e5, 40.0))
     (contact,) = axis.pressed.contacts
     assert learn_slope(axis.of, axis.payload, contact, K_S) is not None
@@ -141,7 +141,7 @@ def test_as_many_touches_are_found_as_end_in_surfaces_and_findings(
     # A force that comes and goes while the flange rests is no surface's.
     assert len(axis.pressed.by_hand) == 1
     named = sum(s.contacts for s in accounted.surfaces["x"])
-    told = [f.message.count(" N)") for f in accounted.findings if f.code == CONTACT_UNEXPLAINED]
-    assert named + sum(told) == touches
+    message = [f.message.count(" N)") for f in accounted.findings if f.code == CONTACT_UNEXPLAINED]
+    assert named + sum(message) == touches
     # K_s to a third leaves 3 · 0.33 K_e/K_s open: 0.8 of 2e5, and 0.4 of 1e5.
     assert named == sum(stiffness < 2e5 or coupling is K_S for stiffness in (*order, 1e5))

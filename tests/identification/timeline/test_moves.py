@@ -54,7 +54,7 @@ def test_a_commanded_move_is_driven_by_nothing_that_steps() -> None:
     assert not is_stepped(command, force, H_S, LAW)
 
 
-def test_a_desired_force_that_steps_is_told_from_the_force() -> None:
+def test_a_desired_force_that_steps_is_reported_from_the_force() -> None:
     command = driven(steps(4.0, 30.0))
     assert is_stepped(command, np.zeros(len(command)), H_S, LAW)
     force = slow_force(4.0, 20.0)

@@ -119,7 +119,7 @@ def draw(seed: int) -> tuple[SimulatedCell, Program]:
 
 
 @cache
-def told(seed: int) -> Told:
+def reported(seed: int) -> Told:
     cell, program = draw(seed)
     return tell(simulate_cell(cell, program, seed=seed))
 
@@ -149,14 +149,14 @@ def script_labels(run: CellRun) -> tuple[Labels, BoolArray]:
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_the_line_is_the_scripts(seed: int) -> None:
-    found = told(seed)
+    found = reported(seed)
     period, count = found.log.period_s, len(found.log)
     labels, led = script_labels(found.run)
     mine = label(found.timeline, count, period)
     border, near = round(BORDER_S / period), np.zeros(count, dtype=np.bool_)
     for change in np.flatnonzero(labels[1:count] != labels[: count - 1]):
         near[max(0, change - border) : change + border] = True
-    # A hand that rests is a rest or a part of its motion, as one likes; how it began may not be told.
+    # A hand that rests is a rest or a part of its motion, as one likes; how it began may not be reported.
     rests = [PhaseKind.REST.value, PhaseKind.HAND_LED_MOTION.value]
     either = np.isin(mine, rests) | ((mine == PhaseKind.UNKNOWN.value) & (labels[:count] == PhaseKind.REST.value))
     either &= led[:count]
@@ -173,7 +173,7 @@ def test_the_line_is_the_scripts(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_contacts_are_where_the_wall_is_touched_and_nowhere_else(seed: int) -> None:
-    found = told(seed)
+    found = reported(seed)
     run, period = found.run, found.log.period_s
     touching = without_pauses(run.axis.contact_force_n > 0.0, round(0.3 / period))
     by_script = [s for s in spans_of(touching) if not np.any(run.script.homing_n_per_m[s.slice] > 0.0)]
@@ -194,7 +194,7 @@ def test_contacts_are_where_the_wall_is_touched_and_nowhere_else(seed: int) -> N
 
 def test_no_hand_is_suspected_where_there_is_none() -> None:
     # 40 holds at a level of 1e-3: 1 in 25 such sets has a false alarm; the seeds are fixed.
-    assert [contact.hand_suspected for seed in SEEDS for contact in told(seed).contacts] == [False] * 40
+    assert [contact.hand_suspected for seed in SEEDS for contact in reported(seed).contacts] == [False] * 40
 
 
 def pushed(size_n: float) -> Callable[[Program, float, np.random.Generator], Script]:
@@ -221,13 +221,13 @@ def test_a_hand_during_a_contact_is_noticed(seed: int, size_n: float, monkeypatc
 
 
 def test_without_a_command_a_sweep_is_free_motion() -> None:
-    kinds = {phase.kind for phase in tell(told(0).run, with_command=False).timeline}
+    kinds = {phase.kind for phase in tell(reported(0).run, with_command=False).timeline}
     assert PhaseKind.COMMANDED_MOTION not in kinds
     assert {PhaseKind.FREE_MOTION, PhaseKind.HAND_LED_MOTION, PhaseKind.CONTACT} <= kinds
 
 
 def test_contacts_get_the_number_of_the_surface_that_is_touched_there() -> None:
-    found = told(0)
+    found = reported(0)
     first, second = found.contacts
     assert first.onset_s is not None
     assert second.onset_s is not None
@@ -248,7 +248,7 @@ def check_whole(phases: tuple[LogPhase, ...], log: AlignedLog) -> None:
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_the_line_covers_a_simulated_log_once(seed: int) -> None:
-    check_whole(told(seed).timeline, told(seed).log)
+    check_whole(reported(seed).timeline, reported(seed).log)
 
 
 def command_of(log: AlignedLog) -> PoseSignal:

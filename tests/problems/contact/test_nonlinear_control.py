@@ -178,7 +178,7 @@ def test_the_collision_response_lowers_the_peak_and_keeps_pressing(stiffness: fl
     assert reset.peak_contact_force_n < plain.peak_contact_force_n
     # Admittance control goes on: 2 s are ten of the slowest time constants and more.
     assert reset.sensor_force_n[-1] == pytest.approx(30.0, rel=1e-3)
-    # A full stop leaves what the robot has already been told: no force above the one it comes to rest with.
+    # A full stop leaves what the robot has already been sent: no force above the one it comes to rest with.
     assert stop.peak_sensor_force_n == pytest.approx(stop.sensor_force_n[-1], rel=5e-3)
     assert plain.collision_time_s == reset.collision_time_s == stop.collision_time_s
 

@@ -98,7 +98,7 @@ def test_a_margin_that_nothing_limits_is_met_and_one_of_zero_is_missed_altogethe
     assert found == {"modulus_margin": 1.0, "gain_margin_db": 0.0, "phase_margin_deg": math.inf}
 
 
-def test_what_is_not_asked_is_not_told() -> None:
+def test_what_is_not_asked_is_not_reported() -> None:
     nothing = Requirements(
         modulus_margin=None,
         gain_margin_db=None,

@@ -237,25 +237,25 @@ def test_variables_that_cannot_be_free_are_refused(bounds: dict[str, tuple[float
         paper_problem(bounds=bounds)
 
 
-def test_wishes_and_requirements_are_told_apart_in_print() -> None:
+def test_soft_limits_and_requirements_are_distinguished_in_print() -> None:
     text = str(wished_problem())
-    for told in (
+    for reported in (
         "free: compensation_mass_kg          0 to 16",
         "soft: modulus margin                0.5, or 20 N per share missed",
         "soft: passivity                     up to 10 Hz, or 3 N per share missed",
         "required: command noise             speed RMS at most 0.001 m/s under noise of 0.2 N",
         "required: free-space admittance     0.0007 m/s/N, 0.1 to 2 Hz",
     ):
-        assert told in text
+        assert reported in text
 
 
 def test_a_problem_can_be_read_by_people() -> None:
     text = str(uncertain_problem())
-    for told in (
+    for reported in (
         "minimise                            the peak contact force, worst over the whole uncertainty",
         "free: mass                          5 to 100",
         "uncertain: K_s                      290000 to 310000  (coupling_stiffness_n_per_m)",
         "cut by                              the 95 % confidence set of K_s, T_d",
         "required: peak force                at most 80 N",
     ):
-        assert told in text
+        assert reported in text

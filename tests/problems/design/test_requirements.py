@@ -33,7 +33,7 @@ EVERYTHING = Requirements(
 UPPER = ("max_peak_force_n", "command_noise")
 
 
-def test_what_is_asked_is_told_by_name() -> None:
+def test_what_is_asked_is_reported_by_name() -> None:
     assert tuple(EVERYTHING.asked()) == FIELDS
     assert "passivity" not in Requirements().asked()
 
@@ -74,7 +74,7 @@ def test_missing_by_a_share_costs_that_share_of_the_price() -> None:
     assert asked.cost_n("modulus_margin", math.inf) == asked.cost_n("modulus_margin", math.nan) == 20.0 * LARGEST_SHARE
 
 
-def test_hard_and_soft_are_told_apart() -> None:
+def test_hard_and_soft_are_distinguished() -> None:
     asked = Requirements(soft_n={"modulus_margin": 20.0})
     assert asked.split({"modulus_margin": 1.2, "gain_margin_db": 0.9}) == (
         {"gain_margin_db": 0.9},

@@ -188,7 +188,7 @@ def test_a_feedback_damping_too_small_to_be_measured_is_none() -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "told"),
+    ("changes", "message"),
     [
         ({"name": "K_x"}, "one of mass, damping"),
         ({"low": 0.06}, "LOW below HIGH"),
@@ -204,13 +204,13 @@ def test_a_feedback_damping_too_small_to_be_measured_is_none() -> None:
         ({"name": "feedback_damping_s", "high": 2e-5}, "prints B_fb in another unit"),
     ],
 )
-def test_an_impossible_range_is_refused(changes: dict[str, Any], told: str) -> None:
-    with pytest.raises(ParameterError, match=told):
+def test_an_impossible_range_is_refused(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(ParameterError, match=message):
         replace(LEAD, **changes)
 
 
 @pytest.mark.parametrize(
-    ("changes", "told"),
+    ("changes", "message"),
     [
         ({"y": STIFFNESS}, "given once"),
         ({"fixed": {"K_l": 0.01}}, "given once"),
@@ -223,8 +223,8 @@ def test_an_impossible_range_is_refused(changes: dict[str, Any], told: str) -> N
         ({"x": MapAxis(name="delay_s", low=0.0, high=0.3, count=3)}, "at most 250 samples"),
     ],
 )
-def test_an_impossible_map_is_refused(changes: dict[str, Any], told: str) -> None:
-    with pytest.raises(ParameterError, match=told):
+def test_an_impossible_map_is_refused(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(ParameterError, match=message):
         request(**changes)
 
 

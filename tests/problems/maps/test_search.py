@@ -169,7 +169,7 @@ def test_nothing_stable_is_nan() -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "told"),
+    ("changes", "message"),
     [
         ({"cases": {}}, "at least one"),
         ({"searched": MASS}, "one of the controller"),
@@ -178,7 +178,7 @@ def test_nothing_stable_is_nan() -> None:
         ({"where": "nowhere"}, "contact, free_space or both"),
     ],
 )
-def test_an_impossible_search_is_refused(changes: dict[str, Any], told: str) -> None:
+def test_an_impossible_search_is_refused(changes: dict[str, Any], message: str) -> None:
     asked = IntervalRequest(
         plant=paper_plant(),
         sample_time_s=PERIOD_S,
@@ -186,7 +186,7 @@ def test_an_impossible_search_is_refused(changes: dict[str, Any], told: str) -> 
         along=STIFFNESS,
         searched=WIDE_LEAD,
     )
-    with pytest.raises(ParameterError, match=told):
+    with pytest.raises(ParameterError, match=message):
         replace(asked, **changes)
 
 

@@ -128,15 +128,15 @@ def test_a_law_that_holds_its_position_anchors_free_space() -> None:
 
 
 @pytest.mark.parametrize(
-    ("matrix", "rest", "told"),
+    ("matrix", "rest", "message"),
     [
         (np.zeros((2, 2)), np.zeros(1), "states"),
         (np.array([[np.nan, 0.0, 0.0], [1.0, 0.0, 1.0]]), np.zeros(1), "finite"),
         (np.array([[0.5, 0.0, 0.0], [1.0, 0.0, 0.5]]), np.zeros(1), "one metre"),
     ],
 )
-def test_a_law_that_is_none_is_refused(matrix: np.ndarray, rest: np.ndarray, told: str) -> None:
-    with pytest.raises(ParameterError, match=told):
+def test_a_law_that_is_none_is_refused(matrix: np.ndarray, rest: np.ndarray, message: str) -> None:
+    with pytest.raises(ParameterError, match=message):
         LinearController(matrix=matrix, rest=rest, sample_time_s=PERIOD_S)
 
 

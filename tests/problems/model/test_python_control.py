@@ -264,7 +264,7 @@ def test_the_robot_keeps_its_own_delay() -> None:
     np.testing.assert_allclose(control.poles(objects.robot), [-20.0], rtol=1e-9)
 
 
-def test_an_unstable_loop_is_told_by_both_forms() -> None:
+def test_an_unstable_loop_is_reported_by_both_forms() -> None:
     """docs/method.md, erratum 4."""
     printed = admittance(mass=10.0, lead=0.0)
     sampled = build_sampled_plant(paper_plant(), PERIOD_S)

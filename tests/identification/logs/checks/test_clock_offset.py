@@ -39,7 +39,7 @@ def estimated(recording: Recording) -> ClockOffset:
     return estimate_clock_offset(recording.wrench, recording.pose)
 
 
-def told(offset: ClockOffset) -> tuple[float, float]:
+def reported(offset: ClockOffset) -> tuple[float, float]:
     assert offset.offset_s is not None
     assert offset.std_s is not None
     return offset.offset_s, offset.std_s
@@ -56,7 +56,7 @@ def test_errors_are_as_large_as_the_deviations_say() -> None:
         if found.verdict is OffsetVerdict.UNKNOWN:
             refused += 1
             continue
-        value, std = told(found)
+        value, std = reported(found)
         scores.append((value - truth) / std)
         assert abs(value - truth) < 0.5 * h_s
     assert refused <= 3
@@ -67,9 +67,9 @@ def test_errors_are_as_large_as_the_deviations_say() -> None:
 
 
 def test_a_shift_of_the_stamps_shifts_the_estimate(demo_recording: Recording) -> None:
-    base, std = told(estimated(demo_recording))
+    base, std = reported(estimated(demo_recording))
     for shift_s in (-4e-3, 3e-4, 0.12):
-        value, _ = told(estimated(delayed(demo_recording, shift_s)))
+        value, _ = reported(estimated(delayed(demo_recording, shift_s)))
         # The same samples on another grid: only the interpolation between them differs.
         assert value - base == pytest.approx(shift_s, abs=0.5 * std)
 
@@ -114,11 +114,11 @@ def test_of_a_long_log_the_minute_with_the_turns_is_enough(demo_recording: Recor
         ),
         command=None,
     )
-    value, std = told(estimated(long))
+    value, std = reported(estimated(long))
     assert abs(value - 1.5e-3) < 4.0 * std
 
 
-def test_a_slow_pose_tells_it_as_well(demo_recording: Recording) -> None:
+def test_a_slow_pose_shows_it_as_well(demo_recording: Recording) -> None:
     pose = demo_recording.pose
     keep = slice(3, None, 10)
     slow = replace(
@@ -127,7 +127,7 @@ def test_a_slow_pose_tells_it_as_well(demo_recording: Recording) -> None:
         position_m=pose.position_m[keep],
         quaternion_xyzw=pose.quaternion_xyzw[keep],
     )
-    value, std = told(estimated(delayed(replace(demo_recording, pose=slow), 2e-3)))
+    value, std = reported(estimated(delayed(replace(demo_recording, pose=slow), 2e-3)))
     assert abs(value - 2e-3) < 4.0 * std
     assert std < 2e-4
 
@@ -137,7 +137,7 @@ def test_a_sensors_filter_counts_as_offset() -> None:
     a = 1.0 - np.exp(-2.0 / 3.0)
     force = run.recording.wrench.force_n
     filtered = lfilter([a], [1.0, a - 1.0], force - force[0], axis=0) + force[0]
-    value, std = told(estimated(delayed(run.recording, 0.0, filtered)))
+    value, std = reported(estimated(delayed(run.recording, 0.0, filtered)))
     # y += a (x − y): its delay at low frequency is (1 − a)/a samples.
     assert value == pytest.approx(2e-3 * (1.0 - a) / a, abs=4.0 * std)
 
@@ -180,17 +180,17 @@ def test_drag_to_the_ground_on_a_soft_coupling_is_no_offset(lag_s: float) -> Non
     recording = dragged_payload(lag_s)
     found = estimated(recording)
     assert found.verdict is OffsetVerdict.CONSISTENT
-    value, std = told(found)
+    value, std = reported(found)
     assert abs(value) < 3.0 * std
     assert std < 1e-4
-    late, _ = told(estimated(delayed(recording, 6e-4)))
+    late, _ = reported(estimated(delayed(recording, 6e-4)))
     assert late - value == pytest.approx(6e-4, abs=0.5 * std)
 
 
 def test_a_sensors_gains_and_cross_talk_are_no_offset() -> None:
     run = poses_run(16.2, 2e-3, 1)
     talk = np.eye(3) + 0.02 * np.array([[1.0, 1.0, -0.5], [0.3, -1.0, 0.6], [1.0, -1.0, 0.0]])
-    value, std = told(estimated(delayed(run.recording, 1e-3, run.recording.wrench.force_n @ talk)))
+    value, std = reported(estimated(delayed(run.recording, 1e-3, run.recording.wrench.force_n @ talk)))
     assert abs(value - 1e-3) < 4.0 * std
 
 
@@ -204,7 +204,7 @@ def test_a_hand_at_every_turn_is_refused_or_covered(push_n: float) -> None:
         push *= push_n / push.std()
         found = estimated(delayed(run.recording, -3e-3, force + push))
         if found.verdict is not OffsetVerdict.UNKNOWN:
-            value, std = told(found)
+            value, std = reported(found)
             assert abs(value + 3e-3) < 3.5 * std
         else:
             assert found.reason
@@ -217,7 +217,7 @@ def test_a_contact_at_some_turns_is_left_out() -> None:
     force = np.array(run.recording.wrench.force_n)
     time = np.arange(len(force)) * 2e-3
     force[(time > 6.0) & (time < 7.3), 0] -= 60.0
-    value, std = told(estimated(delayed(run.recording, 2e-3, force)))
+    value, std = reported(estimated(delayed(run.recording, 2e-3, force)))
     assert abs(value - 2e-3) < 4.0 * std
 
 
@@ -225,7 +225,7 @@ def test_a_contact_at_some_turns_is_left_out() -> None:
     ("program", "reason"),
     [(Program(pose_count=1, sweep_s=4.0, jogging_s=0.0, contact_count=1), "the tool turns fewer than 3 times")],
 )
-def test_without_turns_it_cannot_be_told(program: Program, reason: str) -> None:
+def test_without_turns_it_cannot_be_reported(program: Program, reason: str) -> None:
     found = estimated(simulate_cell(SimulatedCell(), program, seed=1).recording)
     assert found.verdict is OffsetVerdict.UNKNOWN
     assert found.offset_s is None
@@ -234,12 +234,12 @@ def test_without_turns_it_cannot_be_told(program: Program, reason: str) -> None:
     assert found.finding("/ft", "/tcp").code == "clock-offset-unknown"
 
 
-def test_a_wrench_of_noise_tells_nothing(demo_recording: Recording) -> None:
+def test_a_wrench_of_noise_shows_nothing(demo_recording: Recording) -> None:
     noise = np.random.default_rng(4).standard_normal(demo_recording.wrench.force_n.shape)
     assert estimated(delayed(demo_recording, 0.0, noise)).verdict is OffsetVerdict.UNKNOWN
 
 
-def test_channels_without_common_time_and_processed_ones_tell_nothing(demo_recording: Recording) -> None:
+def test_channels_without_common_time_and_processed_ones_show_nothing(demo_recording: Recording) -> None:
     assert "cover the same time" in estimated(delayed(demo_recording, 500.0)).reason
     processed = replace(demo_recording.wrench, gravity_compensated=True)
     assert "taken out" in estimate_clock_offset(processed, demo_recording.pose).reason

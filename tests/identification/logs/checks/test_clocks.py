@@ -57,7 +57,7 @@ def test_the_offset_is_that_of_the_quickest_messages() -> None:
     assert clock.jumps == ()
 
 
-def test_a_log_that_was_written_anew_is_told_from_a_clock_that_drifts() -> None:
+def test_a_log_that_was_written_anew_is_reported_from_a_clock_that_drifts() -> None:
     stamps, log = times(count=2000)
     [anew] = clock_findings(measured("/ft", (stamps, log[0] + (log - log[0]) // 60)), H_S)
     assert (anew.code, anew.severity) == ("recorded-anew", "warning")
@@ -73,7 +73,7 @@ def test_drift_is_measured_within_its_deviation(ppm: float) -> None:
 
 
 @pytest.mark.parametrize("size_s", [-0.2, 0.004, 0.05])
-def test_a_header_clock_that_was_set_is_told_where_and_how_far(size_s: float) -> None:
+def test_a_header_clock_that_was_set_is_reported_where_and_how_far(size_s: float) -> None:
     clock = measured("/ft", times(jumps=((17.0, size_s),), ppm=20.0))
     (jump,) = clock.jumps
     assert jump.in_header
@@ -107,7 +107,7 @@ def test_two_header_clocks_agree_within_their_latencies() -> None:
     assert far.offset_s == pytest.approx(0.05, abs=1e-3)
 
 
-def test_few_messages_tell_nothing_about_a_clock() -> None:
+def test_few_messages_show_nothing_about_a_clock() -> None:
     assert measure_clock("/ft", *times(count=5)) is None
 
 
@@ -155,7 +155,7 @@ def test_clocks_far_apart_that_physics_cannot_bring_together_are_an_error(demo_r
     assert report.recording is moved
 
 
-def test_a_command_on_another_clock_is_told(demo_recording: Recording) -> None:
+def test_a_command_on_another_clock_is_reported(demo_recording: Recording) -> None:
     given = channel_times(demo_recording)
     late = replace(given[2], log_ns=given[2].log_ns + 30_000_000)
     codes = {each.code: each for each in check_clocks(demo_recording, [*given[:2], late]).findings}

@@ -36,13 +36,13 @@ TWIST = TwistSignal(
 )
 
 
-def test_one_motion_told_twice_agrees() -> None:
+def test_one_motion_reported_twice_agrees() -> None:
     assert list(twist_findings(POSE, TWIST)) == []
     assert list(turn_findings(POSE)) == []
 
 
 @pytest.mark.parametrize("factor", [0.78, 1e3, -1.0])
-def test_a_factor_is_told(factor: float) -> None:
+def test_a_factor_is_reported(factor: float) -> None:
     wrong = replace(TWIST, linear_m_s=TWIST.linear_m_s * factor)
     found = list(twist_findings(POSE, wrong))
     assert len(found) == 1
@@ -51,7 +51,7 @@ def test_a_factor_is_told(factor: float) -> None:
     assert f"times {1.0 / factor:.3f} it fits" in found[0].message
 
 
-def test_angular_velocity_in_tool_axes_is_told() -> None:
+def test_angular_velocity_in_tool_axes_is_reported() -> None:
     orientation = Rotation.from_quat(POSE.quaternion_xyzw[::4])
     wrong = replace(TWIST, angular_rad_s=orientation.inv().apply(np.array(TWIST.angular_rad_s)))
     found = list(twist_findings(POSE, wrong))
@@ -61,7 +61,7 @@ def test_angular_velocity_in_tool_axes_is_told() -> None:
 
 
 def test_rates_of_angles_are_no_angular_velocity() -> None:
-    # A tool that points down and does not turn, told by angles Z-Y-Z: both outer angles run along.
+    # A tool that points down and does not turn, given by angles Z-Y-Z: both outer angles run along.
     still = replace(POSE, quaternion_xyzw=np.tile(Rotation.from_euler("Y", np.pi).as_quat(), (TIME.size, 1)))
     found = list(twist_findings(still, replace(TWIST, linear_m_s=TWIST.linear_m_s)))
     assert ["The rotation" in finding.message for finding in found] == [True]

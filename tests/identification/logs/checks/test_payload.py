@@ -38,14 +38,14 @@ def gravity_S(recording: Recording) -> FloatArray:
 
 @pytest.mark.parametrize("mass_kg", [2.0, 16.2, 50.0])
 @pytest.mark.parametrize("noisy", [True, False])
-def test_a_sound_cell_has_nothing_to_tell(mass_kg: float, noisy: bool) -> None:
+def test_a_sound_cell_has_nothing_to_show(mass_kg: float, noisy: bool) -> None:
     slow = AdmittanceController(mass_kg=max(10.0, mass_kg), damping_n_s_per_m=3500.0)
     cell = replace(SimulatedCell(), payload_mass_kg=mass_kg, controller=slow, sample_time_s=2e-3)
     recording = simulate_cell(cell if noisy else silent(cell), Program(sweep_s=4.0), seed=int(mass_kg)).recording
     assert check_payload(recording) == ()
 
 
-def test_a_tare_at_rest_is_told_with_time_and_size(demo_recording: Recording) -> None:
+def test_a_tare_at_rest_is_reported_with_time_and_size(demo_recording: Recording) -> None:
     wrench = demo_recording.wrench
     stepped = with_force(demo_recording, wrench.force_n + STEP_N * (seconds(demo_recording) >= IN_REST_S))
     (jump,) = find_tare_jumps(align(stepped))
@@ -76,24 +76,24 @@ def test_a_tare_while_moving_shows_at_the_rests(demo_recording: Recording) -> No
     )
     (found,) = check_payload(stepped)
     assert (found.code, found.severity) == ("bias-change", "warning")
-    told = [float(text) for text in found.message.split("(")[1].split(")")[0].split(", ")]
+    message = [float(text) for text in found.message.split("(")[1].split(")")[0].split(", ")]
     # A median over rests of 0.14 N/√900 each, and the fit before.
-    np.testing.assert_allclose(told, STEP_N, rtol=0.0, atol=0.05)
+    np.testing.assert_allclose(message, STEP_N, rtol=0.0, atol=0.05)
     last, first = (float(text) for text in found.message.split("between ")[1].split(" s")[0].split(" and "))
     assert last < IN_MOTION_S < first + 0.2
 
 
-def test_a_change_of_payload_is_told_with_both_masses(demo_recording: Recording) -> None:
+def test_a_change_of_payload_is_reported_with_both_masses(demo_recording: Recording) -> None:
     added = 5.0 * gravity_S(demo_recording) * (seconds(demo_recording) >= IN_MOTION_S)
     (found,) = check_payload(with_force(demo_recording, demo_recording.wrench.force_n + added))
     assert (found.code, found.severity) == ("payload-change", "error")
-    told = [float(part.split(" ±")[0].split(" ")[-1]) for part in found.message.split("kg")[:2]]
-    assert told == [pytest.approx(16.2, rel=0.01), pytest.approx(21.2, rel=0.01)]
+    message = [float(part.split(" ±")[0].split(" ")[-1]) for part in found.message.split("kg")[:2]]
+    assert message == [pytest.approx(16.2, rel=0.01), pytest.approx(21.2, rel=0.01)]
     last, first = (float(text) for text in found.message.split("between ")[1].split(" s")[0].split(" and "))
     assert last < IN_MOTION_S < first + 0.2
 
 
-def test_kilonewtons_and_a_flipped_sign_are_told(demo_recording: Recording) -> None:
+def test_kilonewtons_and_a_flipped_sign_are_reported(demo_recording: Recording) -> None:
     force = demo_recording.wrench.force_n
     (unit,) = check_payload(with_force(demo_recording, 1e-3 * force))
     assert (unit.code, unit.severity) == ("force-unit", "error")

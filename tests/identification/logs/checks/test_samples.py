@@ -62,7 +62,7 @@ def test_a_quantised_sensor_is_neither_stuck_nor_saturated(demo_recording: Recor
     assert [each.code for each in changed(demo_recording, rounded) if each.severity == "error"] == []
 
 
-def test_steps_coarser_than_the_noise_are_told(demo_recording: Recording) -> None:
+def test_steps_coarser_than_the_noise_are_reported(demo_recording: Recording) -> None:
     def rounded(values: FloatArray, _: FloatArray) -> None:
         values[:, 0] = np.round(values[:, 0])
 
@@ -73,7 +73,7 @@ def test_steps_coarser_than_the_noise_are_told(demo_recording: Recording) -> Non
 
 @pytest.mark.parametrize(("start_s", "length_s"), [(10.0, 0.15), (40.0, 5.0), (5.0, 45.0)])
 @pytest.mark.parametrize("axis", [1, 5])
-def test_an_axis_that_freezes_is_told_with_its_times(
+def test_an_axis_that_freezes_is_reported_with_its_times(
     demo_recording: Recording, start_s: float, length_s: float, axis: int
 ) -> None:
     def freeze(values: FloatArray, since: FloatArray) -> None:
@@ -84,7 +84,7 @@ def test_an_axis_that_freezes_is_told_with_its_times(
     assert (found.code, found.severity) == ("stuck-axis", "error")
     assert ("force y", "torque z")[axis == 5] in found.message
     first, last = (float(text) for text in found.message.split(": ")[1].removesuffix(" s.").split(" to "))
-    # The stamps are 0.8 ms apart and told to a millisecond.
+    # The stamps are 0.8 ms apart and written to a millisecond.
     assert first == pytest.approx(start_s, abs=2e-3)
     assert last == pytest.approx(start_s + length_s, abs=2e-3)
 
@@ -97,7 +97,7 @@ def test_a_driver_that_dies_freezes_every_axis(demo_recording: Recording) -> Non
     assert [each.code for each in found] == ["stuck-axis"] * 6
 
 
-def test_a_dead_axis_is_told(demo_recording: Recording) -> None:
+def test_a_dead_axis_is_reported(demo_recording: Recording) -> None:
     def kill(values: FloatArray, _: FloatArray) -> None:
         values[:, 3] = 0.0
 
@@ -154,12 +154,12 @@ def test_a_deadband_is_found_with_kind_and_width(demo_recording: Recording, kind
     (found,) = changed(demo_recording, cut)
     assert (found.code, found.severity) == ("deadband", "warning")
     assert f"A {kind} deadband" in found.message
-    told = float(found.message.split("roughly ")[1].split(" ")[0])
+    reported = float(found.message.split("roughly ")[1].split(" ")[0])
     # The threshold is seen to a sample's noise, the other only by extrapolating slopes.
-    assert told == pytest.approx(width_n, rel=0.03 if kind == "threshold" else 0.5)
+    assert reported == pytest.approx(width_n, rel=0.03 if kind == "threshold" else 0.5)
 
 
-def test_messages_that_repeat_are_told(demo_recording: Recording) -> None:
+def test_messages_that_repeat_are_reported(demo_recording: Recording) -> None:
     def hold(values: FloatArray, _: FloatArray) -> None:
         values[:] = np.repeat(values[::4], 4, axis=0)[: len(values)]
 
@@ -169,7 +169,7 @@ def test_messages_that_repeat_are_told(demo_recording: Recording) -> None:
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-def test_numbers_that_are_none_are_told_with_their_times(demo_recording: Recording, bad: float) -> None:
+def test_numbers_that_are_none_are_reported_with_their_times(demo_recording: Recording, bad: float) -> None:
     def spoil(values: FloatArray, since: FloatArray) -> None:
         values[(since >= 20.0) & (since < 20.01), 4] = bad
 
@@ -178,7 +178,7 @@ def test_numbers_that_are_none_are_told_with_their_times(demo_recording: Recordi
     assert "the first 20.000 s and the last 20.0" in found.message
 
 
-def test_a_pose_in_millimetres_is_told(demo_recording: Recording) -> None:
+def test_a_pose_in_millimetres_is_reported(demo_recording: Recording) -> None:
     values, since = pose(demo_recording)
     values[:, :3] *= 1e3
     assert [(each.code, each.severity) for each in pose_faults("/tcp", values, since)] == [("length-unit", "error")]
@@ -198,7 +198,7 @@ def test_a_turn_beyond_a_whole_one_is_in_degrees() -> None:
     assert list(turn_faults("/js", turns[[0, 2]], np.array([0.0, 1.0]))) == []
 
 
-def test_a_frame_that_changes_is_told() -> None:
+def test_a_frame_that_changes_is_reported() -> None:
     assert list(frame_faults("/ft", ("tool0",))) == []
     assert [each.code for each in frame_faults("/ft", ("base", "tool0"))] == ["several-frames"]
 

@@ -33,7 +33,7 @@ def test_a_regular_clock_has_no_fault() -> None:
 
 
 @pytest.mark.parametrize(("missing", "lost", "first"), [([100], 1, "0.079"), ([500, 501, 502, 900], 4, "0.399")])
-def test_lost_messages_are_counted_and_told_with_their_time(missing: list[int], lost: int, first: str) -> None:
+def test_lost_messages_are_counted_and_reported_with_their_time(missing: list[int], lost: int, first: str) -> None:
     kept = np.delete(np.arange(1000), missing)
     (found,) = list(stamp_faults("/ft", clock()[kept], seconds(kept)))
     assert (found.code, found.severity) == ("dropped-samples", "warning")
@@ -55,7 +55,7 @@ def test_late_messages_are_jitter_and_not_lost() -> None:
     assert report.jitter_worst_s == pytest.approx(0.7 * PERIOD_NS * 1e-9, rel=1e-9)
 
 
-def test_jitter_is_measured_and_told() -> None:
+def test_jitter_is_measured_and_reported() -> None:
     rng = np.random.default_rng(0)
     stamps = clock(20_000) + rng.integers(-150_000, 150_001, 20_000)
     # A step is the difference of two uniform errors: its deviation is 0.3 ms/√6, here from 20 000 samples.
@@ -99,9 +99,9 @@ def test_a_clock_set_back_is_named_where_the_recording_clock_went_back_too(shift
     stamps = np.sort(raw)
     (found,) = list(stamp_faults("/ft", stamps, (stamps - stamps[0]) * 1e-9))
     assert (found.code, found.severity) == ("backwards-stamps", "error")
-    told = float(found.message.split("about ")[1].split(" s")[0])
-    # From the first message told twice to the last: up to two periods are not seen, and the time is told in ms.
-    assert told == pytest.approx(shift_ns * 1e-9, abs=3.0 * PERIOD_NS * 1e-9)
+    message = float(found.message.split("about ")[1].split(" s")[0])
+    # From the first message repeated to the last: up to two periods are not seen, and the time is stated in ms.
+    assert message == pytest.approx(shift_ns * 1e-9, abs=3.0 * PERIOD_NS * 1e-9)
     assert "from 0.499 to 0.8" in found.message
 
 
@@ -116,7 +116,7 @@ def test_what_was_held_up_did_not_go_back() -> None:
     assert [each.code for each in faults(stamps)] == ["dropped-samples"]
 
 
-def test_a_long_gap_of_a_salvaged_log_is_a_hole_told_with_its_place() -> None:
+def test_a_long_gap_of_a_salvaged_log_is_a_hole_reported_with_its_place() -> None:
     kept = np.delete(np.arange(1000), [*range(300, 400), 700])
     hole, lost = list(stamp_faults("/ft", clock()[kept], seconds(kept), keeps_holes=True))
     assert (hole.code, hole.severity) == ("hole", "warning")

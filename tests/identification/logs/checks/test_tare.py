@@ -35,13 +35,13 @@ def test_a_tare_after_all_poses_makes_the_contacts_unusable(demo_recording: Reco
     (found,) = check_payload(stepped(demo_recording, AFTER_ALL_POSES_S, STEP_N))
     assert (found.code, found.severity) == ("tare-jump", "error")
     assert "at 24.60" in found.message
-    told = [float(text) for text in found.message.split("(")[1].split(")")[0].split(", ")]
+    message = [float(text) for text in found.message.split("(")[1].split(")")[0].split(", ")]
     # Means of 0.15 s on either side: 0.14 N/√188 each, five deviations.
-    np.testing.assert_allclose(told, STEP_N, rtol=0.0, atol=5.0 * np.sqrt(2.0) * 0.14 / np.sqrt(188))
+    np.testing.assert_allclose(message, STEP_N, rtol=0.0, atol=5.0 * np.sqrt(2.0) * 0.14 / np.sqrt(188))
 
 
 @pytest.mark.parametrize(("at_s", "step_n"), [(BETWEEN_POSES_S, STEP_N), (AFTER_ALL_POSES_S, STEP_N / 30.0)])
-def test_a_tare_that_the_rests_tell_or_that_no_contact_feels_is_a_warning(
+def test_a_tare_that_the_rests_show_or_that_no_contact_feels_is_a_warning(
     demo_recording: Recording, at_s: float, step_n: FloatArray
 ) -> None:
     (found,) = check_payload(stepped(demo_recording, at_s, step_n))
@@ -53,7 +53,7 @@ def test_of_the_rest_in_which_the_sensor_is_tared_first_nothing_is_asked(demo_re
     assert (found.code, found.severity) == ("tare-jump", "warning")
 
 
-def test_two_large_jumps_are_more_than_the_rests_can_tell(demo_recording: Recording) -> None:
+def test_two_large_jumps_are_more_than_the_rests_can_show(demo_recording: Recording) -> None:
     twice = stepped(stepped(demo_recording, 7.3, STEP_N), 17.7, STEP_N)
     found = check_payload(twice)
     assert [(each.code, each.severity) for each in found] == [("tare-jump", "error")] * 2

@@ -178,7 +178,7 @@ class Writer:
         for sent in messages:
             counts[sent.channel_id] = counts.get(sent.channel_id, 0) + 1
         times = [sent.log_ns for sent in messages]
-        told = statistics(
+        reported = statistics(
             counts,
             schemas=len(self.schemas),
             channels=len(self.channels),
@@ -188,7 +188,7 @@ class Writer:
         groups = (
             (SCHEMA, list(self.schemas.values()) if style.repeat_schemas else []),
             (CHANNEL, list(self.channels.values()) if style.repeat_channels else []),
-            (STATISTICS, [told] if style.statistics else []),
+            (STATISTICS, [reported] if style.statistics else []),
             (CHUNK_INDEX, self._indexes if style.chunk_index else []),
         )
         offsets = bytearray()

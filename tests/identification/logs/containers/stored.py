@@ -46,7 +46,7 @@ def several(count: int = 300, seed: int = 1) -> list[Stored]:
     ]
 
 
-def told(messages: Iterable[Stored]) -> Told:
+def reported(messages: Iterable[Stored]) -> Told:
     """The same messages per topic."""
     found: Told = {}
     for message in messages:

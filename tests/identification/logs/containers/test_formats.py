@@ -59,7 +59,7 @@ SENTENCE = {
 
 
 @pytest.mark.parametrize("name", SENTENCE)
-def test_what_is_no_log_is_told_in_one_sentence(tmp_path: Path, name: str) -> None:
+def test_what_is_no_log_is_reported_in_one_sentence(tmp_path: Path, name: str) -> None:
     data, complaint = SENTENCE[name]
     (tmp_path / name).write_bytes(data)
     for salvage in (False, True):
@@ -123,7 +123,7 @@ def test_the_content_decides_not_the_name(tmp_path: Path) -> None:
         container.close()
 
 
-def test_tables_are_told_by_their_content(tmp_path: Path) -> None:
+def test_tables_are_reported_by_their_content(tmp_path: Path) -> None:
     pq.write_table(pa.table({"a": [1.0]}), tmp_path / "any.name")
     assert is_table(tmp_path / "any.name")
     with pytest.raises(LogError, match="is a table"):

@@ -125,13 +125,15 @@ TAIL = END + record(raw.FOOTER, bytes(20))
 
 def chunk(content: bytes, **changes: object) -> bytes:
     """A chunk record of messages at 5 ns, of which anything may be told wrongly."""
-    told = {
+    reported = {
         "name": "zstd", "data": zstandard.compress(content), "size": len(content), "crc": zlib.crc32(content),
         "start": 5, "end": 5, "stored": None, **changes,
     }  # fmt: skip
-    data, stored = told["data"], told["stored"]
+    data, stored = reported["data"], reported["stored"]
     assert isinstance(data, bytes)
-    head = struct.pack("<QQQI", told["start"], told["end"], told["size"], told["crc"]) + raw.text(str(told["name"]))
+    head = struct.pack("<QQQI", reported["start"], reported["end"], reported["size"], reported["crc"]) + raw.text(
+        str(reported["name"])
+    )
     return record(raw.CHUNK, head + struct.pack("<Q", len(data) if stored is None else stored) + data)
 
 
@@ -145,16 +147,16 @@ def summary(data: bytes, body: bytes, start: int | None = None, crc: int = 0) ->
 
 
 def statistics(messages: int, chunks: int, channel_id: int = 1) -> bytes:
-    told = raw.statistics({channel_id: messages}, schemas=1, channels=1, chunks=chunks, span_ns=(5, 5))
-    return record(raw.STATISTICS, told)
+    message = raw.statistics({channel_id: messages}, schemas=1, channels=1, chunks=chunks, span_ns=(5, 5))
+    return record(raw.STATISTICS, message)
 
 
 CASES: dict[str, tuple[bytes, str]] = {
     "nothing": (b"", "the file ends after 16 bytes without"),
     "no header": (GOOD + TAIL + MAGIC, "the header should be here, a record of kind 3 does"),
-    "bomb told": (HEAD + chunk(bytes(2**28 + 1)) + TAIL, "more than the 268435456 that are allowed"),
+    "bomb declared": (HEAD + chunk(bytes(2**28 + 1)) + TAIL, "more than the 268435456 that are allowed"),
     "huge chunk": (HEAD + chunk(GOOD, size=HUGE) + TAIL, "more than the 268435456 that are allowed"),
-    "bomb not told": (HEAD + chunk(GOOD, data=zstandard.compress(bytes(2**26))) + TAIL, "unpacks to more than"),
+    "bomb not declared": (HEAD + chunk(GOOD, data=zstandard.compress(bytes(2**26))) + TAIL, "unpacks to more than"),
     "lz4 bomb": (HEAD + chunk(GOOD, name="lz4", data=raw.pack(bytes(2**26), "lz4")) + TAIL, "unpacks to more than"),
     "too small": (HEAD + chunk(GOOD, size=len(GOOD) + 1) + TAIL, f"unpacks to {len(GOOD)} bytes"),
     "not packed": (HEAD + chunk(GOOD, name="", data=GOOD, size=len(GOOD) - 1) + TAIL, "it says"),

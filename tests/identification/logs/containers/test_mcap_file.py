@@ -47,8 +47,8 @@ def test_messages_come_in_file_order_whatever_the_compression(tmp_path: Path, co
 
     assert contents.messages == expected(messages)
     assert contents.survey.container == "mcap"
-    told = {held.channel.topic: (held.count, held.first_message) for held in contents.survey.held}
-    assert told == {topic: (len(each), each[0][1]) for topic, each in expected(messages).items()}
+    message = {held.channel.topic: (held.count, held.first_message) for held in contents.survey.held}
+    assert message == {topic: (len(each), each[0][1]) for topic, each in expected(messages).items()}
     assert contents.survey.start_ns == min(sent.log_ns for sent in messages)
     assert contents.survey.end_ns == max(sent.log_ns for sent in messages)
     assert contents.survey.findings == ()
@@ -79,7 +79,7 @@ def test_every_mixture_of_indexes_and_summary_is_read(tmp_path: Path) -> None:
         assert ("summary-absent" in codes) == (not statistics), style
 
 
-def test_what_rosbag2_writes_by_default_is_read_and_its_missing_checksums_are_told(tmp_path: Path) -> None:
+def test_what_rosbag2_writes_by_default_is_read_and_its_missing_checksums_are_reported(tmp_path: Path) -> None:
     messages = some_messages()
     default = Style(chunk_crc=False, messages_per_chunk=10)
     fast = Style(chunked=False, summary_crc=False, message_index=False, chunk_index=False)

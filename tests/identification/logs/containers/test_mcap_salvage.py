@@ -34,7 +34,7 @@ def without_chunks(messages: Sequence[Sent], lost: Sequence[int]) -> dict[str, l
     return expected([sent for number, sent in enumerate(messages) if number // PER_CHUNK not in lost])
 
 
-def told(contents: Contents) -> str:
+def reported(contents: Contents) -> str:
     assert [(finding.code, finding.severity) for finding in contents.findings] == [("salvaged", "warning")]
     assert contents.findings[0] in contents.survey.findings
     return contents.findings[0].message
@@ -79,7 +79,7 @@ def test_a_damaged_chunk_in_the_middle_costs_that_chunk_alone(
     contents = read_all(path, salvage=True)
 
     assert contents.messages == without_chunks(messages, [4])
-    message = told(contents)
+    message = reported(contents)
     assert f"bytes {writer.chunks[4]} to" in message
     if style.statistics:
         assert "altogether 20 of 200 messages" in message
@@ -107,18 +107,18 @@ def test_no_message_is_taken_out_of_a_damaged_chunk_that_is_not_cut(tmp_path: Pa
     path.write_bytes(MAGIC + raw.record(raw.HEADER, raw.header()) + defined + chunk + end)
     contents = read_all(path, salvage=True)
     assert contents.messages == {"/a": []}
-    assert "a record of kind 6 says 9223372036854775808 bytes should follow" in told(contents)
+    assert "a record of kind 6 says 9223372036854775808 bytes should follow" in reported(contents)
 
 
-def test_what_is_lost_is_counted_where_the_index_tells(tmp_path: Path) -> None:
+def test_what_is_lost_is_counted_where_the_index_shows(tmp_path: Path) -> None:
     messages, path = some_messages(200), tmp_path / "run.mcap"
     writer = write_style(path, messages, CHUNKED)
     damage(path, writer, 4, -9, b"\xff\xff")
     damage(path, writer, 6, -9, b"\xff\xff")
     contents = read_all(path, salvage=True)
     assert contents.messages == without_chunks(messages, [4, 6])
-    assert told(contents).count("20 messages (") == 2
-    assert "altogether 40 of 200 messages" in told(contents)
+    assert reported(contents).count("20 messages (") == 2
+    assert "altogether 40 of 200 messages" in reported(contents)
 
 
 @pytest.mark.parametrize("style", [CHUNKED, BARE, replace(BARE, compression=""), UNCHUNKED])
@@ -133,7 +133,7 @@ def test_a_cut_file_gives_everything_before_the_cut(tmp_path: Path, style: Style
         count = sum(stop <= size for stop in stops)
         every = {topic: found for topic, found in expected(messages[:count]).items() if found}
         assert {topic: found for topic, found in contents.messages.items() if found} == every
-        assert "truncated" in told(contents) or "end" in told(contents)
+        assert "truncated" in reported(contents) or "end" in reported(contents)
 
 
 def ends_of_messages(data: bytes, writer: Writer, messages: Sequence[Sent], style: Style) -> list[int]:
@@ -157,8 +157,8 @@ def test_a_file_without_its_end_has_lost_nothing_but_that(tmp_path: Path) -> Non
         path.write_bytes(data[: data.index(raw.record(raw.DATA_END, bytes(4)))])
         contents = read_all(path, salvage=True)
         assert contents.messages == expected(messages)
-        assert "no sound summary at the end" in told(contents)
-        assert "the end was cut off, with all that was recorded after" in told(contents)
+        assert "no sound summary at the end" in reported(contents)
+        assert "the end was cut off, with all that was recorded after" in reported(contents)
 
 
 @pytest.mark.parametrize("value", [struct.pack("<Q", 2**63), struct.pack("<Q", 70), struct.pack("<Q", 24)])
@@ -179,7 +179,7 @@ def test_a_damaged_message_outside_of_chunks_costs_that_message_and_few_beside_i
     assert 50 in lost
     assert set(lost) <= {50, 51, 52}
     assert all(message in every[topic] for topic, each in found.items() for message in each)
-    assert f"altogether {len(lost)} of 100 messages" in told(contents)
+    assert f"altogether {len(lost)} of 100 messages" in reported(contents)
 
 
 def test_a_damaged_index_costs_no_message(tmp_path: Path) -> None:
@@ -194,17 +194,17 @@ def test_a_damaged_index_costs_no_message(tmp_path: Path) -> None:
             path.write_bytes(data)
             contents = read_all(path, salvage=True)
             assert contents.messages == expected(messages)
-            assert "bytes" in told(contents)
+            assert "bytes" in reported(contents)
 
 
-def test_channels_that_only_the_damaged_chunk_defines_are_told(tmp_path: Path) -> None:
+def test_channels_that_only_the_damaged_chunk_defines_are_reported(tmp_path: Path) -> None:
     messages, path = some_messages(100), tmp_path / "run.mcap"
     once = replace(BARE, define_in_every_chunk=False, compression="")
     writer = write_style(path, messages, once)
     damage(path, writer, 0, -9, b"\xff\xff")
     contents = read_all(path, salvage=True)
     assert contents.messages == {}
-    assert "80 messages of channels whose definition is lost" in told(contents)
+    assert "80 messages of channels whose definition is lost" in reported(contents)
 
     writer = write_style(path, messages, replace(once, repeat_channels=True, repeat_schemas=True))
     damage(path, writer, 0, -9, b"\xff\xff")
@@ -239,7 +239,7 @@ def test_no_flipped_bit_gives_a_message_that_was_not_written(tmp_path: Path) -> 
         assert contents.findings or contents.messages == every
 
 
-def test_a_sound_file_is_read_alike_and_nothing_is_told(tmp_path: Path) -> None:
+def test_a_sound_file_is_read_alike_and_nothing_is_reported(tmp_path: Path) -> None:
     messages, path = some_messages(100), tmp_path / "run.mcap"
     for style in (CHUNKED, BARE, UNCHUNKED, replace(UNCHUNKED, data_crc=True)):
         write_style(path, messages, style)
@@ -248,13 +248,13 @@ def test_a_sound_file_is_read_alike_and_nothing_is_told(tmp_path: Path) -> None:
         assert contents.findings == ()
 
 
-def test_a_flipped_bit_that_only_the_crc_of_the_data_section_sees_is_told(tmp_path: Path) -> None:
+def test_a_flipped_bit_that_only_the_crc_of_the_data_section_sees_is_reported(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     data = bytearray(write_style(path, some_messages(50), replace(UNCHUNKED, data_crc=True)).file)
     at = data.index(some_messages(50)[20].data)
     data[at] ^= 1
     path.write_bytes(data)
-    assert "CRC of the data section" in told(read_all(path, salvage=True))
+    assert "CRC of the data section" in reported(read_all(path, salvage=True))
 
 
 def test_a_file_of_random_bytes_holds_nothing(tmp_path: Path) -> None:
@@ -263,4 +263,4 @@ def test_a_file_of_random_bytes_holds_nothing(tmp_path: Path) -> None:
         path.write_bytes(MAGIC + random.Random(seed).randbytes(3000))
         contents = read_all(path, salvage=True)
         assert contents.messages == {}
-        assert "bytes" in told(contents)
+        assert "bytes" in reported(contents)

@@ -23,8 +23,8 @@ from tests.identification.logs.containers.stored import (
     channels_of,
     codes,
     read_all,
+    reported,
     several,
-    told,
     write_bag,
 )
 
@@ -72,7 +72,7 @@ def bag_of(
         INDEX, b"".join(time_of(t) + u32(at) for t, at in entries), ver=u32(1), conn=u32(0), count=u32(len(entries))
     )
     position = 13 + len(record(3, index_pos=bytes(8), conn_count=u32(1), chunk_count=u32(1)))
-    told_head = {
+    header = {
         "index_pos": struct.pack("<Q", position + len(chunk) + len(index)),
         "conn_count": u32(1),
         "chunk_count": u32(1),
@@ -88,7 +88,7 @@ def bag_of(
         end_time=time_of(max(times)),
         count=u32(1),
     )
-    return b"#ROSBAG V2.0\n" + record(3, **told_head) + chunk + index + connection(0) + info
+    return b"#ROSBAG V2.0\n" + record(3, **header) + chunk + index + connection(0) + info
 
 
 def by_rosbags(path: Path) -> Told:
@@ -118,11 +118,11 @@ def test_a_bag_gives_the_messages_that_were_written(
 ) -> None:
     messages = several()
     path = write_bag(tmp_path / "run.bag", messages, compression)
-    assert read_all(Ros1BagContainer(path, salvage=salvage)) == told(messages)
+    assert read_all(Ros1BagContainer(path, salvage=salvage)) == reported(messages)
     with Ros1BagContainer(path, salvage=salvage) as container:
         survey = container.survey()
         assert {held.channel.topic: (held.count, held.first_message) for held in survey.held} == {
-            topic: (len(each), each[0][1]) for topic, each in told(messages).items()
+            topic: (len(each), each[0][1]) for topic, each in reported(messages).items()
         }
         assert {held.channel.topic: held.channel.type_name for held in survey.held} == TYPES
         assert all(
@@ -155,8 +155,8 @@ def test_any_bag_is_read_as_written_with_and_without_its_index(
     path = tmp_path / "any.bag"
     path.unlink(missing_ok=True)
     write_bag(path, messages, compression, chunk_bytes)
-    assert read_all(Ros1BagContainer(path)) == told(messages)
-    assert read_all(Ros1BagContainer(path, salvage=True)) == told(messages)
+    assert read_all(Ros1BagContainer(path)) == reported(messages)
+    assert read_all(Ros1BagContainer(path, salvage=True)) == reported(messages)
 
 
 def test_only_wanted_channels_are_handed_on_and_chunks_without_them_are_not_read(tmp_path: Path) -> None:
@@ -198,7 +198,7 @@ def test_every_truncation_is_refused_and_salvaged_up_to_it(tmp_path: Path) -> No
         path = write_bag(tmp_path / f"{compression}.bag", messages, compression)
         data = path.read_bytes()
         chunks = [(at, end) for kind, at, _, end in records_of(data) if kind == CHUNK]
-        sound = told(messages)
+        sound = reported(messages)
         for size in [*range(13, 200, 17), *range(200, len(data), len(data) // 25)]:
             path.write_bytes(data[:size])
             with pytest.raises(
@@ -219,7 +219,7 @@ def test_every_truncation_is_refused_and_salvaged_up_to_it(tmp_path: Path) -> No
 def test_a_damaged_chunk_costs_that_chunk_alone(tmp_path: Path, compression: Writer.CompressionFormat | None) -> None:
     messages = several()
     path = write_bag(tmp_path / "run.bag", messages, compression)
-    sound, data = told(messages), bytearray(path.read_bytes())
+    sound, data = reported(messages), bytearray(path.read_bytes())
     chunks = [(at, start, end) for kind, at, start, end in records_of(bytes(data)) if kind == CHUNK]
     at, start, end = chunks[len(chunks) // 2]
     data[start:end] = bytes(end - start)
@@ -265,7 +265,7 @@ def test_a_bag_that_was_not_closed_is_refused_and_salvaged_whole(
     with pytest.raises(LogError, match=r"not indexed \(index_pos 0\)"):
         Ros1BagContainer(path)
     container = Ros1BagContainer(path, salvage=True)
-    assert read_all(container) == told(messages)
+    assert read_all(container) == reported(messages)
     assert "the bag is not indexed" in container.findings()[0].message
 
 
@@ -280,7 +280,7 @@ def test_a_chunk_whose_length_leads_past_others_does_not_cost_them(tmp_path: Pat
         with pytest.raises(LogError, match="at byte"):
             read_all(Ros1BagContainer(path))
         container = Ros1BagContainer(path, salvage=True)
-        assert read_all(container) == told(messages)
+        assert read_all(container) == reported(messages)
         assert container.findings()[0].code == "salvaged"
 
 

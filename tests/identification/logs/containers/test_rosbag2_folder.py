@@ -20,8 +20,8 @@ from tests.identification.logs.containers.stored import (
     channels_of,
     codes,
     read_all,
+    reported,
     several,
-    told,
     write_bag,
     write_folder,
 )
@@ -41,7 +41,7 @@ def metadata_of(messages: list[list[Stored]], names: list[str], version: int) ->
             },
             "message_count": len(each),
         }
-        for topic, each in told(every).items()
+        for topic, each in reported(every).items()
     ]  # fmt: skip
     tree: dict[str, object] = {
         "version": version,
@@ -90,10 +90,10 @@ def test_every_storage_and_compression_gives_the_messages_that_were_written(
     path = write_folder(tmp_path / "bag", messages, storage, mode)
     before = {each.name: each.read_bytes() for each in path.iterdir()}
     container = open_container(path, salvage=salvage)
-    assert read_all(container) == told(messages)
+    assert read_all(container) == reported(messages)
     survey = container.survey()
     assert {held.channel.topic: (held.count, held.first_message) for held in survey.held} == {
-        topic: (len(each), each[0][1]) for topic, each in told(messages).items()
+        topic: (len(each), each[0][1]) for topic, each in reported(messages).items()
     }
     assert (survey.start_ns, survey.end_ns) == (messages[0].log_ns, messages[-1].log_ns)
     assert ("sqlite3" if storage == SQLITE else "mcap") in survey.container
@@ -107,19 +107,19 @@ def test_a_packed_file_on_its_own_is_read(tmp_path: Path) -> None:
     for storage in (SQLITE, MCAP):
         path = write_folder(tmp_path / storage.name, messages, storage, CompressionMode.FILE)
         file = path / f"{path.name}{ENDING[storage]}.zstd"
-        assert read_all(open_container(file)) == told(messages)
+        assert read_all(open_container(file)) == reported(messages)
 
 
 def test_parts_follow_each_other_in_the_listed_order_as_one_log(tmp_path: Path) -> None:
     path, pieces = split_folder(tmp_path / "bag")
     messages = [message for piece in pieces for message in piece]
     container = open_container(path)
-    assert read_all(container) == told(messages)
+    assert read_all(container) == reported(messages)
     assert set(channels_of(container)) == set(TYPES)
-    assert read_all(open_container(path), "/pose") == {"/pose": told(messages)["/pose"]}
+    assert read_all(open_container(path), "/pose") == {"/pose": reported(messages)["/pose"]}
     edit(path, lambda tree: tree.update(relative_file_paths=[f"run_{index}.db3" for index in reversed(range(12))]))
     reverse = [message for piece in reversed(pieces) for message in piece]
-    assert read_all(open_container(path)) == told(reverse)
+    assert read_all(open_container(path)) == reported(reverse)
 
 
 def test_old_metadata_name_the_folder_before_the_file(tmp_path: Path) -> None:
@@ -127,7 +127,7 @@ def test_old_metadata_name_the_folder_before_the_file(tmp_path: Path) -> None:
     names = ["bag/run_0.db3", "bag/run_1.db3"]
     edit(path, lambda tree: tree.update(relative_file_paths=names))
     renamed = path.rename(tmp_path / "renamed")
-    assert read_all(open_container(renamed)) == told([*pieces[0], *pieces[1]])
+    assert read_all(open_container(renamed)) == reported([*pieces[0], *pieces[1]])
 
 
 def test_the_metadata_may_name_a_file_that_was_packed_or_unpacked_since(tmp_path: Path) -> None:
@@ -136,7 +136,7 @@ def test_the_metadata_may_name_a_file_that_was_packed_or_unpacked_since(tmp_path
     packed.write_bytes(zstandard.compress((path / "run_0.db3").read_bytes()))
     (path / "run_0.db3").unlink()
     container = open_container(path)
-    assert read_all(container) == told([*pieces[0], *pieces[1]])
+    assert read_all(container) == reported([*pieces[0], *pieces[1]])
     assert codes(container) == ["crc-absent"]
 
 
@@ -146,7 +146,7 @@ def test_a_missing_part_is_named(tmp_path: Path) -> None:
     with pytest.raises(LogError, match=r"bag lacks run_2\.db3, which its metadata\.yaml lists.*--salvage"):
         open_container(path)
     container = open_container(path, salvage=True)
-    assert read_all(container) == told([*pieces[0], *pieces[1], *pieces[3]])
+    assert read_all(container) == reported([*pieces[0], *pieces[1], *pieces[3]])
     assert "run_2.db3 is missing" in container.findings()[0].message
 
 
@@ -155,7 +155,7 @@ def test_a_file_that_is_not_listed_is_left_out_and_named(tmp_path: Path) -> None
     write_db3(path / "run_2.db3", several(10))
     (path / "notes.txt").write_text("by hand")
     container = open_container(path)
-    assert read_all(container) == told([*pieces[0], *pieces[1]])
+    assert read_all(container) == reported([*pieces[0], *pieces[1]])
     findings = container.survey().findings
     assert [finding.code for finding in findings] == ["unlisted-files", "crc-absent"]
     assert "run_2.db3" in findings[0].message
@@ -184,7 +184,7 @@ def test_counts_that_do_not_agree_are_refused(
     with pytest.raises(LogError, match=complaint):
         list(open_container(path).read([], lambda batch: batch))
     container = open_container(path, salvage=True)
-    assert read_all(container) == told([*pieces[0], *pieces[1]])
+    assert read_all(container) == reported([*pieces[0], *pieces[1]])
     assert codes(container) == ["crc-absent", "salvaged"]
 
 
@@ -192,7 +192,7 @@ def test_a_folder_without_metadata_is_read_in_natural_order_and_says_so(tmp_path
     path, pieces = split_folder(tmp_path / "bag")
     (path / "metadata.yaml").unlink()
     container = open_container(path)
-    assert read_all(container) == told([message for piece in pieces for message in piece])
+    assert read_all(container) == reported([message for piece in pieces for message in piece])
     finding = container.survey().findings[0]
     assert (finding.code, finding.severity) == ("metadata-absent", "warning")
     assert "run_0.db3, run_1.db3, run_2.db3" in finding.message
@@ -202,14 +202,14 @@ def test_split_ros1_bags_in_a_folder_are_one_log(tmp_path: Path) -> None:
     messages = several(60)
     for index in range(3):
         write_bag(tmp_path / f"run_{index}.bag", messages[20 * index : 20 * index + 20])
-    assert read_all(open_container(tmp_path)) == told(messages)
+    assert read_all(open_container(tmp_path)) == reported(messages)
 
 
 def test_folders_that_hold_no_log_or_several_are_refused(tmp_path: Path) -> None:
     with pytest.raises(LogError, match=r"is a folder without a log: it holds neither metadata\.yaml nor"):
         open_container(tmp_path)
     write_db3(tmp_path / "monday.db3", several(5))
-    assert read_all(open_container(tmp_path)) == told(several(5))
+    assert read_all(open_container(tmp_path)) == reported(several(5))
     write_db3(tmp_path / "tuesday.db3", several(5))
     with pytest.raises(LogError, match=r"holds several logs \(monday\.db3, tuesday\.db3\); name one of them"):
         open_container(tmp_path)
@@ -225,7 +225,7 @@ def test_a_damaged_part_is_refused_and_left_out_by_salvage(tmp_path: Path) -> No
     with pytest.raises(LogError, match=r"run_1\.db3"):
         open_container(path).survey()
     container = open_container(path, salvage=True)
-    assert read_all(container) == told([*pieces[0], *pieces[2]])
+    assert read_all(container) == reported([*pieces[0], *pieces[2]])
     assert "run_1.db3 is damaged" in container.findings()[0].message
 
 
@@ -259,7 +259,7 @@ def test_metadata_that_are_none_are_refused_and_left_out_by_salvage(tmp_path: Pa
     assert str(caught.value).startswith("bag/metadata.yaml")
     assert "\n" not in str(caught.value)
     container = open_container(path, salvage=True)
-    assert read_all(container) == told([*pieces[0], *pieces[1]])
+    assert read_all(container) == reported([*pieces[0], *pieces[1]])
     assert codes(container) == ["metadata-absent", "crc-absent", "salvaged"]
 
 
@@ -333,7 +333,7 @@ def test_a_packed_file_is_salvaged_up_to_its_cut_and_leaves_nothing_behind(
     assert [each.name for each in temporary.rglob("*.db3")] == ["run.db3"]
     found = read_all(container)
     assert sum(map(len, found.values())) > 1000
-    assert all(each == told(messages)[topic][: len(each)] for topic, each in found.items())
+    assert all(each == reported(messages)[topic][: len(each)] for topic, each in found.items())
     assert "its zstd data cannot be unpacked behind" in " ".join(each.message for each in container.findings())
     assert list(temporary.iterdir()) == []
     with pytest.raises(LogError):
@@ -346,7 +346,7 @@ def test_frames_may_follow_each_other_in_a_packed_file(tmp_path: Path) -> None:
     data = write_db3(tmp_path / "run.db3", messages).read_bytes()
     path = tmp_path / "two.db3.zst"
     path.write_bytes(zstandard.compress(data[:5000]) + zstandard.compress(data[5000:]))
-    assert read_all(open_container(path)) == told(messages)
+    assert read_all(open_container(path)) == reported(messages)
 
 
 def test_a_compressed_message_that_is_damaged_is_refused_in_an_mcap_part(tmp_path: Path) -> None:

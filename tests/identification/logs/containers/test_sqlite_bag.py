@@ -21,8 +21,8 @@ from tests.identification.logs.containers.stored import (
     channels_of,
     codes,
     read_all,
+    reported,
     several,
-    told,
     write_folder,
 )
 
@@ -33,11 +33,11 @@ def test_every_schema_gives_the_messages_that_were_written(tmp_path: Path, versi
     messages = several()
     path = write_db3(tmp_path / "run.db3", messages, version)
     before = path.read_bytes()
-    assert read_all(SqliteBagContainer(path, salvage=salvage)) == told(messages)
+    assert read_all(SqliteBagContainer(path, salvage=salvage)) == reported(messages)
     with SqliteBagContainer(path, salvage=salvage) as container:
         survey = container.survey()
         assert {held.channel.topic: (held.count, held.first_message) for held in survey.held} == {
-            topic: (len(each), each[0][1]) for topic, each in told(messages).items()
+            topic: (len(each), each[0][1]) for topic, each in reported(messages).items()
         }
         assert {held.channel.topic: held.channel.type_name for held in survey.held} == TYPES
         assert {(held.channel.encoding, held.channel.schema_encoding) for held in survey.held} == {
@@ -64,14 +64,14 @@ def test_any_messages_are_read_as_written(tmp_path: Path, content: list[tuple[st
     path = tmp_path / "any.db3"
     path.unlink(missing_ok=True)
     write_db3(path, messages)
-    assert read_all(SqliteBagContainer(path)) == told(messages)
-    assert read_all(SqliteBagContainer(path, salvage=True)) == told(messages)
+    assert read_all(SqliteBagContainer(path)) == reported(messages)
+    assert read_all(SqliteBagContainer(path, salvage=True)) == reported(messages)
 
 
 def test_what_rosbags_wrote_is_read(tmp_path: Path) -> None:
     messages = several()
     write_folder(tmp_path / "bag", messages)
-    assert read_all(SqliteBagContainer(tmp_path / "bag" / "bag.db3")) == told(messages)
+    assert read_all(SqliteBagContainer(tmp_path / "bag" / "bag.db3")) == reported(messages)
 
 
 def test_a_recorded_file_is_read_as_it_stands(shared_data: Path) -> None:
@@ -82,7 +82,7 @@ def test_a_recorded_file_is_read_as_it_stands(shared_data: Path) -> None:
         ).fetchall()
     messages = [Stored(topic=topic, log_ns=log_ns, data=data) for topic, log_ns, data in expected]
     found = read_all(SqliteBagContainer(path))
-    assert found == told(messages)
+    assert found == reported(messages)
     assert {topic: len(each) for topic, each in found.items()} == {"/rosout": 10, "/topic": 10}
     with SqliteBagContainer(path) as container:
         assert channels_of(container)["/topic"].schema == b"string data"
@@ -91,7 +91,7 @@ def test_a_recorded_file_is_read_as_it_stands(shared_data: Path) -> None:
 def test_only_wanted_topics_are_handed_on(tmp_path: Path) -> None:
     messages = several()
     found = read_all(SqliteBagContainer(write_db3(tmp_path / "run.db3", messages)), "/pose")
-    assert found == {"/pose": told(messages)["/pose"]}
+    assert found == {"/pose": reported(messages)["/pose"]}
 
 
 def test_topics_of_one_name_and_type_are_one_channel(tmp_path: Path) -> None:
@@ -106,7 +106,7 @@ def test_topics_of_one_name_and_type_are_one_channel(tmp_path: Path) -> None:
     assert read_all(SqliteBagContainer(path)) == {"/ft": [(START_NS + i, bytes([i])) for i in range(9)]}
 
 
-def test_a_definition_is_found_by_type_where_the_digests_do_not_tell(tmp_path: Path) -> None:
+def test_a_definition_is_found_by_type_where_the_digests_do_not_show(tmp_path: Path) -> None:
     path = change(write_db3(tmp_path / "run.db3", several()), "UPDATE topics SET type_description_hash = ''")
     with SqliteBagContainer(path) as container:
         assert {each.topic: each.schema.decode() for each in channels_of(container).values()} == TEXTS
@@ -123,9 +123,9 @@ def test_messages_compressed_one_by_one_are_unpacked(tmp_path: Path) -> None:
         packed = [Stored(topic=m.topic, log_ns=m.log_ns, data=compressor.compress(m.data)) for m in messages]
         write_db3(path, packed)
         container = SqliteBagContainer(path)
-        assert read_all(container) == told(messages)
+        assert read_all(container) == reported(messages)
         first = {held.channel.topic: held.first_message for held in container.survey().held}
-        assert first == {topic: each[0][1] for topic, each in told(messages).items()}
+        assert first == {topic: each[0][1] for topic, each in reported(messages).items()}
 
 
 def test_compressed_messages_that_are_damaged_or_bombs_are_refused(
@@ -153,7 +153,7 @@ def test_compressed_messages_that_are_damaged_or_bombs_are_refused(
 def test_truncated_files_are_refused_and_salvaged_up_to_it(tmp_path: Path) -> None:
     messages = several(1500)
     path = write_db3(tmp_path / "run.db3", messages, page_bytes=4096)
-    data, sound = path.read_bytes(), told(messages)
+    data, sound = path.read_bytes(), reported(messages)
     for size in [*range(16, 4500, 997), *range(4500, len(data), len(data) // 40)]:
         path.write_bytes(data[:size])
         with pytest.raises(LogError, match=r"^run\.db3 is .*(--salvage.*\.recover|name the \.db3)"):
@@ -181,7 +181,7 @@ def test_a_page_that_cannot_be_read_costs_that_page_alone(
     """Also with records that go on in other pages."""
     messages = [Stored(topic="/ft", log_ns=START_NS + i, data=bytes([i % 200]) * (size + i % 3)) for i in range(count)]
     path = write_db3(tmp_path / "run.db3", messages, page_bytes=page_bytes)
-    sound, data = told(messages)["/ft"], path.read_bytes()
+    sound, data = reported(messages)["/ft"], path.read_bytes()
     # The tables of topics and definitions stand in the first pages, and overflow pages start with 0.
     leaves = [page for page in range(8, len(data) // page_bytes) if data[page * page_bytes] == 13]
     for page in (leaves[len(leaves) // 2], leaves[-1]):
@@ -222,7 +222,7 @@ def test_a_damaged_rowid_does_not_cost_what_follows(tmp_path: Path) -> None:
     with pytest.raises(LogError, match=r"run\.db3 is damaged.*--salvage.*\.recover"):
         read_all(SqliteBagContainer(path))
     container = SqliteBagContainer(path, salvage=True)
-    assert read_all(container) == told(messages)
+    assert read_all(container) == reported(messages)
     assert "Rowid 8692 out of order" in container.findings()[0].message
 
 
@@ -269,7 +269,7 @@ def test_salvage_leaves_out_the_message_that_is_none(tmp_path: Path) -> None:
     messages = several(50)
     path = change(write_db3(tmp_path / "run.db3", messages, 1), "UPDATE messages SET data = 'text' WHERE id = 7")
     container = SqliteBagContainer(path, salvage=True)
-    assert read_all(container) == told([*messages[:6], *messages[7:]])
+    assert read_all(container) == reported([*messages[:6], *messages[7:]])
     assert "1 messages have no defined topic, no time or no bytes" in container.findings()[0].message
 
 
@@ -283,7 +283,7 @@ def test_a_file_that_was_not_closed_is_refused(tmp_path: Path) -> None:
         base.commit()
         with pytest.raises(LogError, match=r"run\.db3-wal beside it holds what is not yet in it.*wal_checkpoint"):
             SqliteBagContainer(path)
-        assert read_all(SqliteBagContainer(path, salvage=True)) == told(messages)
+        assert read_all(SqliteBagContainer(path, salvage=True)) == reported(messages)
     hot = tmp_path / "run.db3-journal"
     hot.write_bytes(bytes.fromhex("d9d505f920a163d7") + bytes(504))
     with pytest.raises(LogError, match=r"run\.db3-journal beside it"):
@@ -302,7 +302,7 @@ def test_a_message_beyond_the_limit_is_refused(tmp_path: Path, monkeypatch: pyte
 def test_a_path_may_hold_any_character(tmp_path: Path) -> None:
     messages = several(20)
     path = write_db3(tmp_path / "a?mode=rw#%41 ü.db3", messages)
-    assert read_all(SqliteBagContainer(path)) == told(messages)
+    assert read_all(SqliteBagContainer(path)) == reported(messages)
 
 
 def test_batches_are_neither_small_nor_large(tmp_path: Path) -> None:

@@ -81,7 +81,7 @@ def test_words_are_whole(topic: str) -> None:
     assert not is_command_name(topic)
 
 
-def test_names_tell_a_processed_wrench() -> None:
+def test_names_show_a_processed_wrench() -> None:
     assert is_processed_name("/ft_sensor/compensated")
     assert is_processed_name("/wrenchFiltered")
     assert not is_processed_name("/ft/raw")
@@ -158,18 +158,18 @@ def test_a_frame_chooses_among_channels() -> None:
 
 
 def test_candidates_are_listed_with_what_chooses() -> None:
-    told = refused([FT, info("/ft2", WRENCH, count=7, frame=""), POSE])
-    assert "/ft (geometry_msgs/msg/WrenchStamped, 100 messages, frame f)" in told
-    assert "/ft2 (geometry_msgs/msg/Wrench, 7 messages)" in told
-    assert "--wrench-topic or `wrench: {topic: …}` in cell.yaml" in told
+    message = refused([FT, info("/ft2", WRENCH, count=7, frame=""), POSE])
+    assert "/ft (geometry_msgs/msg/WrenchStamped, 100 messages, frame f)" in message
+    assert "/ft2 (geometry_msgs/msg/Wrench, 7 messages)" in message
+    assert "--wrench-topic or `wrench: {topic: …}` in cell.yaml" in message
 
 
-def test_an_ambiguous_role_that_is_not_needed_is_left_open_and_told() -> None:
+def test_an_ambiguous_role_that_is_not_needed_is_left_open_and_reported() -> None:
     infos = [FT, POSE, info("/twist_a", TWIST_STAMPED), info("/twist_b", TWIST_STAMPED)]
     assert Role.TWIST not in chosen(infos)
-    told = open_questions(infos, Cell(), "run.mcap")
-    assert [finding.code for finding in told] == ["role-open"]
-    assert "`twist: {topic: …}`" in told[0].message
+    reported = open_questions(infos, Cell(), "run.mcap")
+    assert [finding.code for finding in reported] == ["role-open"]
+    assert "`twist: {topic: …}`" in reported[0].message
     named = Cell(twist=TwistSource(topic="/twist_b"))
     assert chosen(infos, named)[Role.TWIST] == "/twist_b"
     assert open_questions(infos, named, "run.mcap") == ()
@@ -212,8 +212,8 @@ def test_columns_choose_the_table() -> None:
 
 
 def test_a_named_channel_of_numbers_needs_its_layout() -> None:
-    told = refused([info("/state", JOINT_STATE), POSE], Cell(wrench=WrenchSource(topic="/state")))
-    assert "`wrench: {topic: /state, fields: …}` in cell.yaml" in told
+    message = refused([info("/state", JOINT_STATE), POSE], Cell(wrench=WrenchSource(topic="/state")))
+    assert "`wrench: {topic: /state, fields: …}` in cell.yaml" in message
     assert "/state may carry it" in refused([info("/state", JOINT_STATE), POSE])
 
 

@@ -234,7 +234,7 @@ WRONG: dict[str, tuple[str | bytes, TableLayout, str]] = {
 
 
 @pytest.mark.parametrize("name", WRONG)
-def test_what_is_wrong_is_told_in_one_sentence(tmp_path: Path, name: str) -> None:
+def test_what_is_wrong_is_reported_in_one_sentence(tmp_path: Path, name: str) -> None:
     content, layout, complaint = WRONG[name]
     path = write(tmp_path / "run.csv", content)
     with pytest.raises(LogError) as caught:
@@ -246,7 +246,7 @@ def test_what_is_wrong_is_told_in_one_sentence(tmp_path: Path, name: str) -> Non
     assert message.endswith(".")
 
 
-def test_a_fault_far_behind_is_told_with_its_line(tmp_path: Path) -> None:
+def test_a_fault_far_behind_is_reported_with_its_line(tmp_path: Path) -> None:
     lines = [f"{index},{index / 7!r}" for index in range(200_000)]
     lines[150_000] = "150000,0.5.5"
     path = write(tmp_path / "run.csv", "\n".join(["a,b", *lines, ""]))

@@ -124,7 +124,7 @@ WRONG: dict[str, tuple[dict[str, Any], TableLayout, str]] = {
 
 
 @pytest.mark.parametrize("name", WRONG)
-def test_what_is_wrong_is_told_in_one_sentence(tmp_path: Path, name: str) -> None:
+def test_what_is_wrong_is_reported_in_one_sentence(tmp_path: Path, name: str) -> None:
     columns, layout, complaint = WRONG[name]
     with pytest.raises(LogError) as caught:
         read_table(write(tmp_path / "run.parquet", columns), layout)

@@ -59,13 +59,13 @@ def test_every_check_passes_and_the_file_is_read_back(tmp_path: Path) -> None:
     assert report.passed
     names = [check.name for check in report.checks]
     assert names.count("command noise") == names.count("passivity") == 1
-    told = next(check.message for check in report.checks if check.name == "requirements")
-    assert "achieved of what was only wished: modulus_margin 0.4" in told
+    message = next(check.message for check in report.checks if check.name == "requirements")
+    assert "achieved of what was only wished: modulus_margin 0.4" in message
     write_controller(tmp_path / "controller.yaml", wished())
     assert read_controller(tmp_path / "controller.yaml").controller == wished()
 
 
-def test_the_certificate_tells_what_was_achieved_and_asks_hard_for_the_rest_alone() -> None:
+def test_the_certificate_shows_what_was_achieved_and_asks_hard_for_the_rest_alone() -> None:
     certificate = wished().certificate
     claims = (certificate.soft or {})["x"]
     assert set(claims) == set(ASKED.soft_n)
@@ -114,11 +114,11 @@ FALSE_CLAIMS: dict[str, tuple[Callable[[Controller], Controller], str, str]] = {
 
 @pytest.mark.parametrize("name", list(FALSE_CLAIMS))
 def test_a_false_claim_is_found_out_with_its_numbers(name: str) -> None:
-    change, check_name, told = FALSE_CLAIMS[name]
+    change, check_name, reported = FALSE_CLAIMS[name]
     report = validate_controller(change(wished()))
     failed = {check.name: check.message for check in report.checks if not check.passed}
     assert check_name in failed
-    with pytest.raises(AssertionError, match=told):
+    with pytest.raises(AssertionError, match=reported):
         raise AssertionError(failed[check_name])
     with pytest.raises(CertificateError):
         report.require()
@@ -131,7 +131,7 @@ def test_a_wish_of_an_axis_that_is_not_there_is_refused() -> None:
         replace(wished(), certificate=replace(certificate, soft={"z": {"modulus_margin": claim}}))
 
 
-def test_a_turning_axis_tells_its_wishes_in_its_units() -> None:
+def test_a_turning_axis_shows_its_soft_limits_in_its_units() -> None:
     """The tree alone: the certificate of x said about ry."""
     whole = wished()
     claims = (whole.certificate.soft or {})["x"]
