@@ -79,9 +79,9 @@ def test_an_interval_is_a_warning() -> None:
 
 @pytest.mark.parametrize(("value", "said"), [(0.0, "± 61 ms"), (1e-12, "± 61 ms"), (0.05, "± 61 ms"), (0.61, "± 10 %")])
 def test_a_deviation_above_its_value_is_written_with_its_unit(value: float, said: str) -> None:
-    axis = stated().axes["x"]
+    axis = reported().axes["x"]
     robot = dataclasses.replace(axis.robot, delay_s=weak(value, 0.061))
-    (found,) = needed(advise(dataclasses.replace(stated(), axes={"x": dataclasses.replace(axis, robot=robot)})))
+    (found,) = needed(advise(dataclasses.replace(reported(), axes={"x": dataclasses.replace(axis, robot=robot)})))
     assert f"T_d ({said}): weak" in found.message
 
 
