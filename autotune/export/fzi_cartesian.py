@@ -12,10 +12,10 @@ from .ros_yaml import (
     NAME_OPTIONS,
     ORIENTATION,
     UPRIGHT,
+    InstallationNames,
     Quaternion,
     Tree,
     check_keys,
-    check_names,
     check_orientation,
     update_rate_hz,
 )
@@ -56,7 +56,7 @@ _LINK_MASS = 1e-4
 
 
 @dataclass(frozen=True, kw_only=True)
-class FziOptions:
+class FziOptions(InstallationNames):
     """The names that the file needs beyond the controller, and the sensor's orientation in the base where it is used.
 
     `orientation` is a quaternion (x, y, z, w) that takes vectors from the sensor's axes, those that were tuned, to the
@@ -64,23 +64,12 @@ class FziOptions:
     """
 
     controller_name: str = "cartesian_force_controller"
-    joints: tuple[str, ...] = tuple(f"joint_{i}" for i in range(1, 7))
-    base_link: str = "base_link"
-    tip_link: str = "tool0"
-    sensor_frame: str = "ft_frame"
     orientation: Quaternion | None = None
 
     def __post_init__(self) -> None:
-        check_names("--joints", self.joints)
+        super().__post_init__()
         if self.orientation is not None:
             check_orientation(self.orientation)
-        for what, name in (
-            ("--controller-name", self.controller_name),
-            ("--base-link", self.base_link),
-            ("--tip-link", self.tip_link),
-            ("--sensor-frame", self.sensor_frame),
-        ):
-            check_names(what, (name,))
 
 
 def notes() -> Iterator[str]:

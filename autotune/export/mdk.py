@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from problems.progress import Progress
 
-from .ros_yaml import UPRIGHT, Quaternion, Tree, check_names, check_orientation, update_rate_hz
+from .ros_yaml import UPRIGHT, InstallationNames, Quaternion, Tree, check_orientation, update_rate_hz
 from .target import ExportTarget, TargetOption, begins_with, render_translation
 
 if TYPE_CHECKING:
@@ -23,31 +23,22 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class MdkOptions:
+class MdkOptions(InstallationNames):
     """The names of an installation, and the sensor's orientation in the base where it is used.
 
     `orientation` is a quaternion (x, y, z, w) that takes vectors from the sensor's axes to the base's. Raises
     UsageError for a name or a quaternion that is none.
     """
 
-    controller_name: str = "admittance_controller"
-    joints: tuple[str, ...] = tuple(f"joint_{i}" for i in range(1, 7))
-    base_link: str = "base_link"
-    tip_link: str = "tool0"
     sensor_name: str = "ft_sensor"
-    sensor_frame: str = "ft_frame"
     control_frame: str | None = None
     robot_name: str = "lbr"
     orientation: Quaternion | None = None
 
     def __post_init__(self) -> None:
-        check_names("--joints", self.joints)
+        super().__post_init__()
         if self.orientation is not None:
             check_orientation(self.orientation)
-        for name in ("controller_name", "base_link", "tip_link", "sensor_name", "sensor_frame", "robot_name"):
-            check_names(f"--{name.replace('_', '-')}", (getattr(self, name),))
-        if self.control_frame is not None:
-            check_names("--control-frame", (self.control_frame,))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from autotune.errors import UsageError
 from problems.frozen import FrozenDict
 
-from .ros_yaml import CONTROL_FRAME, NAME_OPTIONS, SENSOR_NAME, Tree, check_keys, check_names, update_rate_hz
+from .ros_yaml import CONTROL_FRAME, NAME_OPTIONS, SENSOR_NAME, InstallationNames, Tree, check_keys, update_rate_hz
 from .target import ExportTarget, TargetOption, begins_with, render_translation
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ _ALPHA = 0.0005
 
 
 @dataclass(frozen=True, kw_only=True)
-class Ros2Options:
+class Ros2Options(InstallationNames):
     """What the file needs beyond the controller: version, names, and the numbers that the user may choose.
 
     `return_stiffness` (N/m; N·m/rad about rx, ry, rz) is the spring without which there is no damping; without one
@@ -85,28 +85,14 @@ class Ros2Options:
     """
 
     ros2_version: str = "jazzy"
-    controller_name: str = "admittance_controller"
-    joints: tuple[str, ...] = tuple(f"joint_{i}" for i in range(1, 7))
-    base_link: str = "base_link"
-    tip_link: str = "tool0"
     sensor_name: str = "ft_sensor"
-    sensor_frame: str = "ft_frame"
     control_frame: str | None = None
     return_stiffness: float | None = None
     filter_coefficient: float = 1.0
 
     def __post_init__(self) -> None:
         parse_version(self.ros2_version)
-        check_names("--joints", self.joints)
-        for what, name in (
-            ("--controller-name", self.controller_name),
-            ("--base-link", self.base_link),
-            ("--tip-link", self.tip_link),
-            ("--sensor-name", self.sensor_name),
-            ("--sensor-frame", self.sensor_frame),
-            ("--control-frame", self.control_frame or self.sensor_frame),
-        ):
-            check_names(what, (name,))
+        super().__post_init__()
         if self.return_stiffness is not None and not 0.0 < self.return_stiffness < math.inf:
             raise UsageError(
                 f"--return-stiffness must be above 0, found {self.return_stiffness:g}: the damping of that controller "

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from autotune.errors import UsageError
 from autotune.version import __version__
 
-from .ros_yaml import NAME_OPTIONS, SENSOR_NAME, Tree, check_names, dump_parameters, update_rate_hz
+from .ros_yaml import NAME_OPTIONS, SENSOR_NAME, InstallationNames, Tree, dump_parameters, update_rate_hz
 from .target import ExportRequest, ExportTarget, Rendered, TargetOption
 
 if TYPE_CHECKING:
@@ -38,21 +38,14 @@ _HEADER, _SOURCE, _CONFIG = "include/$/$.h", "src/$.c", "config/controller.yaml"
 
 
 @dataclass(frozen=True, kw_only=True)
-class PackageOptions:
+class PackageOptions(InstallationNames):
     """The names of an installation and what is written to the joints; raises UsageError for what is none."""
 
-    controller_name: str = "admittance_controller"
-    joints: tuple[str, ...] = tuple(f"joint_{i}" for i in range(1, 7))
-    base_link: str = "base_link"
-    tip_link: str = "tool0"
     sensor_name: str = "ft_sensor"
-    sensor_frame: str = "ft_frame"
     command_interface: str = "position"
 
     def __post_init__(self) -> None:
-        check_names("--joints", self.joints)
-        for name in ("controller_name", "base_link", "tip_link", "sensor_name", "sensor_frame"):
-            check_names(f"--{name.replace('_', '-')}", (getattr(self, name),))
+        super().__post_init__()
         if self.command_interface not in _INTERFACES:
             raise UsageError(f"--command-interface must be {' or '.join(_INTERFACES)}, found {self.command_interface}.")
 

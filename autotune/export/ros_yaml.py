@@ -9,6 +9,7 @@ import math
 import re
 import textwrap
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, fields
 
 from autotune.errors import UsageError
 from problems.errors import ParameterError
@@ -86,6 +87,23 @@ def check_names(what: str, names: Iterable[str]) -> None:
         if not _NAME.fullmatch(name):
             must = "a letter or _ first, then letters, digits and _ . / - only"
             raise UsageError(f"{what}: {json.dumps(name, ensure_ascii=False)} is no name ({must}).")
+
+
+@dataclass(frozen=True, kw_only=True)
+class InstallationNames:
+    """The names of controller, joints, links and frames in an installation; raises UsageError for what is no name."""
+
+    controller_name: str = "admittance_controller"
+    joints: tuple[str, ...] = tuple(f"joint_{i}" for i in range(1, 7))
+    base_link: str = "base_link"
+    tip_link: str = "tool0"
+    sensor_frame: str = "ft_frame"
+
+    def __post_init__(self) -> None:
+        check_names("--joints", self.joints)
+        for name in (each.name for each in fields(self) if each.name.endswith(("_name", "_link", "_frame"))):
+            if getattr(self, name) is not None:
+                check_names(f"--{name.replace('_', '-')}", (getattr(self, name),))
 
 
 def check_joint_count(joints: tuple[str, ...], axes: int) -> None:

@@ -10,10 +10,10 @@ import pytest
 from identification.advice import advise
 from identification.experiment_design.sweep import SweepLimits, fastest_sweep
 from identification.experiment_design.values import values_of
-from identification.fit_quality import FitQuality
 from identification.joint_fit.estimates import COARSE_COMMAND
 from identification.result import Estimate, Finding, Identified, Status
 from identification.robot.logged_command import UNKNOWN_PERIOD
+from tests.autotune.formats.samples import FIT
 from tests.identification.merging.test_combine import UNDECIDED, known, reported, surface
 
 
@@ -123,21 +123,7 @@ def test_contacts_are_not_asked_for_where_the_command_is_what_is_missing() -> No
 def with_misfit(result: Identified, ratio: float) -> Identified:
     """The same, its fit leaving so many times the sensor's noise in free motion."""
     axis = result.axes["x"]
-    quality = FitQuality(
-        free_spans=1,
-        explained_free=0.99,
-        whiteness_free=0.0,
-        noise_ratio_free=ratio,
-        left_out_free=None,
-        contacts=0,
-        explained_contact=None,
-        whiteness_contact=None,
-        noise_ratio_contact=None,
-        left_out_contact=None,
-        widening=1.0,
-        wrench_lag_s=0.0,
-        wrench_lag_std_s=1e-5,
-    )
+    quality = dataclasses.replace(FIT, noise_ratio_free=ratio)
     return dataclasses.replace(result, axes={"x": dataclasses.replace(axis, fits=(quality,))})
 
 

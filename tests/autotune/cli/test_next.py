@@ -6,16 +6,7 @@ from pathlib import Path
 import pytest
 
 from autotune.cli.main import main
-
-PLANT = """format: autotune/plant
-version: 1
-mass: 16
-coupling_stiffness: 3e5
-drag: 630
-robot: {bandwidth: 3.2, delay: 2.4e-3}
-environment_stiffness: [2e4, 8e4]
-sample_time: 8e-4
-"""
+from tests.autotune.formats.samples import PLANT_TEXT
 
 
 def following(capsys: pytest.CaptureFixture[str], *words: str) -> list[str]:
@@ -46,7 +37,7 @@ def test_a_prediction_names_the_search_with_its_gains_beside_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    Path("plant.yaml").write_text(PLANT, encoding="utf-8")
+    Path("plant.yaml").write_text(PLANT_TEXT, encoding="utf-8")
     gains = ("--gains", "mass=13,damping=1000,lead=20ms", "--surface", "40N/mm", "--approach", "force=30")
     words = following(capsys, "predict", "plant.yaml", *gains)
     assert words == ["optimize", "plant.yaml", "--compare", "x.mass=13,x.damping=1000,x.lead=20ms"]

@@ -11,25 +11,16 @@ from autotune.formats.controller import write_controller
 from autotune.formats.quantity import Uncertain
 from autotune.predicting import parse_approach, parse_surface
 from autotune.prediction.said_gains import parse_gains
-from tests.autotune.formats.samples import make_identified
+from tests.autotune.formats.samples import PLANT_TEXT, make_identified
 from tests.autotune.tuning.cases import fast_optimized
 
-PLANT = """format: autotune/plant
-version: 1
-mass: 16
-coupling_stiffness: 3e5
-drag: 630
-robot: {bandwidth: 3.2, delay: 2.4e-3}
-environment_stiffness: [2e4, 8e4]
-sample_time: 8e-4
-"""
 GAINS = ("--gains", "mass=13,damping=1kNs/m,lead=20ms")
 
 
 @pytest.fixture
 def plant(tmp_path: Path) -> Path:
     path = tmp_path / "plant.yaml"
-    path.write_text(PLANT, encoding="utf-8")
+    path.write_text(PLANT_TEXT, encoding="utf-8")
     return path
 
 

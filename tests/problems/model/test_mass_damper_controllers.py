@@ -1,7 +1,6 @@
 """The laws with mass and damping against their programs' update rules, step by step, and their continuous limit."""
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -9,12 +8,11 @@ import pytest
 from problems.contact.linear_controller_contact import force_per_speed
 from problems.contact.transient import build_sampled_contact
 from problems.errors import ParameterError
-from problems.model.linear_controllers import LinearController
 from problems.model.mass_damper_controllers import Discretization, MassDamper
 from problems.model.sampled import build_sampled_plant
 from tests.problems.axes import PERIOD_S, paper_plant
+from tests.problems.update_rules import Rule, stepped
 
-Rule = Callable[[float, float], float]
 MASS, DAMPING, STIFFNESS = 12.0, 900.0, 40.0
 
 
@@ -91,17 +89,6 @@ PLAYED = {
     Discretization.MEASURED_MOTION: played_vic,
     Discretization.FROM_MEASURED: played_lbr,
 }
-
-
-def stepped(law: LinearController) -> Rule:
-    state, r = np.zeros(law.state_count), law.state_count
-
-    def update(force: float, measured: float) -> float:
-        seen = np.concatenate([state, [force, measured]])
-        state[:] = law.matrix[:r] @ seen
-        return float(law.matrix[r] @ seen)
-
-    return update
 
 
 @pytest.mark.parametrize("kind", Discretization)

@@ -11,13 +11,11 @@ from problems.contact.linear_controller_contact import force_per_speed, simulate
 from problems.contact.transient import Approach, build_sampled_contact
 from problems.errors import ParameterError
 from problems.model.controller import AdmittanceController
-from problems.model.linear_controllers import LinearController
 from problems.model.plant import FREE_SPACE, Plant, build_plant_matrices
 from problems.model.sampled import build_loop, build_sampled_plant, hold, spectral_radius
 from problems.model.third_party_controllers import ForwardDynamics, SpringAdmittance, alternates
 from tests.problems.axes import PERIOD_S, one_pole, paper_plant
-
-Rule = Callable[[float, float], float]
+from tests.problems.update_rules import Rule, stepped
 
 
 def spring_admittance(
@@ -60,17 +58,6 @@ def played_forward_dynamics(rule: ForwardDynamics) -> Rule:
         position = measured + speed * 0.02
         speed = 0.9 * (speed + pushed / 1.0 * 0.02)
         return position
-
-    return update
-
-
-def stepped(law: LinearController) -> Rule:
-    state, r = np.zeros(law.state_count), law.state_count
-
-    def update(force: float, measured: float) -> float:
-        seen = np.concatenate([state, [force, measured]])
-        state[:] = law.matrix[:r] @ seen
-        return float(law.matrix[r] @ seen)
 
     return update
 
