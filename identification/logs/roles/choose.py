@@ -121,12 +121,12 @@ def _choose(role: Role, infos: Infos, cell: Cell, log: str, frames_of: FramesOf)
         return None
     fields = declared_fields(source)
     if source is not None and fields is not None:
-        return _declared(role, source, fields, infos, log)
+        return _declared(role, source, fields, infos, log, cell)
     if isinstance(source, PoseSource) and source.parent is not None and source.child is not None:
         return _transform(role, source, (source.parent, source.child), infos, log, frames_of)
     if source is not None and source.topic is not None:
         _check_distinct(role, cell, infos)
-        found = _named(role, source.topic, infos, log)
+        found = _named(role, source.topic, infos, log, cell)
     else:
         candidates = _candidates(role, source, infos, _taken(cell, role))
         if not candidates and not ROLES[role].is_required and source is None:
@@ -239,7 +239,7 @@ def _only(role: Role, found: Infos, infos: Infos, log: str, source: Source | Non
     raise LogError(ambiguous_sentence(role, found, log))
 
 
-def _named(role: Role, topic: str, infos: Infos, log: str) -> ChannelInfo:
+def _named(role: Role, topic: str, infos: Infos, log: str, cell: Cell) -> ChannelInfo:
     kinds = [name for types in ROLES[role].tiers for name in types]
     fitting = [
         info
@@ -263,7 +263,23 @@ def _named(role: Role, topic: str, infos: Infos, log: str) -> ChannelInfo:
         if is_undeclared(same_name[0]):
             entry = f"{ROLES[role].entry}: {{topic: {topic}, fields: …}}"
             reason += f" or have its layout declared with `{entry}` in cell.yaml"
-    raise LogError(f"{reason}; topics of that type: {others}.")
+    remedy = "" if ROLES[role].option else f" {_remedy(topic, cell)}"
+    raise LogError(f"{reason}; topics of that type: {others}.{remedy}")
+
+
+def _remedy(topic: str, cell: Cell) -> str:
+    """Return which entries of the cell name a topic, and what to do with them."""
+    roles = [role for role in ROLES if getattr(source_of(cell, role), "topic", None) == topic]
+    entries = {role: "displacement" if _is_displacement(role, cell) else ROLES[role].entry for role in roles}
+    needed = [entry for role, entry in entries.items() if ROLES[role].is_required]
+    spare = [entry for role, entry in entries.items() if not ROLES[role].is_required]
+    named = ", ".join(f"`{entry}`" for entry in (*needed, *spare))
+    delete = f", or delete {', '.join(f'`{entry}`' for entry in spare)} with all that is below" if spare else ""
+    return f"Correct the `topic` of {named} in cell.yaml{delete}."
+
+
+def _is_displacement(role: Role, cell: Cell) -> bool:
+    return role is Role.POSE and cell.pose is None and cell.displacement is not None
 
 
 def _check_distinct(role: Role, cell: Cell, infos: Infos) -> None:
@@ -301,7 +317,9 @@ def _by_type(role: Role, info: ChannelInfo, source: Source | None, log: str, fra
     return Choice(role=role, info=info, fields=paths, header=header, frames=pair, layout=layout, reason=why)
 
 
-def _declared(role: Role, source: Source, fields: tuple[str | None, ...], infos: Infos, log: str) -> Choice:
+def _declared(
+    role: Role, source: Source, fields: tuple[str | None, ...], infos: Infos, log: str, cell: Cell
+) -> Choice:
     wanted = {path for path in fields if path is not None}
     filled = [info for info in infos if info.count]
     if source.topic is not None:
@@ -309,10 +327,14 @@ def _declared(role: Role, source: Source, fields: tuple[str | None, ...], infos:
         if not found:
             topics = ", ".join(info.channel.topic for info in filled) or "none"
             raise LogError(
-                f"Topic `{source.topic}` is not in {log} or holds no message; topics with messages: {topics}."
+                f"Topic `{source.topic}` is not in {log} or holds no message; topics with messages: {topics}. "
+                f"{_remedy(source.topic, cell)}"
             )
     else:
-        found = [info for info in filled if is_undeclared(info) and _has_columns(info, wanted)]
+        undeclared = [info for info in filled if is_undeclared(info)]
+        found = [info for info in undeclared if _has_columns(info, wanted)]
+        if undeclared and not found:
+            raise LogError(_without_columns(role, undeclared, fields, log))
     info = _only(role, found, infos, log, source)
     header = source.header if source.header is not None else ("header" if info.has_header else "")
     paths = _measured(fields, source)
@@ -324,6 +346,20 @@ def _measured(paths: tuple[str | None, ...], source: Source | None) -> tuple[str
     left_out = source.left_out if isinstance(source, WrenchSource) else ()
     return (
         tuple(None if axis in left_out else path for axis, path in zip(AXES, paths, strict=True)) if left_out else paths
+    )
+
+
+def _without_columns(role: Role, tables: Infos, fields: tuple[str | None, ...], log: str) -> str:
+    """Say which columns that the cell declares no table has, by the table that lacks the fewest."""
+    wanted = [path for path in dict.fromkeys(fields) if path is not None]
+    lacks = [[path for path in wanted if not _has_columns(info, {path})] for info in tables]
+    best, lacking = min(zip(tables, lacks, strict=True), key=lambda pair: len(pair[1]))
+    entry = ROLES[role].entry
+    delete = "" if ROLES[role].is_required else f", or delete `{entry}` with all that is below from cell.yaml"
+    return (
+        f"{best.channel.topic if len(tables) == 1 else f'One table of {log}'} must have the columns {listed(lacking)}, "
+        f"which cell.yaml declares for the {ROLES[role].label}, found {listed(best.columns)}"
+        f"{'' if len(tables) == 1 else f' in {best.channel.topic}'}; correct `{entry}: {{fields: …}}`{delete}."
     )
 
 

@@ -6,6 +6,9 @@ from identification.errors import LogError
 from identification.logs.containers.channel import Channel, ChannelInfo
 from identification.logs.roles.cell import (
     Cell,
+    DesiredForceSource,
+    GainsFields,
+    GainsSource,
     GainsSource,
     PoseFields,
     PoseSource,
@@ -209,6 +212,29 @@ def test_columns_choose_the_table() -> None:
         displacement=PoseSource(fields=PoseFields(position=("x", None, "3"))),
     )
     assert chosen([one, other], cell) == {Role.WRENCH: "a.csv", Role.POSE: "b.csv"}
+
+
+def test_a_refusal_names_the_entries_to_correct_or_to_delete() -> None:
+    gains = GainsSource(topic="/gains", fields=GainsFields(mass=("m[0:6]",), damping=("b[0:6]",)))
+    force = DesiredForceSource(topic="/gains", fields=EFFORT)
+    told = refused([FT, POSE], Cell(gains=gains, desired_force=force))
+    assert "Topic `/gains` is not in run.mcap" in told
+    assert "Correct the `topic` of `gains`, `desired_force` in cell.yaml, or delete `gains`, `desired_force`" in told
+    both = Cell(wrench=WrenchSource(topic="/state", fields=EFFORT), twist=TwistSource(topic="/state"))
+    told = refused([FT, POSE], both)
+    assert "Correct the `topic` of `wrench`, `twist` in cell.yaml, or delete `twist` with" in told
+
+
+def test_declared_columns_that_no_table_has_are_named() -> None:
+    table = info("a.csv", "csv", encoding="table", columns=("fx", "fy", "fz", "x", "y", "z"))
+    cell = Cell(
+        wrench=WrenchSource(fields=WrenchFields(force=("fx", "fy", "fz"))),
+        displacement=PoseSource(fields=PoseFields(position=("x", "y", "5"))),
+        desired_force=DesiredForceSource(fields=WrenchFields(force=("fdx", "fy", "5"))),
+    )
+    told = refused([table], cell)
+    assert "a.csv must have the columns fdx, which cell.yaml declares for the desired force, found fx, fy, fz" in told
+    assert "correct `desired_force: {fields: …}`, or delete `desired_force`" in told
 
 
 def test_a_named_channel_of_numbers_needs_its_layout() -> None:
