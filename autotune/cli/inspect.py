@@ -1,5 +1,6 @@
 """`autotune inspect`: channels of a log, their roles, and what is missing for `identify`."""
 
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from identification.logs.summary import ChannelSummary, LogSummary
 
 _NEEDED = ("wrench", "pose", "command")
+_MATRIX = 16
 _EPILOG = """\b
 Examples:
   autotune inspect run7.mcap
@@ -88,13 +90,13 @@ def command(
         begun = read_cell(start_path).cell.with_urdf(urdf, tip)
         with output.progress(f"reading {', '.join(log.name for log in logs)}", None), suppress(LogError):
             summary = inspect_log(logs, begun, salvage=salvage, span=span)
-        output.note(_guessed(guess, summary, start_path))
+        output.note(_guessed(guess, summary))
     output.result(summary_tree(summary), lambda: print_summary(summary))
     reading = _reading_words(urdf, tip, start, stop, salvage=salvage)
     known = cell_path or start_path
     declared = () if known is None else ("--cell", known)
-    if start_path is not None:
-        output.next_command("inspect", *logs, *declared, *reading)
+    if start_path is None and any(finding.severity == "error" for finding in summary.findings):
+        output.next_command("inspect", *logs, *declared, *reading)  # once what the error names is mended
     elif summary.missing and known is None and not Path("cell.yaml").exists():
         output.next_command("inspect", *logs, "--write-cell", "cell.yaml", *reading)
     else:
@@ -111,18 +113,32 @@ def _reading_words(
     return [*words, *(["--salvage"] if salvage else [])]
 
 
-def _guessed(guess: "CellGuess", summary: "LogSummary", path: Path) -> str:
-    """Name what was guessed, what is still open, and the next command."""
+def _guessed(guess: "CellGuess", summary: "LogSummary") -> str:
+    """Name what was guessed and what is still open."""
     guessed = [role.entry for role in summary.roles if role.role in guess.roles]
     untimed = {channel.topic for channel in summary.channels if channel.encoding == "table"} - {*guess.tables}
     asked = [role for role in summary.roles if role.entry in _NEEDED]
     still_open = [role.entry for role in asked if role.topic is None and role.role not in guess.roles]
     guessed += ["time"] if guess.tables else []
+    still_open += list(_lacking_parts(guess))
     still_open += [f"time of {topic}" for topic in sorted(untimed)]
-    return (
-        f"guessed: {', '.join(guessed)}; open: {', '.join(still_open) or 'nothing'}; check the guesses, then: "
-        f"autotune identify {' '.join(map(str, summary.sha256s))} --cell {path}"
-    )
+    return f"guessed: {', '.join(guessed)}; open: {', '.join(still_open) or 'nothing'}; check the guesses"
+
+
+def _lacking_parts(guess: "CellGuess") -> Iterator[str]:
+    """Yield what a guessed pose or command lacks to be whole; a travel, and poses at rest, need not be."""
+    from identification.logs.roles.registry import ROLES, Role
+
+    if guess.is_displacement or any(entry.value == {"rows": "poses"} for entry in guess.tables.values()):
+        return
+    for role in (Role.POSE, Role.COMMAND):
+        fields = next((entry.value for entry in guess.roles.get(role, ()) if entry.key == "fields"), None)
+        if not isinstance(fields, Mapping):
+            continue
+        is_whole = len(fields.get("orientation", ())) == _MATRIX
+        for part in ("position", "orientation"):
+            if part not in fields and not is_whole:
+                yield f"{part} of {ROLES[role].entry}"
 
 
 def summary_tree(summary: "LogSummary") -> dict[str, Any]:

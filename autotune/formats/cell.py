@@ -160,6 +160,12 @@ def cell_text(summary: LogSummary, guess: CellGuess | None = None) -> str:
     for topic, ranges in guess.others.items():
         lines += [f"# Neither names nor values say what these of {_plain(topic)} are:"]
         lines += [f"#   {_plain(each)}" for each in ranges]
+    for topic, (paths, evidence) in guess.joints.items():
+        lines += [
+            f"# {_plain(paths[0])} to {_plain(paths[-1])} of {_plain(topic)} are joint angles ({_plain(evidence)}).",
+            "# Where there is no pose, the robot's URDF makes one of them:",
+            f"# joints: {{urdf: robot.urdf, tip: tool0, topic: {_flow(topic)}, positions: {_flow(list(paths))}}}",
+        ]
     for role in summary.roles:
         entry = "displacement" if guess.is_displacement and role.role is Role.POSE else role.entry
         lines += ["", *_role_lines(replace(role, entry=entry), guess.roles.get(role.role, ()))]

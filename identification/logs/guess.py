@@ -12,7 +12,7 @@ from problems.frozen import freeze
 from ..errors import LogError
 from .columns import is_unit, leaps, path_length, rises, unevenness
 from .messages.decode import Wanted
-from .names import Meaning, Named, NamedVector, read_names
+from .names import Meaning, Named, NamedVector, joint_groups, read_names
 from .numbers import NumberFields, number_fields
 from .opened import OpenedLogs, open_logs
 from .roles.cell import Cell
@@ -49,16 +49,17 @@ class CellGuess:
     """Guessed entries: `roles` by role (the topic first), `tables` by file name, and remarks on what is open.
 
     `others` maps a topic to its numbers without a guess, each with its range. With `is_displacement` the pose is a
-    travel along one axis from a place that is not known.
+    travel along one axis from a place that is not known. `joints` maps a topic to its joint angles and why they are.
     """
 
     roles: Mapping[Role, tuple[Entry, ...]] = field(default_factory=dict)
     tables: Mapping[str, Entry] = field(default_factory=dict)
     others: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     is_displacement: bool = False
+    joints: Mapping[str, tuple[tuple[str, ...], str]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        freeze(self, "roles", "tables", "others")
+        freeze(self, "roles", "tables", "others", "joints")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,8 +87,7 @@ def guess_cell(paths: Sequence[Path], *, salvage: bool = False) -> CellGuess:
     Returns
     -------
     CellGuess
-        Nothing of what neither names nor values say; numbers of a JointState, whose names are those of joints, are
-        never guessed.
+        Nothing of what neither names nor values say, nor of a JointState, whose names are those of joints.
 
     Raises
     ------
@@ -99,6 +99,7 @@ def guess_cell(paths: Sequence[Path], *, salvage: bool = False) -> CellGuess:
     others: dict[str, tuple[str, ...]] = {}
     vectors: list[tuple[_Channel, NamedVector]] = []
     traces: list[dict[Role, tuple[Entry, ...]]] = []
+    joints: dict[str, tuple[tuple[str, ...], str]] = {}
     untimed = Cell(table=TableLayout(rows="poses"))
     with open_logs(paths, untimed, salvage=salvage) as logs:
         units = {part.path.name: part.units for part in logs.parts if isinstance(part, TableLog)}
@@ -114,13 +115,16 @@ def guess_cell(paths: Sequence[Path], *, salvage: bool = False) -> CellGuess:
             time = _time(channel) if found.topic in units else None
             if time is not None:
                 tables[found.topic] = time
-            left = () if trace else tuple(_ranges(channel))
+            angles = _joint_angles(channel)
+            if angles:
+                joints[found.topic] = (angles, f"by name; {_span(channel, angles)}")
+            left = () if trace else tuple(_ranges(channel, angles))
             if left:
                 others[found.topic] = left
     if len(traces) == 1 and not vectors:
         is_displacement = any("displacement" in each.evidence for each in traces[0][Role.POSE])
         return CellGuess(roles=traces[0], tables=tables, others=others, is_displacement=is_displacement)
-    return CellGuess(roles=dict(_roles(vectors)), tables=tables, others=others)
+    return CellGuess(roles=dict(_roles(vectors)), tables=tables, others=others, joints=joints)
 
 
 def _channel(logs: OpenedLogs, found: NumberFields, units: Sequence[str]) -> _Channel | None:
@@ -231,7 +235,15 @@ def _trace_entries(
     return {Role.POSE: tuple(pose), Role.WRENCH: tuple(wrench)}
 
 
-def _ranges(channel: _Channel) -> Iterator[str]:
+def _joint_angles(channel: _Channel) -> tuple[str, ...]:
+    """Return the paths of the angles of one arm, nothing where names and values leave none or several."""
+    groups = [
+        paths for paths in joint_groups(channel.named.others) if np.nanmax(np.abs(channel.of(paths))) < _LARGEST_RAD
+    ]
+    return groups[0] if len(groups) == 1 else ()
+
+
+def _ranges(channel: _Channel, known: Sequence[str] = ()) -> Iterator[str]:
     """Describe the numbers without a guess, and where a time runs backwards."""
     for path in channel.named.times:
         back = np.flatnonzero(np.diff(channel.columns[path]) < 0.0)
@@ -239,7 +251,7 @@ def _ranges(channel: _Channel) -> Iterator[str]:
             before, after = channel.columns[path][back[0] : back[0] + 2]
             place = f"from {before:.10g} to {after:.10g} in row {back[0] + 2}"
             yield f"{path}: a time that falls {back.size} time(s), first {place}"
-    for path in channel.named.others:
+    for path in (path for path in channel.named.others if path not in known):
         values = channel.columns[path][np.isfinite(channel.columns[path])]
         span = f"{values.min():.4g} to {values.max():.4g}" if values.size else "nothing"
         yield f"{path}: {span}"

@@ -68,6 +68,9 @@ UNITS: Mapping[str, str] = FrozenDict(
 _TRAILING = frozenset(UNITS) - {"m", "in", "°"}
 _BRACKETED = re.compile(r"\s*[\[(<{]\s*([^\])>}]*?)\s*[\])>}]\s*$")
 _MATRIX = 16
+_COUNTED = re.compile(r"(.*?)[._\[]?\d+\]?")
+_JOINTS = frozenset({"q", "j", "joint", "joints"})
+_ARM_JOINTS = (6, 7)
 _TURN_MATRICES = tuple([f"{row}{column}" for row in of for column in of] for of in ("123", "012"))
 
 
@@ -163,6 +166,17 @@ def read_names(paths: Sequence[str], units: Sequence[str] = ()) -> Named:
     used = {path for vector in vectors for path in vector.paths} | {*times}
     others = tuple(path for path in paths if path not in used)
     return Named(vectors=vectors, times=times, others=others, singles=tuple(singles))
+
+
+def joint_groups(paths: Sequence[str]) -> list[tuple[str, ...]]:
+    """Return the six or seven counted numbers of each arm whose names are those of measured joint angles."""
+    found: dict[str, list[str]] = {}
+    for path in paths:
+        counted = _COUNTED.fullmatch(path)
+        words = {*re.findall("[a-z]+", counted[1].lower())} if counted is not None else set()
+        if counted is not None and _JOINTS & words and words <= _JOINTS | _POSITION | _MEASURED | {"angle", "angles"}:
+            found.setdefault(counted[1], []).append(path)
+    return [tuple(group) for group in found.values() if len(group) in _ARM_JOINTS]
 
 
 def _one_component(words: tuple[str, ...], group: _Group) -> Iterator[NamedVector]:

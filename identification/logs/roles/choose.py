@@ -317,9 +317,7 @@ def _by_type(role: Role, info: ChannelInfo, source: Source | None, log: str, fra
     return Choice(role=role, info=info, fields=paths, header=header, frames=pair, layout=layout, reason=why)
 
 
-def _declared(
-    role: Role, source: Source, fields: tuple[str | None, ...], infos: Infos, log: str, cell: Cell
-) -> Choice:
+def _declared(role: Role, source: Source, fields: tuple[str | None, ...], infos: Infos, log: str, cell: Cell) -> Choice:
     wanted = {path for path in fields if path is not None}
     filled = [info for info in infos if info.count]
     if source.topic is not None:

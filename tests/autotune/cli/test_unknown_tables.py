@@ -5,6 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa  # type: ignore[import-untyped]  # the package carries no annotations
+import pyarrow.parquet as pq  # type: ignore[import-untyped]  # the package carries no annotations
 import pytest
 from scipy.spatial.transform import Rotation, RotationSpline
 
@@ -166,6 +168,33 @@ def test_whose_force_a_robot_logs(
     assert ("# exerted_by: " in cell.read_text(encoding="utf-8")) == (who is None)
 
 
+def test_lists_of_a_parquet_file(tmp_path: Path, capsys: pytest.CaptureFixture[str], run: Run) -> None:
+    """A pose as Franka writes it and joint angles, each in one column: the file begun runs as it is."""
+    matrix = np.zeros((len(run.time), 4, 4))
+    matrix[:, :3, :3], matrix[:, :3, 3], matrix[:, 3, 3] = run.turned.as_matrix(), run.place, 1.0
+    lists = {
+        "O_T_EE": matrix.transpose(0, 2, 1).reshape(-1, 16),
+        "wrench": np.c_[run.force, run.torque],
+        "q": np.sin(np.outer(run.time, np.arange(1, 8))),
+    }
+    path = tmp_path / "run.parquet"
+    pq.write_table(pa.table({"time": run.time} | {name: list(rows) for name, rows in lists.items()}), path)
+    begun = in_two_edits(tmp_path, capsys, [path])
+    assert '"O_T_EE[15]"]}  # by name; orientation' in begun
+    assert "orientation_as: matrix_column_major  # the entries that are 0 throughout" in begun
+    assert "# q[0] to q[6] of run.parquet are joint angles (by name; -1 to 1)." in begun
+
+
+def test_an_orientation_alone_leaves_the_position_open(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], run: Run
+) -> None:
+    values = np.column_stack([run.time, run.turned.as_quat(), run.force, run.torque])[:400]
+    path, cell = columns(tmp_path / "a.csv", "time,qx,qy,qz,qw,fx,fy,fz,tx,ty,tz", values), tmp_path / "cell.yaml"
+    assert main(["inspect", str(path), "--write-cell", str(cell)]) == 0
+    said = " ".join(capsys.readouterr().err.split())
+    assert "guessed: wrench, pose, time; open: command, position of pose; check the guesses" in said
+
+
 def test_two_tables_with_clocks_of_their_own(tmp_path: Path, capsys: pytest.CaptureFixture[str], run: Run) -> None:
     """A quaternion with its w in front that only the weight can show, at half the rate of the force."""
     forces = columns(
@@ -201,9 +230,9 @@ def test_what_is_printed_is_how_the_log_is_read_with_the_guesses(
     path, cell = columns(tmp_path / "a.csv", names, values), tmp_path / "cell.yaml"
     assert main(["inspect", str(path), "--write-cell", str(cell)]) == 0
     printed = capsys.readouterr()
-    assert "guessed: wrench, pose, time; open: command; check the guesses, then: autotune identify" in " ".join(
-        printed.err.split()
-    )
+    said = " ".join(printed.err.split())
+    assert "guessed: wrench, pose, time; open: command; check the guesses" in said
+    assert f"next: autotune identify {path} --cell {cell} --allow-partial" in said
     assert "wrench: a.csv (declared with its fields)" in printed.out
     assert "error: " not in printed.out
     assert "no channel for the wrench" not in printed.out

@@ -9,7 +9,6 @@ from identification.logs.roles.cell import (
     DesiredForceSource,
     GainsFields,
     GainsSource,
-    GainsSource,
     PoseFields,
     PoseSource,
     TwistSource,

@@ -111,7 +111,8 @@ WRONG: dict[str, tuple[dict[str, Any], TableLayout, str]] = {
     "no rows": (dict.fromkeys("tab", pa.array([], pa.int64())), TIMED, "holds the names of columns but no row"),
     "text": ({"t": [1], "a": ["1.0"], "b": [1.0]}, TIMED, "Column `a` of run.parquet is of type string, it must hold"),
     "boolean": ({"t": [1], "a": [True], "b": [1.0]}, TIMED, "is of type bool"),
-    "list": ({"t": [1], "a": [[1.0]], "b": [1.0]}, TIMED, "is of type list<"),
+    "list": ({"t": [1], "a": [[1.0]], "b": [1.0]}, TIMED, "no column `a`; its columns are: t, a[0], b"),
+    "texts": ({"t": [1], "a": [["x"]], "b": [1.0]}, TIMED, "is of type list<"),
     "struct": ({"t": [1], "a": [{"x": 1.0}], "b": [1.0]}, TIMED, "is of type struct<"),
     "time as text": ({"t": ["noon"], "a": [1.0], "b": [1.0]}, TIMED, "is of type string, it must hold times"),
     "date": ({"t": [dt.date(2024, 1, 1)], "a": [1.0], "b": [1.0]}, TIMED, "is of type date32[day]"),
@@ -202,3 +203,25 @@ def test_indices_name_columns_too(tmp_path: Path) -> None:
     assert read_table(path, TableLayout(columns=("1",), time="0")).values.tolist() == [[3.0], [4.0]]
     assert read_table(path, TableLayout(time="0")).values.shape == (2, 0)
     assert read_table(path, TableLayout(sample_rate_hz=10.0)).log_ns.tolist() == [0, 10**8]
+
+
+@pytest.mark.parametrize("kind", [pa.list_(pa.float64()), pa.list_(pa.float32(), 3), pa.large_list(pa.int32())])
+def test_a_column_of_lists_counts_as_one_for_each_entry(tmp_path: Path, kind: Any) -> None:
+    lists = pa.array([[1, 2, 3], None, [7, 8, 9]], kind)
+    path = write(tmp_path / "run.parquet", {"t": [0.0, 0.1, 0.2], "q": lists, "words": [["a"], ["b"], []]})
+    assert list_columns(path) == ("t", "q[0]", "q[1]", "q[2]", "words")
+    values = read_table(path, TableLayout(columns=("q[2]", "q[0]"), time="t")).values
+    assert np.array_equal(values, [[3.0, 1.0], [math.nan, math.nan], [9.0, 7.0]], equal_nan=True)
+
+
+def test_lists_of_several_lengths_are_refused_with_the_row(tmp_path: Path) -> None:
+    path = write(tmp_path / "run.parquet", {"t": [0.0, 0.1, 0.2], "q": [[1.0, 2.0], [3.0, 4.0], [5.0]]})
+    layout = TableLayout(columns=("q[0]",), time="t")
+    with pytest.raises(LogError, match=r"`q` of run.parquet must hold lists of one length, found 2 .* in row 3, 1;"):
+        read_table(path, layout)
+
+
+def test_an_entry_of_a_list_may_not_have_the_name_of_a_column(tmp_path: Path) -> None:
+    path = write(tmp_path / "run.parquet", {"q": [[1.0, 2.0]], "q[1]": [3.0]})
+    with pytest.raises(LogError, match=r"several columns of one name: q\[1\]"):
+        list_columns(path)
