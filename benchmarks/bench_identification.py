@@ -91,7 +91,7 @@ def _identified(
 ) -> tuple[tuple[Outcome, ...], str, tuple[str, ...]]:
     """Return what was found, or why the log was refused, and the findings that are no mere information."""
     with tempfile.TemporaryDirectory() as folder:
-        log, cell = write_cell_log(simulated(drawn), drawn.writing, Path(folder), drawn.seed)
+        log, cell = write_cell_log(simulated(drawn), drawn, Path(folder))
         try:
             found = identify_log(
                 log, IdentifyOptions(cell=None if cell is None else read_cell(cell), allow_partial=True)

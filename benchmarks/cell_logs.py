@@ -12,7 +12,7 @@ from rosbags.rosbag2 import Writer as FolderWriter
 from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 
-from benchmarks.cells import Writing
+from benchmarks.cells import DrawnCell, Writing
 from identification.signals.recording import PoseSignal, Recording, WrenchSignal
 
 # Flange from sensor, where the sensor is turned.
@@ -35,11 +35,12 @@ command:
 """
 
 
-def write_cell_log(recording: Recording, writing: Writing, folder: Path, seed: int) -> tuple[Path, Path | None]:
+def write_cell_log(recording: Recording, drawn: DrawnCell, folder: Path) -> tuple[Path, Path | None]:
     """Write log and, where the log cannot say it, cell.yaml; return both paths."""
-    rng = np.random.default_rng([seed, 7])
+    writing, rng = drawn.writing, np.random.default_rng([drawn.seed, 7])
     logged = _as_logged(recording, writing)
     text = _HEAD + (_TURNED if writing.turned_sensor else "")
+    text += f"sample_time_s: {drawn.cell.sample_time_s!r}\n" if writing.names_period else ""
     if writing.container == "csv":
         text += _TABLE % ("sensor" if writing.reversed_wrench else "payload")
         path = _write_table(folder / "log.csv", logged, _kept(len(logged.wrench.stamp_ns), writing, rng))

@@ -32,7 +32,8 @@ class Writing:
 
     `pose_every` and `wrench_every` keep one sample of so many; `lost_share` of each channel's messages is missing, and
     once `gap_periods` in a row; the wrench's stamps are `wrench_late_s` late; `reversed_wrench` is the sensor's on the
-    payload; `turned_sensor` by 90 degrees about the flange's z, declared in cell.yaml.
+    payload; `turned_sensor` by 90 degrees about the flange's z, declared in cell.yaml. With `names_period` cell.yaml names
+    the controller's period, as the one that `autotune.recording` writes beside a log.
     """
 
     container: Literal["mcap", "sqlite", "bag", "csv"] = "mcap"
@@ -45,6 +46,7 @@ class Writing:
     wrench_late_s: float = 0.0
     reversed_wrench: bool = False
     turned_sensor: bool = False
+    names_period: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,6 +73,8 @@ def draw_cell(seed: int) -> DrawnCell:
             continue
         cell, program = _spaced(replace(cell, controller=controller), surfaces, program, force_n)
         if force_n / _resistance(cell) > _SLOWEST_APPROACH_M_S:
+            names_period = bool(np.random.default_rng([seed, 9]).random() < 0.5)
+            writing = replace(writing, names_period=names_period)
             return DrawnCell(seed=seed, cell=cell, surfaces=surfaces, program=program, writing=writing)
 
 

@@ -1,6 +1,6 @@
 """Estimates with verdicts from the joint fit of one axis."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -17,7 +17,7 @@ from ..result import (
     Status,
 )
 from ..robot.position_loop import find_bandwidth_hz
-from ..verdicts import IDENTIFIED_SHARE, TWO_SIDED, judged, judged_damping, vector, weak_at_best
+from ..verdicts import IDENTIFIED_SHARE, TWO_SIDED, judged, judged_damping, unidentifiable, vector, weak_at_best
 from .model import COUPLING_NAMES, SURFACE_NAMES, robot_model
 from .result import JointFit, JointSurface
 
@@ -44,13 +44,14 @@ COARSE_COMMAND = "the log does not show that each command was held until the nex
 class JointEstimates:
     """What the joint fit of axis `name` shows, parameter by parameter; `period_s` judges the delay.
 
-    `without_command` says why no command took part, where none did.
+    `without_command` says why no command took part, where none did, `delay_note` what the log leaves open of the delay.
     """
 
     name: str
     fit: JointFit
     period_s: float
     without_command: str = NO_COMMAND
+    delay_note: str = ""
 
     @cached_property
     def method(self) -> str:
@@ -84,7 +85,8 @@ class JointEstimates:
         if self.fit.robot is None:
             return None
         mine = slice(len(COUPLING_NAMES), names.index("delay_s") + 1)
-        return describe_robot(self.fit.values[mine], self.fit.covariance[mine, mine], self.period_s, self.method)
+        robot = describe_robot(self.fit.values[mine], self.fit.covariance[mine, mine], self.period_s, self.method)
+        return replace(robot, delay_s=replace(robot.delay_s, note=self.delay_note)) if self.delay_note else robot
 
     @property
     def second_mode(self) -> SecondModeEstimate | None:
@@ -110,7 +112,7 @@ class JointEstimates:
         """Return the surfaces, softest first on each side.
 
         Their stiffness is weak at best where no command was logged: the payload's path then rests on a pose that is
-        smooth between the ticks by assumption. K_e alone is, too, where K_s is not identified.
+        smooth between the ticks by assumption. K_e alone has no value where K_s has none.
         """
         return tuple(self._environment(i, surface) for i, surface in enumerate(self.fit.surfaces))
 
@@ -127,7 +129,8 @@ class JointEstimates:
         if self.fit.robot is None:
             stiffness, secant = (weak_at_best(e, self.without_command) for e in (stiffness, secant))
         if self.coupling.stiffness_n_per_m.status is Status.UNIDENTIFIABLE:
-            stiffness = weak_at_best(stiffness, "K_s is not identified, and K_e is what the secant leaves beside it")
+            why = "K_s is not identified, and contacts show only K_s and K_e in series"
+            stiffness = unidentifiable(method=self.method, note=why)
         mass, _ = self.fit.value("mass_kg")
         return EnvironmentEstimate(
             name=self.surface_name(index),

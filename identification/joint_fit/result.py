@@ -115,6 +115,11 @@ class JointFit:
         """Standard deviations in the order of `names`."""
         return np.sqrt(np.diag(self.covariance))
 
+    @property
+    def own_frequency_hz(self) -> float:
+        """Frequency at which the payload swings on its coupling."""
+        return float(np.sqrt(self.value("stiffness_n_per_m")[0] / self.value("mass_kg")[0])) / (2.0 * np.pi)
+
     def value(self, name: str) -> tuple[float, float]:
         """Return value and standard deviation of a parameter."""
         index = self.names.index(name)
@@ -347,3 +352,15 @@ def with_robot_shift(fit: JointFit, shift: FloatArray) -> JointFit:
     last = fit.names.index("delay_s")
     moved[last + 1 - len(shift) : last + 1] = shift
     return replace(fit, covariance=fit.covariance + np.outer(moved, moved))
+
+
+def with_longer_delay(fit: JointFit, seconds: float, std_s: float) -> JointFit:
+    """Return the fit with a delay T_d that is longer by `seconds`, give or take `std_s`; as it is without a robot."""
+    if fit.robot is None or (seconds, std_s) == (0.0, 0.0):
+        return fit
+    at = fit.names.index("delay_s")
+    values, covariance = fit.values.copy(), fit.covariance.copy()
+    values[at] += seconds
+    covariance[at, at] += std_s**2
+    robot = replace(fit.robot, delay_s=fit.robot.delay_s + seconds)
+    return replace(fit, values=values, covariance=covariance, robot=robot)

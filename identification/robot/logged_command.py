@@ -23,14 +23,23 @@ UNKNOWN_PERIOD = "give `sample_time_s`"
 
 @dataclass(frozen=True, kw_only=True)
 class LoggedRobot:
-    """The robot behind a logged command; with `is_held` each sample is what acted until the next one.
+    """The robot behind a logged command.
 
-    `note` says what of the delay the log leaves open.
+    `fit` is r(s) with the delay behind the controller's own hold. `behind_hold` is the robot behind a command that is
+    held for the log's period, None where the log contradicts such a hold. Where the controller may hold for less, its
+    delay is longer than that of `behind_hold` by `longer_s` (mean, standard deviation), since a log shows the delay and
+    half a hold together. `note` says what of the delay the log leaves open.
     """
 
     fit: RobotFit
-    is_held: bool
+    behind_hold: RobotFit | None
+    longer_s: tuple[float, float] = (0.0, 0.0)
     note: str = ""
+
+    @property
+    def is_held(self) -> bool:
+        """Whether each command is known to act until the next one that was logged."""
+        return self.behind_hold is self.fit
 
 
 def identify_logged_robot(
@@ -43,29 +52,31 @@ def identify_logged_robot(
 ) -> LoggedRobot:
     """Fit the robot to command and measured position, (n,) each, and find whether the command was held between them.
 
-    A command logged every 1.5 ms or faster, or at the known control period, is one of each tick. Of a slower one the
-    better fit decides. Where the log is slower than the controller, half a control period, which is not known, is part
-    of the lag that the log shows: the delay gets the middle and the deviation of what is possible. Raises EstimateError
-    as `identify_robot` does.
+    A command logged every 1.5 ms or faster, or no slower than the known control period, is one of each tick. Of a
+    slower one the better fit decides. Where the log may be slower than the controller, half a control period, which is
+    not known, is part of the lag that the log shows: the delay gets the middle and the deviation of what is possible.
+    Raises EstimateError as `identify_robot` does.
     """
-    known = control_period_s is not None and abs(period_s / control_period_s - 1.0) < _SAME_PERIOD
-    if known or (control_period_s is None and period_s <= TICK_S):
-        return LoggedRobot(fit=identify_robot(command_m, position_m, period_s), is_held=True)
-    held = _held(command_m, position_m, period_s) if is_uniform and control_period_s is None else None
+    if period_s <= (TICK_S if control_period_s is None else (1.0 + _SAME_PERIOD) * control_period_s):
+        held = identify_robot(command_m, position_m, period_s)
+        return LoggedRobot(fit=held, behind_hold=held)
+    behind_hold = _held(command_m, position_m, period_s) if is_uniform else None
     try:
         smooth = identify_robot(command_m, position_m, period_s, is_held=False)
     except EstimateError:
-        if held is None:
+        if behind_hold is None:
             raise
-        return LoggedRobot(fit=held, is_held=True)
-    samples = smooth.effective_samples if held is None else min(smooth.effective_samples, held.effective_samples)
+        return LoggedRobot(fit=behind_hold, behind_hold=behind_hold)
+    samples = smooth.effective_samples
+    if behind_hold is not None:
+        samples = min(samples, behind_hold.effective_samples)
     # What chance makes of so many samples, and what no stamp is free of.
     decisive = max(_DECISIVE / (2.0 * samples), _DECISIVE_SHARE)
-    better = np.inf if held is None else float(np.log(held.fit_error / smooth.fit_error))
-    if held is not None and better < -decisive:
-        return LoggedRobot(fit=held, is_held=True)
+    better = np.inf if behind_hold is None else float(np.log(behind_hold.fit_error / smooth.fit_error))
+    if behind_hold is not None and better < -decisive and control_period_s is None:
+        return LoggedRobot(fit=behind_hold, behind_hold=behind_hold)
     longest = period_s if better < decisive else min(period_s, _SLOWEST_CONTROLLER_S)
-    return _without_hold(smooth, period_s, longest, control_period_s)
+    return _without_hold(smooth, behind_hold if better < decisive else None, period_s, longest, control_period_s)
 
 
 def _held(command_m: FloatArray, position_m: FloatArray, period_s: float) -> RobotFit | None:
@@ -75,9 +86,11 @@ def _held(command_m: FloatArray, position_m: FloatArray, period_s: float) -> Rob
         return None
 
 
-def _without_hold(fit: RobotFit, period_s: float, longest_s: float, control_period_s: float | None) -> LoggedRobot:
+def _without_hold(
+    fit: RobotFit, behind_hold: RobotFit | None, period_s: float, longest_s: float, control_period_s: float | None
+) -> LoggedRobot:
     """Take the controller's own hold, half its period, off the delay, and what sampling costs into the deviations."""
-    delay = fit.model.delay_s
+    delay, sampling_std = fit.model.delay_s, _SPLINE_DELAY_SHARE * period_s
     if control_period_s is not None:
         hold, hold_std = min(0.5 * control_period_s, delay), 0.0
         note = (
@@ -94,15 +107,17 @@ def _without_hold(fit: RobotFit, period_s: float, longest_s: float, control_peri
     turned = 2.0 * np.pi * fit.bandwidth_hz * period_s
     share = _SPLINE_SHARE * turned**2
     widened = float(np.hypot(1.0, share * fit.bandwidth_hz / max(fit.bandwidth_std_hz, 1e-12)))
+    longer_std = float(np.hypot(hold_std, sampling_std))
     return LoggedRobot(
         fit=replace(
             fit,
             model=replace(fit.model, delay_s=delay - hold),
             numerator_std=widened * fit.numerator_std,
             denominator_std=widened * fit.denominator_std,
-            delay_std_s=float(np.hypot(np.hypot(fit.delay_std_s, hold_std), _SPLINE_DELAY_SHARE * period_s)),
+            delay_std_s=float(np.hypot(fit.delay_std_s, longer_std)),
             bandwidth_std_hz=widened * fit.bandwidth_std_hz,
         ),
-        is_held=False,
+        behind_hold=behind_hold,
+        longer_s=(0.5 * period_s - hold, longer_std),
         note=note,
     )

@@ -92,7 +92,7 @@ def test_what_is_read_is_what_was_simulated(container: str, pose_type: str, tmp_
         # Of a log without a declaration the sign is left as it is.
         reversed_wrench=container == "csv",
     )
-    log, cell = write_cell_log(recording, writing, tmp_path, 0)
+    log, cell = write_cell_log(recording, replace(draw_cell(0), writing=writing), tmp_path)
     assert cell is not None
     read = read_checked_recording((log,), read_cell(cell).cell)
     assert read.command is not None
@@ -108,7 +108,7 @@ def test_what_is_read_is_what_was_simulated(container: str, pose_type: str, tmp_
 def test_lost_messages_gaps_and_slower_channels_are_missing_from_the_file(tmp_path: Path) -> None:
     recording = shortened(simulate(draw_cell(0)), 6000)
     writing = Writing(pose_every=3, lost_share=0.01, gap_periods=8)
-    log, cell = write_cell_log(recording, writing, tmp_path, 0)
+    log, cell = write_cell_log(recording, replace(draw_cell(0), writing=writing), tmp_path)
     assert cell is None
     read = read_checked_recording((log,), Cell())
     period_ns = draw_cell(0).cell.sample_time_s * 1e9
