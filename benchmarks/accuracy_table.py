@@ -24,9 +24,8 @@ quarter of them with a mass of 0.3 to 5 kg; robot of one or two poles at 1 to 8 
 The log: rosbag2 (MCAP or SQLite), ROS 1 bag or CSV, `PoseStamped` or `TransformStamped`, three sets of topic names, a
 wrench of the other sign, a turned sensor, pose or wrench at a half or a third of the control rate, up to 1 % of the
 messages lost, a gap of up to 10 periods, a wrench stamped up to 1.5 samples early or late; in half of the cells
-cell.yaml names the controller's period, without which the delay of a log slower than 1.5 ms holds a quarter of a sample
-more or less. The controller is the
-fastest of a ladder of dampings that touches all surfaces with a modulus margin of 0.55.
+cell.yaml names the controller's period, without which the delay of a log slower than 1.5 ms is known to a quarter of a
+sample. The controller is the fastest of a ladder of dampings that touches all surfaces with a modulus margin of 0.55.
 """
 _PARAMETERS = """Errors are of everything that has a value; a share is of the true value. *Covered*: how often the
 stated 95 % interval holds the truth (target 90 to 99 %). *Worst*: the largest |error| in stated standard deviations of

@@ -1,6 +1,7 @@
 """Estimates of one straight axis out of a recording: robot, coupling, payload, surfaces."""
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -187,8 +188,8 @@ def fit_axis(
     # With a robot but without a held command, what is logged is smooth between its samples.
     is_logged = cell.recording.command is not None and robot.denominator.value is not None
     why = COARSE_COMMAND if is_logged else NO_COMMAND
-    delay_note = "" if behind is None else behind.note
-    of = partial(JointEstimates, name=axis.name, period_s=data.period_s, without_command=why, delay_note=delay_note)
+    note = "" if behind is None else behind.note
+    of = partial(JointEstimates, name=axis.name, period_s=data.period_s, without_command=why, delay_note=note)
     alone = _estimate(of(fit=fit), robot)
     both = alone if with_priors is None else _estimate(of(fit=with_priors), robot)
     if data.command is not None and cell.recording.command is None:
@@ -238,21 +239,17 @@ def _joint_fit(
         return data, identify_joint(data, progress)
 
     if cell.rebuilt is not None and axis.name in cell.robots and axis.name in AXIS_NAMES:
-        try:
+        with suppress(EstimateError):
             rebuilt = _behind_command(cell, axis, cell.rebuilt)[0]
             if rebuilt.is_held:
                 return joined(rebuilt, cell.rebuilt)
-        except EstimateError:
-            pass
-    if behind is not None and not behind.is_held and behind.behind_hold is not None:
-        try:
-            data, fit = joined(behind, cell.recording.command)
-            if fit.own_frequency_hz * data.period_s < _SLOW_MODE:
-                return data, fit
-        except EstimateError:
-            pass
-        behind = None
-    return joined(behind, cell.recording.command)
+    if behind is None or behind.is_held or behind.behind_hold is None:
+        return joined(behind, cell.recording.command)
+    with suppress(EstimateError):
+        data, fit = joined(behind, cell.recording.command)
+        if fit.own_frequency_hz * data.period_s < _SLOW_MODE:
+            return data, fit
+    return joined(None, cell.recording.command)
 
 
 def _with_robot_errors(fit: JointFit, behind: LoggedRobot | None) -> JointFit:
