@@ -32,8 +32,8 @@ class Writing:
 
     `pose_every` and `wrench_every` keep one sample of so many; `lost_share` of each channel's messages is missing, and
     once `gap_periods` in a row; the wrench's stamps are `wrench_late_s` late; `reversed_wrench` is the sensor's on the
-    payload; `turned_sensor` by 90 degrees about the flange's z, declared in cell.yaml. With `names_period` cell.yaml names
-    the controller's period, as the one that `autotune.recording` writes beside a log.
+    payload; `turned_sensor` by 90 degrees about the flange's z, declared in cell.yaml. With `names_period`
+    cell.yaml names the controller's period, as the one that `autotune.recording` writes beside a log.
     """
 
     container: Literal["mcap", "sqlite", "bag", "csv"] = "mcap"
