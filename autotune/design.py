@@ -81,8 +81,16 @@ class Design(Shown):
 
     @property
     def peak_force(self) -> float:
-        """Largest predicted force at the surface over all axes [N, N·m] of all contacts of the certificate."""
-        return max(each.peak_contact_force_n for p in self.controller.predicted.values() for each in p.scenarios)
+        """Largest predicted force at the surface over all axes [N, N·m] of all contacts of the certificate.
+
+        Of a design for an export target that of the law which the target runs.
+        """
+        from autotune.prediction.as_run_by import as_run_by  # noqa: PLC0415 - compiles
+
+        targets = [as_run_by(self.controller, name) for name in self.controller.axes]
+        peaks = [each.peak for each in targets if each is not None]
+        own = (each.peak_contact_force_n for p in self.controller.predicted.values() for each in p.scenarios)
+        return max(peaks or own)
 
     @property
     def before_after(self) -> dict[str, str]:
@@ -197,7 +205,9 @@ class Design(Shown):
     @property
     def notes(self) -> tuple[str, ...]:
         """What should not be overlooked, a sentence each, of a loaded design too."""
-        return tuple(self.controller.provenance.get("notes", ()))
+        from autotune.prediction.as_run_by import own_law_notes  # noqa: PLC0415 - compiles
+
+        return (*own_law_notes(self.controller), *self.controller.provenance.get("notes", ()))
 
     def _notes(self) -> Sequence[str]:
         return self.notes

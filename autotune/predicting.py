@@ -14,9 +14,10 @@ from autotune.formats.quantity import Uncertain
 from autotune.formats.stiffness_units import check_surface_unit, doubtful_surface
 from autotune.formats.units import ROTATIONAL_AXES
 from autotune.prediction.against_touches import Running, TouchComparison, compare_touches, other_surface
+from autotune.prediction.as_run_by import running_law
 from autotune.prediction.certified import outside_domain
-from autotune.prediction.contact import check_approach
-from autotune.prediction.law import law_of, law_of_gains
+from autotune.prediction.contact import TargetLaw, check_approach
+from autotune.prediction.law import law_of_gains
 from autotune.prediction.plants import Surface, build_plants, find_axis
 from autotune.prediction.result import PredictedContact, predict_contact
 from autotune.prediction.said_gains import parse_number, parse_pairs
@@ -118,7 +119,7 @@ def predict_any(source: object, gains: Gains, asked: ContactRequest) -> Predicte
     notes += [each.message for each in file.result.findings if each.message == NO_DELAY_GIVEN]
     plants = build_plants(file, surface, axis=axis, payload_mass=asked.payload_mass, sample_time_s=asked.sample_time)
     controller = _controller(gains)
-    law = law_of(controller, axis) if controller is not None else law_of_gains(_mapping(gains))
+    law = running_law(controller, axis) if controller is not None else law_of_gains(_mapping(gains))
     found = predict_contact(plants, law, approach)
     outside = () if controller is None else outside_domain(controller.certificate.domain[axis], found)
     return replace(found, outside=outside, neglected=(*notes, *found.neglected))
@@ -219,7 +220,9 @@ def compare_with_touches(
 
     def running(axis: str) -> Running:
         if controller is not None:
-            law = law_of(controller, axis)
+            law = running_law(controller, axis)
+            if isinstance(law, TargetLaw):
+                return Running(law=law, desired_force=asked.force)
             return Running(
                 law=law,
                 mass=law.controller.mass_kg,

@@ -3,4 +3,5 @@
 
 def is_next_alone(text: str) -> bool:
     """Whether it is one line, the command that usually follows, and nothing else."""
-    return text.startswith("next: autotune ") and text.count("\n") == 1 and text.endswith("\n")
+    programs = tuple(f"next: {name} " for name in ("autotune", "cc", "ros2", "colcon"))
+    return text.startswith(programs) and text.count("\n") == 1 and text.endswith("\n")

@@ -86,9 +86,13 @@ class Output:
 
     def next_command(self, *words: str | Path | None) -> None:
         """Name the command that usually follows, ready to be pasted; nothing beside `--json`, and None is left out."""
+        self.next_line(shlex.join(["autotune", *(str(word) for word in words if word is not None)]))
+
+    def next_line(self, command: str) -> None:
+        """Name a command line that usually follows, of whatever program."""
         if not (self.as_json or self.quiet):
             # Not folded: what is pasted is one line.
-            say(f"next: {shlex.join(['autotune', *(str(word) for word in words if word is not None)])}")
+            say(f"next: {command}")
 
     @contextlib.contextmanager
     def replacing(self, path: Path, kind: str) -> Iterator[None]:

@@ -94,6 +94,7 @@ def command(
     """
     from autotune.export.export import Trust, export_controller
     from autotune.formats.canonical import short
+    from autotune.prediction.as_run_by import own_law_notes
 
     options = {option.name: option for option in target_options()}
     given = {name: options[name].parse(value) for name, value in further.items() if value is not None}
@@ -101,6 +102,9 @@ def command(
     with output.progress("verifying", 1.0) as advance:
         made = export_controller(controller, target, out, options=given, trust=trust, progress=advance)
     _note_unverified(output, controller, public_key)
+    if made.target.runs_same_law:
+        for note in own_law_notes(made.source.controller):
+            output.note(note)
     result = {
         "target": target,
         "path": str(out),
@@ -119,7 +123,10 @@ def command(
             print_message(line)
 
     output.result(result, text)
-    output.next_command("report", controller)
+    if made.following is None:
+        output.next_command("report", controller)
+    else:
+        output.next_line(made.following)
 
 
 def _note_unverified(output: Output, controller: Path, public_key: Path | None) -> None:

@@ -129,7 +129,7 @@ def command(
     )
     with output.progress("mapping", 1.0) as advance:
         made = make_map(options, advance)
-    for line in made.replaced:
+    for line in (*made.replaced, *made.setup.source.notes):
         output.note(line)
     tree = summary_tree(made)
     output.result(tree, lambda: print_summary(tree))

@@ -31,7 +31,7 @@ from ._schedule import schedule_options
 from ._terminal import detect_terminal, echo, print_message, print_table
 
 if TYPE_CHECKING:
-    from autotune.export.target import Rendered
+    from autotune.export.target import ExportTarget, Rendered
     from autotune.formats.controller_record import ScenarioPrediction
     from autotune.formats.identified import IdentifiedFile
     from autotune.prediction.law import PresentGains
@@ -149,7 +149,7 @@ def command(
     not change the controller. Exit code 5: no controller meets the requirements. 6: a claim could not be verified, or
     the compared file is altered. Nothing is written then.
     """
-    from autotune.export.designing import first_feasible, plant_for, specs_for
+    from autotune.export.designing import example_export, first_feasible, plant_for, specs_for
     from autotune.formats.atomic import check_target
     from autotune.formats.canonical import short
     from autotune.formats.controller import write_controller
@@ -174,11 +174,11 @@ def command(
         specs = specs_for(wanted, spec)
         with output.progress("searching", float(len(specs))) as advance:
             found = first_feasible(specs, lambda each: optimize(
-                plant, each, seed=seed, problem_path=problem, present=present, proof=proof,
+                plant, each, seed=seed, problem_path=problem, present=present, proof=proof, replays=wanted is None,
                 step=lambda doing: advance(0.0, f"searching {doing}".rstrip()), progress=advance,
             ))  # fmt: skip
-        if target is not None:
-            found, rendered = _certified_for(output, target, found, out)
+        if wanted is not None:
+            found, rendered = _certified_for(output, wanted, found, out, plant, present)
         fronts.trace(output, found)
         with output.replacing(out, "controller"):
             checksum = write_controller(out, found.controller)
@@ -191,8 +191,10 @@ def command(
     output.result(tree, lambda: _print_all(found, out, short(checksum), present, fronts, report, rendered))
     # Ranges that were said may leave out what was identified, and a plant of a person has no estimates to hold against.
     is_said = plant.domain or found.compliance or spec.payload_mass or spec.environment_stiffness
-    validation = ("validate", out, *(() if is_said else ("--identified", identified)))
-    output.next_command(*(validation if target is None else ("export", out, "--target", target, "-o", "FILE")))
+    if wanted is None:
+        output.next_command("validate", out, *(() if is_said else ("--identified", identified)))
+    else:
+        output.next_line(example_export(wanted, out))
 
 
 def _tree(
@@ -210,43 +212,41 @@ def _tree(
     return tree | ({"pareto": fronts.tree} if fronts.tree else {})
 
 
-def _certified_for(output: Output, target: str, found: "Optimized", out: Path) -> "tuple[Optimized, Rendered]":
-    """Certify the design as the target runs it, and note the target and its peaks in the controller's provenance."""
+def _certified_for(
+    output: Output,
+    target: "ExportTarget",
+    found: "Optimized",
+    out: Path,
+    plant: "IdentifiedFile",
+    present: "PresentGains | None",
+) -> "tuple[Optimized, Rendered]":
+    """Certify the design as the target runs it, note in its provenance what that is, and replay the log with it."""
     from autotune.export.designing import certify_for, lacking_gains
-    from autotune.prediction.before_after import AsRunBy
+    from autotune.prediction.as_run_by import with_target
+    from autotune.tuning.optimize import replay_log, with_notes
 
-    made = found.controller
-    provenance = {**made.provenance, "options": {**made.provenance["options"], "for": target}}
-    if lacking := lacking_gains(TARGETS[target], made):
-        note = (
-            f"Our own law cannot do this without {' and '.join(lacking)}, so the gains of this file have what {target} "
-            f"lacks; its law does it without."
+    made, notes = found.controller, list(found.controller.provenance.get("notes", ()))
+    options = {**made.provenance["options"], "for": target.name}
+    noted = replace(made, provenance={**made.provenance, "options": options})
+    if lacking := lacking_gains(target, made):
+        notes.append(
+            f"Our own law cannot do this without {' and '.join(lacking)}, so the gains of this file have what "
+            f"{target.name} lacks; its law does it without."
         )
-        provenance["notes"] = [*provenance.get("notes", ()), note]
-    noted = replace(made, provenance=provenance)
-    with output.progress(f"certifying for {target}", 1.0) as advance:
-        rendered = certify_for(TARGETS[target], noted, out, advance)
-    before_after = {
-        name: each.designed_for(
-            AsRunBy(
-                target=target,
-                peak=rendered.tree["axes"][name]["peak_contact_force"],
-                own_peak=rendered.tree["axes"][name]["peak_contact_force_before"],
-            )
-        )
-        for name, each in found.before_after.items()
-    }
-    provenance["before_after"] = {name: each.to_dict() for name, each in before_after.items()}
-    done = replace(noted, provenance=provenance)
-    return replace(found, controller=done, before_after=before_after), rendered
+    with output.progress(f"certifying for {target.name}", 1.0) as advance:
+        rendered = certify_for(target, noted, out, advance)
+    noted = with_target(noted, target.name, rendered.tree["axes"], rendered.laws)
+    before_after = replay_log(plant, noted, present, found.compared)
+    return replace(found, controller=with_notes(noted, notes, before_after), before_after=before_after), rendered
 
 
 def _print_target(found: "Optimized", rendered: "Rendered") -> None:
-    """Print what the target will run, axis by axis."""
+    """Print what the target will run, axis by axis, and the head of what is our own law's."""
     print_message(f"As {found.controller.provenance['options']['for']} runs it, certified:")
     for line in rendered.lines:
         if line.startswith("axis "):
             print_message(line, indent="  ")
+    print_message("Our own law, from which that was made, and which does not run there:")
 
 
 def _print_all(
@@ -258,9 +258,7 @@ def _print_all(
     report: Path | None,
     rendered: "Rendered | None",
 ) -> None:
-    print_optimized(found, out, checksum, present)
-    if rendered is not None:
-        _print_target(found, rendered)
+    print_optimized(found, out, checksum, present, rendered)
     fronts.print()
     print_report_path(report)
 
@@ -284,15 +282,21 @@ def _refused_page(error: Exception, plants: "list[IdentifiedFile]") -> "Page":
     return refused_search_page(error, plants[0] if plants else None)
 
 
-def print_optimized(found: "Optimized", out: Path, checksum: str, present: "PresentGains | None" = None) -> None:
+def print_optimized(
+    found: "Optimized",
+    out: Path,
+    checksum: str,
+    present: "PresentGains | None" = None,
+    rendered: "Rendered | None" = None,
+) -> None:
     """Print what it changes, the chosen gains, the predicted peaks, what holds them up, and what was verified."""
     from autotune.formats.units import axis_units
     from problems.design.problem import VARIABLES
 
     controller = found.controller
     print_before_after(found.before_after)
-    if "for" in controller.provenance["options"]:
-        print_message("Our own law, from which it was translated or tuned:")
+    if rendered is not None:
+        _print_target(found, rendered)
     for name, compliance in found.compliance.items():
         print_compliance(name, compliance, found.searches[name].problem)
     for name, gains in controller.axes.items():

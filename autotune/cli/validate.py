@@ -122,6 +122,7 @@ def _validate(output: Output, path: Path, identified_path: Path | None, options:
     from autotune.formats.controller import read_controller
     from autotune.formats.identified import read_identified
     from autotune.validation.domain import check_domain
+    from autotune.validation.law import of_own_law
     from autotune.validation.measured_loop import measured_checks
     from autotune.validation.monte_carlo import monte_carlo_tree
     from autotune.validation.report import ValidationReport
@@ -144,7 +145,7 @@ def _validate(output: Output, path: Path, identified_path: Path | None, options:
         measured: dict[str, Any] = {}
         if identified is not None:
             of_measured, measured = measured_checks(read.controller, identified.result)
-            checks += [*check_domain(read.controller, identified.result), *of_measured]
+            checks += of_own_law(read.controller, [*check_domain(read.controller, identified.result), *of_measured])
         seen.read, seen.simulated, seen.report = read, found.simulated, ValidationReport(checks=tuple(checks))
         compared = seen.compared = _compared(output, read, options) if seen.report.passed else None
         if compared is not None:
@@ -169,8 +170,16 @@ def _validate(output: Output, path: Path, identified_path: Path | None, options:
     tree |= write_report(output, options["report"], seen.page)
     output.result(tree, lambda: seen.print(options["report"]))
     if seen.report.passed:
-        output.next_command("export", path, "--target", "c", "-o", path.with_suffix(".c"))
+        _name_export(output, read)
     seen.report.require()
+
+
+def _name_export(output: Output, read: "ControllerFile") -> None:
+    from autotune.export.designing import example_export
+    from autotune.export.targets import TARGETS
+    from autotune.prediction.as_run_by import designed_for
+
+    output.next_line(example_export(TARGETS[designed_for(read.controller) or "c"], read.path))
 
 
 @dataclass(kw_only=True)

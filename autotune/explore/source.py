@@ -17,6 +17,7 @@ from autotune.formats.problem import ProblemSpec, read_problem
 from autotune.formats.records import record_tree, rename_axis_keys
 from autotune.formats.units import ROTATIONAL_AXES
 from autotune.formats.yaml12 import kind_of_file
+from autotune.prediction.as_run_by import designed_for, own_law_notes
 from autotune.tuning.bounds import Box
 from autotune.tuning.compare import start_design
 from autotune.tuning.optimize import carried_payload, make_provenance
@@ -198,6 +199,8 @@ def _from_controller(read: ControllerFile) -> Exploration:
 
 
 def _dropped(controller: Controller) -> str:
+    if designed_for(controller):
+        return " ".join(f"{each[0].upper()}{each[1:]}." for each in own_law_notes(controller))
     if controller.collision.response is CollisionResponse.NONE:
         return ""
     return "The collision response of the file was chosen for its gains; what is saved here has none."

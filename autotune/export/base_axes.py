@@ -18,8 +18,12 @@ KINDS = (("x", "y", "z"), ("rx", "ry", "rz"))
 _TOLERANCE_DEG = 1.0
 
 
+class MissingOrientationError(UsageError):
+    """The gains act along another frame's axes, and nobody says how that lies."""
+
+
 def check_kinds(tuned: Iterable[str], orientation: Quaternion | None) -> None:
-    """Raise UsageError where one or two axes of three are tuned and `orientation` is no turn by right angles.
+    """Raise UsageError where one or two axes of three are tuned and `orientation` is none or no turn by right angles.
 
     Whether three are alike is known only once their gains are.
     """
@@ -28,7 +32,7 @@ def check_kinds(tuned: Iterable[str], orientation: Quaternion | None) -> None:
         if 0 < len(found) < len(kind):
             if orientation is None:
                 still = [axis for axis in kind if axis not in found]
-                raise UsageError(_needed(f"{', '.join(found)} must move and {', '.join(still)} must not"))
+                raise MissingOrientationError(_needed(f"{', '.join(found)} must move and {', '.join(still)} must not"))
             right_angles(orientation)
 
 
@@ -43,7 +47,7 @@ def base_axes(gains: Mapping[str, Mapping[str, float]], orientation: Quaternion 
         places: tuple[str, ...] = kind
         if not _alike(gains, kind):
             if orientation is None:
-                raise UsageError(_needed(_unequal(gains, kind)))
+                raise MissingOrientationError(_needed(_unequal(gains, kind)))
             places = tuple(kind[each] for each in right_angles(orientation))
         found |= {axis: place for axis, place in zip(kind, places, strict=True) if axis in gains}
     return found

@@ -1,9 +1,10 @@
 """Design for another controller from the start: its period, none of the gains it lacks, and its own certificate."""
 
-from collections.abc import Callable, Sequence
+import shlex
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from autotune.errors import InfeasibleError, UsageError
 from autotune.formats.canonical import flow_text
@@ -11,10 +12,15 @@ from autotune.formats.controller import ControllerFile, controller_tree
 from autotune.formats.controller_record import Controller
 from autotune.formats.identified import IdentifiedFile
 from autotune.formats.problem import ProblemSpec
+from problems.design.uncertainty import MASS, STIFFNESS
 
+from .ros_yaml import DOWNWARDS
 from .target import ExportRequest, ExportTarget, Rendered
 
 Found = TypeVar("Found")
+DESIGNED = "for_target.yaml"
+"""The controller file of the commands that are named."""
+_PROBLEM = "problem.yaml"
 _PINNED = ("lead_s", "feedback_damping_s")
 
 
@@ -62,6 +68,37 @@ def plant_for(target: ExportTarget | None, plant: IdentifiedFile) -> IdentifiedF
     return replace(plant, result=replace(plant.result, sample_time_s=replace(known, value=own)))
 
 
+def design_command(target: ExportTarget, controller: Controller, problem: str | None, out: str = DESIGNED) -> str:
+    """Return the command that designs for a target as a controller was designed, with the options that were given."""
+    made = controller.provenance
+    said, plant = made.get("options", {}), made.get("identified", {}).get("path", "identified.yaml")
+    words = ["autotune", "optimize", plant, *(["--problem", problem] if problem else []), "--for", target.name]
+    for flag, joint, name in (("--payload-mass", ",", MASS), ("--environment-stiffness", ":", STIFFNESS)):
+        if said.get(name):
+            words += [flag, joint.join(f"{each:.15g}" for each in said[name])]
+    compared = said.get("compare") or {}
+    before = compared.get("path") or compared.get("from", "")
+    words += ["--compare", before] if "path" in compared or "=" in before else []
+    words += ["--seed", str(said["seed"])] if said.get("seed") else []
+    return shlex.join([*words, "-o", out])
+
+
+def export_command(
+    target: ExportTarget, source: Path | str, out: Path | str, options: Mapping[str, Any] | None = None
+) -> str:
+    """Return the command that exports a controller file to a target, with options by name."""
+    given = options or {}
+    typed = [word for each in target.options if each.name in given for word in (each.flag, each.said(given[each.name]))]
+    return shlex.join(["autotune", "export", str(source), "--target", target.name, *typed, "-o", str(out)])
+
+
+def example_export(target: ExportTarget, source: Path | str) -> str:
+    """Return the command that usually exports to a target, for a tool that points down where that matters."""
+    options = DOWNWARDS if any(each.name in DOWNWARDS for each in target.options) else {}
+    name = Path(source).with_suffix(".c") if target.suffix == ".c" else f"{target.name}{target.suffix}"
+    return export_command(target, source, name, options)
+
+
 def certify_for(
     target: ExportTarget, controller: Controller, out: Path, progress: Callable[[float], None] | None = None
 ) -> Rendered:
@@ -79,7 +116,15 @@ def certify_for(
     except InfeasibleError as error:
         if not error.suggestion:
             raise
-        lines = f"Lines for problem.yaml with which it can: {flow_text(error.suggestion)}"
+        command = design_command(target, controller, _PROBLEM, str(out))
         raise InfeasibleError(
-            f"With {target.name}: {error} {lines}", error.relaxations, suggestion=error.suggestion
+            f"With {target.name}: {error} {lines_for(controller)}: {flow_text(error.suggestion)} and run {command}",
+            error.relaxations,
+            suggestion=error.suggestion,
         ) from error
+
+
+def lines_for(controller: Controller) -> str:
+    """Return where lines that ease the requirements are put: into a new problem.yaml, or a copy of the one used."""
+    problem = controller.provenance.get("options", {}).get("problem")
+    return f"Put into {_PROBLEM}" if problem in {None, _PROBLEM} else f"Put into {_PROBLEM}, a copy of {problem}"

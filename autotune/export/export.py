@@ -11,9 +11,11 @@ from autotune.formats.canonical import flow_text
 from autotune.formats.controller import ControllerFile, read_controller
 from autotune.runtime.load import check_digits, check_expected, verify_signature
 from autotune.validation.validate import validate_controller
-from problems.design.uncertainty import MASS, STIFFNESS
 
+from .base_axes import MissingOrientationError
+from .designing import DESIGNED, design_command, export_command, lines_for
 from .package_folder import check_folder, write_folder
+from .ros_yaml import DOWNWARDS
 from .target import ExportRequest, ExportTarget, Rendered
 from .targets import TARGETS
 
@@ -49,12 +51,16 @@ class Trust:
 
 @dataclass(frozen=True, kw_only=True)
 class Exported:
-    """What was written, for which target, from which file; `replaced` are files of an earlier export by now gone."""
+    """What was written, for which target, from which file; `replaced` are files of an earlier export by now gone.
+
+    `following` is the command that uses what was written, None where nothing is usual.
+    """
 
     target: ExportTarget
     source: ControllerFile
     rendered: Rendered
     replaced: tuple[Path, ...]
+    following: str | None = None
 
     @property
     def checksum(self) -> str:
@@ -91,8 +97,8 @@ def export_controller(
     Raises
     ------
     UsageError
-        An unknown target or option, a file that cannot be opened or written, or an `out` that is not of the same
-        export.
+        An unknown target or option, one that is missing, a file that cannot be opened or written, or an `out` that is
+        not of the same export.
     CertificateError
         A file that is altered, not validated, not as `trust` asks, or whose law is not what it states.
     InfeasibleError
@@ -113,6 +119,9 @@ def export_controller(
     _check_period(kind, request)
     try:
         rendered = kind.render(request)
+    except MissingOrientationError as error:
+        command = export_command(kind, source.path, out, {**given, **DOWNWARDS})
+        raise UsageError(f"{error} For a tool that points down run {command}") from error
     except InfeasibleError as error:
         raise _with_commands(error, kind, request) from error
     if kind.is_folder:
@@ -121,7 +130,8 @@ def export_controller(
     else:
         for file, text in zip(files, rendered.texts, strict=True):
             write_atomic(file, text)
-    return Exported(target=kind, source=source, rendered=rendered, replaced=replaced)
+    following = None if kind.following is None else kind.following(request)
+    return Exported(target=kind, source=source, rendered=rendered, replaced=replaced, following=following)
 
 
 def check_files(target: ExportTarget, files: tuple[Path, ...], source: Path | str) -> tuple[Path, ...]:
@@ -147,10 +157,9 @@ def _with_commands(error: InfeasibleError, target: ExportTarget, request: Export
     """Return the error with the lines that are enough and the two commands that lead to the export."""
     if not error.suggestion:
         return error
-    problem = request.source.controller.provenance.get("options", {}).get("problem")
-    where = "problem.yaml" if problem is None else f"problem.yaml, a copy of {problem}"
+    lines = f"{lines_for(request.source.controller)}: {flow_text(error.suggestion)}"
     return InfeasibleError(
-        f"{error} Put into {where}: {flow_text(error.suggestion)} and run {_commands(target, request, 'problem.yaml')}",
+        f"{error} {lines} and run {_commands(target, request, 'problem.yaml')}",
         error.relaxations,
         suggestion=error.suggestion,
     )
@@ -158,16 +167,8 @@ def _with_commands(error: InfeasibleError, target: ExportTarget, request: Export
 
 def _commands(target: ExportTarget, request: ExportRequest, problem: str | None) -> str:
     """Return the two commands that design for the target and export to it, with the options that were given."""
-    made = request.source.controller.provenance
-    said, plant = made.get("options", {}), made.get("identified", {}).get("path", "identified.yaml")
-    first = [f"autotune optimize {plant}", *([f"--problem {problem}"] if problem else []), f"--for {target.name}"]
-    for flag, joint, name in (("--payload-mass", ",", MASS), ("--environment-stiffness", ":", STIFFNESS)):
-        if said.get(name):
-            first.append(f"{flag} {joint.join(f'{each:.15g}' for each in said[name])}")
-    options = (each for each in target.options if each.name in request.options)
-    typed = [f"{each.flag} {each.said(request.options[each.name])}" for each in options]
-    second = ["autotune export for_target.yaml", f"--target {target.name}", *typed, f"-o {request.out}"]
-    return f"{' '.join(first)} -o for_target.yaml; {' '.join(second)}"
+    design = design_command(target, request.source.controller, problem)
+    return f"{design}; {export_command(target, DESIGNED, request.out, request.options)}"
 
 
 def _check_folder(out: Path, source: Path | str) -> tuple[Path, ...]:

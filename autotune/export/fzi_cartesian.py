@@ -17,6 +17,7 @@ from .ros_yaml import (
     Tree,
     check_keys,
     check_orientation,
+    spawner,
     update_rate_hz,
 )
 from .target import ExportTarget, begins_with, render_translation
@@ -156,4 +157,5 @@ FZI_CARTESIAN = ExportTarget(
     ),
     runs_same_law=False,
     design_options=UPRIGHT,
+    following=spawner("cartesian_force_controller"),
 )

@@ -56,7 +56,7 @@ def _form() -> "MdkForm":
 
 def _check(gains: Mapping[str, "AxisGains"], options: MdkOptions) -> None:
     """Raise UsageError for turning axes, and for an orientation in which the wrench is turned the wrong way."""
-    from .base_axes import right_angles, rotation  # noqa: PLC0415
+    from .base_axes import MissingOrientationError, right_angles, rotation  # noqa: PLC0415
 
     turning = [axis for axis in gains if axis.startswith("r")]
     if turning:
@@ -70,7 +70,9 @@ def _check(gains: Mapping[str, "AxisGains"], options: MdkOptions) -> None:
         "points down."
     )
     if options.orientation is None:
-        raise UsageError(f"{must} Give the sensor's orientation in the base with --orientation QX,QY,QZ,QW.")
+        raise MissingOrientationError(
+            f"{must} Give the sensor's orientation in the base with --orientation QX,QY,QZ,QW."
+        )
     right_angles(options.orientation)
     turn = rotation(options.orientation)
     if float(abs(turn - turn.T).max()) > _SYMMETRIC:

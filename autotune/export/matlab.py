@@ -1,5 +1,6 @@
 """The `mat` target: plant and exact sampled loop of every axis as a MATLAB file."""
 
+import shlex
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -90,4 +91,5 @@ MAT = ExportTarget(
     summary="plant and exact sampled loop of every axis for MATLAB.",
     render=_render,
     is_own=_is_own,
+    following=lambda request: shlex.join(["matlab", "-r", f"load -mat {request.out}"]),
 )

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 from problems.progress import Progress
 
-from .ros_yaml import UPRIGHT, InstallationNames, Quaternion, Tree, check_orientation, update_rate_hz
-from .target import ExportTarget, TargetOption, begins_with, render_translation
+from .ros_yaml import UPRIGHT, InstallationNames, Quaternion, Tree, check_orientation, spawner, update_rate_hz
+from .target import ExportRequest, ExportTarget, TargetOption, begins_with, render_translation
 
 if TYPE_CHECKING:
     from autotune.formats.controller import ControllerFile
@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from .mdk_axis import MdkForm
     from .retune import ControllerStructure
     from .third_party import ParameterFile, TranslatedAxis, Translation
+
+
+_SPAWNER = spawner("admittance_controller")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,7 +68,7 @@ class MdkProgram:
     `form` returns its discretisation and ranges; `check` raises UsageError for axes and options that do not fit;
     `content` returns the tree of its parameter file, or the text of its script; `notes` say what it does of itself.
     `sample_time_s` is its period where it has one of its own, `expresses` as in `ExportTarget`, `joints` those of the
-    robot that it is for.
+    robot that it is for, `suffix` and `following` as in `ExportTarget`.
     """
 
     name: str
@@ -79,6 +82,8 @@ class MdkProgram:
     sample_time_s: float | None = None
     expresses: tuple[str, ...] = ("mass", "damping")
     joints: Callable[[MdkOptions], tuple[str, ...]] = lambda options: options.joints
+    suffix: str = ".yaml"
+    following: Callable[[ExportRequest], str] = _SPAWNER
 
 
 def translate(
@@ -127,5 +132,7 @@ def mdk_target(program: MdkProgram) -> ExportTarget:
         runs_same_law=False,
         sample_time_s=program.sample_time_s,
         expresses=program.expresses,
+        suffix=program.suffix,
+        following=program.following,
         design_options=UPRIGHT if any(each.name == "orientation" for each in program.options) else {},
     )

@@ -2,6 +2,7 @@
 
 import json
 import re
+import shlex
 from pathlib import Path
 
 from autotune.errors import CertificateError, UsageError
@@ -69,17 +70,28 @@ def _render_c(request: ExportRequest) -> Rendered:
     return Rendered(texts=(text.header, text.source))
 
 
+def _validate(request: ExportRequest) -> str:
+    return shlex.join(["autotune", "validate", str(request.out)])
+
+
+def _compile(request: ExportRequest) -> str:
+    flags = ("-std=c99", "-O2", "-Wall", "-Wextra", "-ffp-contract=off")
+    return shlex.join(["cc", *flags, "-c", str(request.out), "-o", str(request.out.with_suffix(".o"))])
+
+
 CELL = ExportTarget(
     name="cell",
     summary="the YAML that the cell reads.",
     render=render_cell,
     is_own=begins_with(CELL_MARK.encode().replace(b".", rb"\.")),
+    following=_validate,
 )
 JSON = ExportTarget(
     name="json",
     summary="the same content as JSON, with a JSON Schema.",
     render=render_json,
     is_own=_is_json_controller,
+    following=_validate,
 )
 C = ExportTarget(
     name="c",
@@ -87,4 +99,6 @@ C = ExportTarget(
     render=_render_c,
     is_own=begins_with(rb"/\* format: autotune/c, version 1: "),
     files=_c_files,
+    suffix=".c",
+    following=_compile,
 )

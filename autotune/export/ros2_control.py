@@ -13,7 +13,16 @@ from typing import TYPE_CHECKING
 from autotune.errors import UsageError
 from problems.frozen import FrozenDict
 
-from .ros_yaml import CONTROL_FRAME, NAME_OPTIONS, SENSOR_NAME, InstallationNames, Tree, check_keys, update_rate_hz
+from .ros_yaml import (
+    CONTROL_FRAME,
+    NAME_OPTIONS,
+    SENSOR_NAME,
+    InstallationNames,
+    Tree,
+    check_keys,
+    spawner,
+    update_rate_hz,
+)
 from .target import ExportTarget, TargetOption, begins_with, render_translation
 
 if TYPE_CHECKING:
@@ -300,5 +309,6 @@ ROS2_CONTROL = ExportTarget(
         TargetOption(flag="--filter-coefficient", metavar="A", type=float, help="The force filter, 1 being none (1)."),
     ),
     runs_same_law=False,
+    following=spawner("admittance_controller"),
     expresses=("mass", "damping"),
 )

@@ -4,6 +4,7 @@ The C++ is written for ros2_control of Humble (2.x), Jazzy (4.x) and later; docs
 """
 
 import re
+import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.resources import files
@@ -166,4 +167,5 @@ ROS2_PACKAGE = ExportTarget(
     ),
     files=package_files,
     is_folder=True,
+    following=lambda request: shlex.join(["colcon", "build", "--base-paths", str(request.out)]),
 )

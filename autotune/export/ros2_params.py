@@ -1,5 +1,6 @@
 """Export to a ROS 2 parameter file with gains, limits, payload and checksum, for a node of one's own."""
 
+import shlex
 from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
@@ -59,10 +60,16 @@ def _parameter(name: str, value: Any) -> Any:
     return value
 
 
+def _load(request: ExportRequest) -> str:
+    """Return the command that gives the parameters to the node that was named, or to one of any name."""
+    return shlex.join(["ros2", "param", "load", request.options.get("node_name", "/my_node"), str(request.out)])
+
+
 ROS2_PARAMS = ExportTarget(
     name="ros2_params",
     summary="gains, limits, payload and checksum as ROS 2 parameters of a node of your own.",
     render=render,
     is_own=begins_with(rb"# Written by autotune \S+ as parameters of a node of your own\."),
     options=(TargetOption(flag="--node-name", metavar="NAME", help="The node that reads the file (any node: /**)."),),
+    following=_load,
 )

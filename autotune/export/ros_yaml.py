@@ -7,15 +7,16 @@ an exponent but without a point for text. Keys that nobody declared are passed o
 import json
 import math
 import re
+import shlex
 import textwrap
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields
 
 from autotune.errors import UsageError
 from problems.errors import ParameterError
 from problems.frozen import FrozenDict
 
-from .target import TargetOption
+from .target import ExportRequest, TargetOption
 
 Quaternion = tuple[float, float, float, float]
 Tree = Mapping[str, "Tree | float | bool | int | str | list[float] | list[bool] | list[str]"]
@@ -72,6 +73,9 @@ ORIENTATION = TargetOption(
 UPRIGHT: Mapping[str, Quaternion] = FrozenDict({"orientation": (0.0, 0.0, 0.0, 1.0)})
 """An orientation for what does not depend on it: the certificate of gains, which are then turned to their axes."""
 
+DOWNWARDS: Mapping[str, Quaternion] = FrozenDict({"orientation": (1.0, 0.0, 0.0, 0.0)})
+"""The orientation of a sensor on a tool that points down, as an example."""
+
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_./-]*")
 _WIDTH = 110
 # The ways in which a body can move.
@@ -122,6 +126,16 @@ def joint_notes(joints: tuple[str, ...], axis: str) -> Iterator[str]:
             f"axis {axis}: only {len(joints)} joint{'s are' if len(joints) != 1 else ' is'} named (--joints), and a "
             f"body has {_DIRECTIONS} ways to move; the certificate takes it that they move this axis alone."
         )
+
+
+def spawner(default_name: str) -> Callable[[ExportRequest], str]:
+    """Return what names the command that loads a controller with its parameter file into the controller manager."""
+
+    def command(request: ExportRequest) -> str:
+        name = request.options.get("controller_name", default_name)
+        return shlex.join(["ros2", "run", "controller_manager", "spawner", name, "--param-file", str(request.out)])
+
+    return command
 
 
 def update_rate_hz(sample_time_s: float) -> int:

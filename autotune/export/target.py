@@ -10,6 +10,7 @@ from problems.progress import Progress
 
 if TYPE_CHECKING:
     from autotune.formats.controller import ControllerFile
+    from problems.model.linear_controllers import LinearController
 
 # `autotune export --help` reads the table of targets, so a target imports what it needs in the functions that need it.
 
@@ -56,11 +57,15 @@ class ExportRequest:
 
 @dataclass(frozen=True, kw_only=True)
 class Rendered:
-    """The texts, or bytes, of the files, in the order of `ExportTarget.files`; `lines` and `tree` are also printed."""
+    """The texts, or bytes, of the files, in the order of `ExportTarget.files`; `lines` and `tree` are also printed.
+
+    `laws` are those that another program runs, axis by axis.
+    """
 
     texts: tuple[str | bytes, ...]
     lines: tuple[str, ...] = ()
     tree: Mapping[str, Any] = field(default_factory=dict)
+    laws: Mapping[str, "LinearController"] = field(default_factory=dict)
 
 
 class Renderable(Protocol):
@@ -101,7 +106,8 @@ class ExportTarget:
     has one of its own, `expresses` names the gains of ours that a design for it may have (all where its
     structure is another one than ours), and `design_options` stand for those of an
     installation where nothing is written. With `is_folder` all `files` lie in a folder that `-o` names, which is
-    written as one.
+    written as one. `suffix` is that of an example's file, and `following` returns the command that uses what was
+    written, None where nothing is usual.
     """
 
     name: str
@@ -115,3 +121,5 @@ class ExportTarget:
     expresses: tuple[str, ...] = ALL_GAINS
     design_options: Mapping[str, Any] = field(default_factory=dict)
     is_folder: bool = False
+    suffix: str = ".yaml"
+    following: Callable[[ExportRequest], str] | None = None

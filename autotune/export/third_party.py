@@ -16,10 +16,11 @@ from autotune.formats.controller_record import AxisGains, Controller
 from autotune.formats.limits import CollisionResponse
 from autotune.formats.units import ROTATIONAL_AXES, axis_units
 from autotune.validation.bouncing import search_bouncing
-from autotune.validation.law import AxisTask, LawCertificate, certify_law
+from autotune.validation.law import AxisTask, LawCertificate, axis_task, certify_law
 from autotune.version import __version__
 from problems.design.requirements import AdmittanceTarget
 from problems.errors import ParameterError
+from problems.model.linear_controllers import LinearController
 from problems.model.third_party_controllers import alternates
 
 from .easing import easing_message, find_easing, heavier_hand, merged
@@ -49,9 +50,10 @@ FileBuilder = Callable[[Controller, "Sequence[TranslatedAxis]"], ParameterFile]
 
 @dataclass(frozen=True, kw_only=True)
 class TranslatedAxis:
-    """One exported axis: its numbers as written, whether they had to be tuned and why, and what was certified."""
+    """One exported axis: its numbers as written and their law, whether they were tuned and why, what was certified."""
 
     axis: str
+    law: LinearController
     written: Mapping[str, float]
     tuned_because: str | None
     certificate: LawCertificate
@@ -68,6 +70,12 @@ class TranslatedAxis:
         """Return the smallest margins by name, None where there is no finite limit."""
         found = {} if self.certificate.margins is None else self.certificate.margins.values
         return {name: value if math.isfinite(value) else None for name, value in found.items()}
+
+    def free_motion(self) -> dict[str, float]:
+        """Return the least admittance over the band that was asked, and the force per speed of a steady hand."""
+        found = self.certificate.admittance
+        assert found is not None  # a certificate that holds has one
+        return {"least_admittance": found.min_m_s_per_n, "hand_force": found.hand_force_n_per_m_s}
 
     def price(self) -> str:
         """Return in words the peak force beside that of the file's own law."""
@@ -95,6 +103,7 @@ class Translation:
                 "peak_contact_force": each.peak_n,
                 "peak_contact_force_before": each.peak_before_n,
                 "margins": each.margins(),
+                **each.free_motion(),
                 "notes": list(each.notes),
             }
             for each in self.axes
@@ -114,7 +123,8 @@ class Translation:
 
     def rendered(self) -> Rendered:
         """Return the same as what an export writes and prints."""
-        return Rendered(texts=(self.text,), lines=tuple(self.lines()), tree=self.tree())
+        laws = {each.axis: each.law for each in self.axes}
+        return Rendered(texts=(self.text,), lines=tuple(self.lines()), tree=self.tree(), laws=laws)
 
 
 def translate_controller(
@@ -136,34 +146,13 @@ def translate_controller(
             "give them in the plant, or identify the payload, and optimize again."
         )
     controller = source.controller
-    tasks = {name: _task(controller, name) for name in controller.axes}
+    tasks = {name: axis_task(controller, name) for name in controller.axes}
     axes, common = build_axes(tasks, controller.axes)
     check_joint_count(joints, len(axes))
     done = _all_certified(axes, joints, common, progress)
     file = build_file(controller, done)
     dropped = (*_dropped(controller), *(line for axis in axes for line in axis.dropped()))
     return Translation(axes=done, dropped=dropped, notes=file.notes, text=_text(source, file, done, dropped))
-
-
-def _task(controller: Controller, name: str) -> AxisTask:
-    """Return what one axis was certified for; raises CertificateError for what cannot be certified again."""
-    asked, domain = controller.certificate.requirements_of(name), controller.certificate.domain[name]
-    if asked is None:
-        raise CertificateError(f"Axis {name}: the certificate does not say what was asked (rotational_requirements).")
-    if domain.environment_mass_kg != 0.0:
-        raise CertificateError(f"Axis {name}: an environment with mass cannot be certified by this release.")
-    if domain.approach_force_n is None and domain.approach_speed_m_s is None:
-        raise CertificateError(f"Axis {name}: the domain names no approach.")
-    if not controller.predicted[name].scenarios:
-        raise CertificateError(f"Axis {name}: the file predicts no contact to compare with.")
-    return AxisTask(
-        axis=name,
-        domain=domain,
-        asked=asked,
-        margins=controller.certificate.margins[name],
-        predicted=controller.predicted[name],
-        sample_time_s=controller.sample_time_s,
-    )
 
 
 def _all_certified(
@@ -218,6 +207,7 @@ def _certified(axis: ControllerStructure, joints: tuple[str, ...], common: bool)
         raise CertificateError(f"Axis {task.axis}: with what that controller runs, {bouncing.message()}.")
     return TranslatedAxis(
         axis=task.axis,
+        law=axis.law(values),
         written=axis.written(values),
         tuned_because=reason,
         certificate=found,

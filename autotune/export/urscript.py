@@ -4,6 +4,7 @@ Its rule is `Discretization.TRAPEZOIDAL`, read in admittance-control/admittance_
 UniversalRobots/URScript_Examples at commit a16766a; docs/targets.md says what differs before it.
 """
 
+import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
@@ -136,5 +137,7 @@ URSCRIPT = mdk_target(
         content=script,
         notes=notes,
         sample_time_s=STEP_TIME_S,
+        suffix=".script",
+        following=lambda request: f"cat admittance_control.script {shlex.quote(str(request.out))} > program.script",
     )
 )

@@ -14,6 +14,7 @@ from autotune.formats.controller_record import Controller, admittance_controller
 from autotune.formats.plant_file import read_plant
 from autotune.formats.units import ROTATIONAL_AXES
 from autotune.formats.yaml12 import kind_of_file
+from autotune.prediction.as_run_by import own_law_notes
 from autotune.tuning.wrench import build_wrench
 from identification.axes.turning import LEVER_M
 from identification.errors import EstimateError
@@ -33,7 +34,7 @@ _DEFAULT_APPROACH_N = 30.0
 class MapSource:
     """One axis of a file: `known` by the names of `problems.maps.parameters`, `missing` with the reason.
 
-    `checksums` holds those of the controller files that were read, by path.
+    `checksums` holds those of the controller files that were read, by path, `notes` what must be known of them.
 
     The environment is without damping and mass unless a certificate says otherwise, as when a controller is tuned.
     """
@@ -48,6 +49,7 @@ class MapSource:
     approach: Approach
     wrench_filter: WrenchFilter = NO_FILTER
     checksums: Mapping[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         freeze(self, "known", "missing", "checksums")
@@ -72,6 +74,7 @@ def read_source(path: Path, *, axis: str | None, controller: Path | None) -> Map
     if kind == "controller":
         read = read_controller(path)
         source = replace(_certified(path, read.controller, axis), checksums={str(path): read.checksum})
+        source = replace(source, notes=tuple(own_law_notes(read.controller)))
     elif kind in {"identified", "plant"}:
         source = _identified(path, read_plant(path).result, axis)
     else:
@@ -84,7 +87,8 @@ def read_source(path: Path, *, axis: str | None, controller: Path | None) -> Map
     other, checksums = read.controller, {**source.checksums, str(controller): read.checksum}
     law, domain = _law(controller, other, source.axis), other.certificate.domain.get(source.axis)
     approach = source.approach if domain is None else _approach(domain)
-    return replace(source, controller=law, approach=approach, checksums=checksums)
+    notes = tuple(own_law_notes(other))
+    return replace(source, controller=law, approach=approach, checksums=checksums, notes=notes)
 
 
 def _axis(path: Path, axes: Mapping[str, object], wanted: str | None) -> str:

@@ -16,7 +16,7 @@ from identification.result import Estimate, Touch, TouchCause
 from problems.contact.transient import Approach
 from problems.errors import AutotuneError
 
-from .contact import Law
+from .contact import AnyLaw, TargetLaw
 from .plants import PlantEnsemble, Surface, build_plants
 from .result import PredictedContact, interval_notes, interval_text, predict_contact
 
@@ -214,18 +214,20 @@ def compared_row(each: ComparedTouch) -> tuple[str, ...]:
 class Running:
     """What was running in the cell while the log was recorded; None where the log says it, touch by touch.
 
-    `mass`, `damping` and `lead_s` are M_a, B_a and K_l, `desired_force` F^d; `law` holds the rest (filters, deadband).
-    A lead that nobody says is 0.
+    `mass`, `damping` and `lead_s` are M_a, B_a and K_l, `desired_force` F^d; `law` holds the rest (filters, deadband),
+    or is that of an export target, whatever the log says. A lead that nobody says is 0.
     """
 
-    law: Law
+    law: AnyLaw
     mass: float | None = None
     damping: float | None = None
     lead_s: float | None = None
     desired_force: float | None = None
 
-    def law_at(self, touch: Touch) -> Law:
+    def law_at(self, touch: Touch) -> AnyLaw:
         """Return the law at a touch; raises UsageError where neither the log nor anybody says mass and damping."""
+        if isinstance(self.law, TargetLaw):
+            return self.law
         mass = touch.mass if self.mass is None else self.mass
         damping = touch.damping if self.damping is None else self.damping
         lead_s = touch.lead_s if self.lead_s is None else self.lead_s

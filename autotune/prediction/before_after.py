@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from autotune.charts.chart import Band, Chart, Element, Line, Panel, Points, Scale
-from autotune.formats.controller_record import Controller
+from autotune.formats.controller_record import Controller, admittance_controller
 from autotune.formats.identified import IdentifiedFile
 from autotune.formats.units import axis_units
 from autotune.shown import ResultTable, Shown, plain_tree
@@ -20,9 +20,10 @@ from problems.model.response import hand_force_per_speed
 from problems.stability.margins import UnstableLoopError
 
 from .against_touches import ComparedTouch, Running, compare_touches, plants_of_touch, touch_time_s
+from .as_run_by import AsRunBy, as_run_by, running_law
 from .certified import outside_domain
-from .contact import Law
-from .law import PresentGains, law_of, law_of_gains
+from .contact import AnyLaw, Law, TargetLaw
+from .law import PresentGains, law_of_gains
 from .result import interval_notes, predict_contact
 
 if TYPE_CHECKING:
@@ -35,24 +36,6 @@ _SAME_SHARE, _SAME_SPEED = 0.005, 0.1
 _SETTLED_SHARE = 0.02
 # A plant without deviations predicts an interval without width: peaks that close to it are no contradiction.
 _SAME_PEAK = 0.05
-_OWN_LAW = "our own law"
-
-
-@dataclass(frozen=True, kw_only=True)
-class AsRunBy:
-    """What an export target is certified to do with its law: the largest peak at the contact, and ours [N, N·m]."""
-
-    target: str
-    peak: float
-    own_peak: float
-
-    def text(self, axis: str) -> str:
-        """Say both peaks."""
-        unit = axis_units(axis).force
-        return (
-            f"as {self.target} runs it, certified: at most {self.peak:.1f} {unit} at the contact instead of "
-            f"{self.own_peak:.1f} {unit} with {_OWN_LAW}"
-        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,7 +120,7 @@ class BeforeAndAfter(Shown):
     notes
         What of the log could not be replayed and why, and which surface no certificate speaks of, a sentence each.
     as_run_by
-        What the export target that the controller was designed for does; everything else is then of our own law.
+        The export target that the controller was designed for; every figure is then of the law that it runs.
     example
         How gains of today are said, named where there are none.
 
@@ -152,11 +135,6 @@ class BeforeAndAfter(Shown):
     as_run_by: AsRunBy | None = None
     example: str = COMPARE_EXAMPLE
 
-    def designed_for(self, target: AsRunBy) -> "BeforeAndAfter":
-        """Return the same with what an export target does, and the replay named as that of our own law."""
-        surfaces = tuple(replace(each, law=_OWN_LAW) for each in self.surfaces)
-        return replace(self, surfaces=surfaces, as_run_by=target)
-
     @property
     def free_motion_change(self) -> float | None:
         """(B_a + B_p) after over before, less 1: negative where it moves lighter; None without gains of today."""
@@ -166,23 +144,25 @@ class BeforeAndAfter(Shown):
     @property
     def is_empty(self) -> bool:
         """Whether there is nothing to compare with: no contact that could be replayed, and no gains of today."""
-        return not self.surfaces and self.hand[0] is None and self.as_run_by is None
+        return not self.surfaces and self.hand[0] is None
 
     def sentence(self) -> str:
-        """Return the outcome in a sentence: the contacts of the log, else the certified ones, and free motion.
-
-        Of a controller for an export target, what that does comes first.
-        """
+        """Return the outcome in a sentence: the contacts of the log, else the certified ones, and free motion."""
         first = self.surfaces[0].text() if self.surfaces else self._worst_text()
-        target = "" if self.as_run_by is None else self.as_run_by.text(self.axis)
         contradiction = self.surfaces[0].contradiction() if self.surfaces else ""
-        parts = (target, first or NOTHING_BEFORE, contradiction, self._free_text(bool(first)))
-        text = "; ".join(part for part in parts if part)
-        return text.replace(COMPARE_EXAMPLE, self.example)
+        parts = (first or NOTHING_BEFORE, contradiction, self._unstable_text(), self._free_text(bool(first)))
+        return "; ".join(part for part in parts if part).replace(COMPARE_EXAMPLE, self.example)
+
+    def _unstable_text(self) -> str:
+        """Say that the gains of today are unstable, where the contacts of the log are replayed with the log's own."""
+        before, _ = self.worst
+        if before is None or not math.isinf(before) or not self.surfaces or self.surfaces[0].is_before_unstable:
+            return ""
+        return f"the gains of today ({self.label}) are unstable on a certified plant"
 
     @property
     def _law(self) -> str:
-        return "this controller" if self.as_run_by is None else _OWN_LAW
+        return _name_of(self.as_run_by)
 
     def further(self) -> Iterator[str]:
         """Yield the other surfaces, a sentence each."""
@@ -202,10 +182,9 @@ class BeforeAndAfter(Shown):
         change = self.free_motion_change
         if change is None:
             return NO_GAINS_BEFORE if has_contacts else ""
-        whose = "" if self.as_run_by is None else f" with {_OWN_LAW}"
         if abs(change) < _SAME_SHARE:
-            return f"free motion as before{whose}"
-        return f"free motion {100.0 * abs(change):.0f} % {'lighter' if change < 0.0 else 'heavier'}{whose}"
+            return "free motion as before"
+        return f"free motion {100.0 * abs(change):.0f} % {'lighter' if change < 0.0 else 'heavier'}"
 
     def _headline(self) -> str:
         return f"before → after, axis {self.axis}: {self.sentence()}"
@@ -265,7 +244,7 @@ class BeforeAndAfter(Shown):
             ],
             "free_motion": {"before": self.hand[0], "after": self.hand[1]},
             "largest_certified_peak": {"before": before, "after": after},
-            **({} if self.as_run_by is None else {"as_run_by": plain_tree(self.as_run_by)}),
+            **({} if self.as_run_by is None else {"as_run_by": self.as_run_by.target}),
             "notes": list(self.notes),
         }
 
@@ -291,40 +270,44 @@ def compare_before_after(
     """Replay the contacts that `source` holds with a controller, axis by axis, at their measured speeds.
 
     After the impact acts the F^d of the log, or else the force that it held at rest. Replayed is the hardest contact of
-    each surface. `worst_before` is the largest peak of the present gains on the certified plants [N, N·m]. What a file
-    for an export target says of that target's law is kept.
+    each surface. `worst_before` is the largest peak of the present gains on the certified plants [N, N·m]. Of a file
+    that was designed for an export target it is the law of that.
     """
     found = {}
     for axis, domain in controller.certificate.domain.items():
-        law = law_of(controller, axis)
+        law, target = running_law(controller, axis), as_run_by(controller, axis)
         today = None if present is None else present.laws.get(axis)
         surfaces, passed = _replayed_surfaces(source, axis, law, today, controller.sample_time_s)
+        surfaces = tuple(replace(each, law=_name_of(target)) for each in surfaces)
         outside = [outside_domain(domain, each.after.predicted) for each in surfaces]
         nominal = domain.plants.nominal
-        compared = BeforeAndAfter(
+        if target is None:
+            hand = hand_force_per_speed(nominal, admittance_controller(controller, axis))
+            peak = max(each.peak_contact_force_n for each in controller.predicted[axis].scenarios)
+        else:
+            hand, peak = target.hand_force, target.peak
+        found[axis] = BeforeAndAfter(
             axis=axis,
             surfaces=surfaces,
-            hand=(
-                None if today is None else hand_force_per_speed(nominal, today.controller),
-                hand_force_per_speed(nominal, law.controller),
-            ),
-            worst=(
-                (worst_before or {}).get(axis),
-                max(each.peak_contact_force_n for each in controller.predicted[axis].scenarios),
-            ),
+            hand=(None if today is None else hand_force_per_speed(nominal, today.controller), hand),
+            worst=((worst_before or {}).get(axis), peak),
             label="" if today is None or present is None else present.label,
             notes=(
                 *(f"outside of what the certificate holds: {'; '.join(each)}" for each in outside if each),
                 *passed,
             ),
+            as_run_by=target,
         )
-        said = controller.provenance.get("before_after", {}).get(axis, {}).get("as_run_by")
-        found[axis] = compared if said is None else compared.designed_for(AsRunBy(**said))
     return found
 
 
+def _name_of(target: AsRunBy | None) -> str:
+    """Return what the new controller is called."""
+    return "this controller" if target is None else f"this controller as {target.target} runs it"
+
+
 def _replayed_surfaces(
-    source: IdentifiedFile, axis: str, law: Law, today: Law | None, sample_time_s: float
+    source: IdentifiedFile, axis: str, law: AnyLaw, today: Law | None, sample_time_s: float
 ) -> tuple[tuple[ReplayedSurface, ...], tuple[str, ...]]:
     """Return the surfaces of an axis with their hardest contact replayed, the hardest first, and what was not."""
     groups: dict[str, list[tuple[str, Touch]]] = {}
@@ -354,7 +337,9 @@ def _with_held_force(touch: Touch) -> Touch:
     return replace(touch, desired_force=touch.sign * abs(touch.held_force))
 
 
-def _running(law: Law) -> Running:
+def _running(law: AnyLaw) -> Running:
+    if isinstance(law, TargetLaw):
+        return Running(law=law)
     controller = law.controller
     return Running(law=law, mass=controller.mass_kg, damping=controller.damping_n_s_per_m, lead_s=controller.lead_s)
 
@@ -389,7 +374,7 @@ def before_after_chart(surface: ReplayedSurface) -> Chart:
     predicted, units = surface.after.predicted, axis_units(surface.after.touch.axis)
     contact, band = predicted.contact, predicted.band
     end = _until(contact, surface.before)
-    used, after = contact.time_s <= end, _OWN_LAW if surface.law == _OWN_LAW else "after"
+    used, after = contact.time_s <= end, surface.law.replace("this controller", "after")
     elements: list[Element] = [
         Band(
             x=1e3 * band.time_s[used],

@@ -4,7 +4,7 @@ import math
 from dataclasses import replace
 
 from autotune.formats.certificate_record import AxisDomain
-from autotune.formats.controller_record import Controller, admittance_controller
+from autotune.formats.controller_record import Controller
 from autotune.formats.plant import NO_DELAY_GIVEN
 from autotune.formats.stiffness_units import check_surface_unit, doubtful_surface, interval_text
 from autotune.formats.units import ROTATIONAL_AXES, axis_units
@@ -14,7 +14,8 @@ from problems.errors import ParameterError
 from problems.model.plant_parameters import PARAMETERS
 from problems.model.robot import has_damping_ratio
 
-from .contact import Law, check_approach
+from .as_run_by import as_run_by, running_law
+from .contact import NO_DEADBAND, TargetLaw, check_approach
 from .plants import PlantEnsemble, Surface, range_plants
 from .result import PredictedContact, predict_contact
 
@@ -81,7 +82,10 @@ def predict_certified(
     if axis not in ROTATIONAL_AXES:
         check_surface_unit((stiffness, stiffness), stiffness)
         notes += doubtful_surface((stiffness, stiffness))
-    law = Law(controller=admittance_controller(controller, axis))
+    law = running_law(controller, axis)
+    if not isinstance(law, TargetLaw):
+        # The certified peaks are those of the linear law.
+        law = replace(law, deadband=NO_DEADBAND)
     masses = set(domain.payload_mass_kg) if payload_mass is None else {payload_mass}
     found = max(
         (
@@ -104,7 +108,8 @@ def predict_certified(
     found = replace(found, outside=outside_domain(domain, found), neglected=(*notes, *found.neglected))
     if found.outside or approach != domain.approach:
         return found
-    worst = max(each.peak_contact_force_n for each in predicted.scenarios)
+    target = as_run_by(controller, axis)
+    worst = max(each.peak_contact_force_n for each in predicted.scenarios) if target is None else target.peak
     return replace(found, certified=found.peak_force <= worst * (1.0 + _ROUNDING), certified_peak=worst)
 
 

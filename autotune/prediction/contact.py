@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from problems.arrays import FloatArray
+from problems.contact.linear_controller_contact import trace_linear_contact
 from problems.contact.nonlinear_simulation import needed_substeps, simulate_nonlinear
 from problems.contact.nonlinearities import Deadband, Nonlinearities
 from problems.contact.transient import (
@@ -18,6 +19,7 @@ from problems.contact.transient import (
 )
 from problems.errors import ParameterError
 from problems.model.controller import AdmittanceController
+from problems.model.linear_controllers import LinearController
 from problems.model.plant import Plant
 from problems.model.sampled import build_sampled_plant
 from problems.stability.margins import UnstableLoopError
@@ -27,7 +29,7 @@ from .plants import PlantEnsemble
 LEVEL = 0.95
 _FACTORS = 15
 """Of the model's error, for every plant."""
-_NO_DEADBAND = Deadband(width_n=0.0)
+NO_DEADBAND = Deadband(width_n=0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,7 +37,18 @@ class Law:
     """An admittance law and the deadband before it."""
 
     controller: AdmittanceController
-    deadband: Deadband = _NO_DEADBAND
+    deadband: Deadband = NO_DEADBAND
+
+
+@dataclass(frozen=True, kw_only=True)
+class TargetLaw:
+    """The linear law that another program, the export target of that name, runs."""
+
+    controller: LinearController
+    target: str
+
+
+AnyLaw = Law | TargetLaw
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,15 +75,17 @@ class ContactBand:
 
 
 def simulate_on(
-    plant: Plant, law: Law, approach: Approach, sample_time_s: float, *, samples: int | None = None
+    plant: Plant, law: AnyLaw, approach: Approach, sample_time_s: float, *, samples: int | None = None
 ) -> ContactTransient:
-    """Simulate a contact: the exact transient, or with a deadband the nonlinear simulation.
+    """Simulate a contact: the exact transient, that of any linear law, or with a deadband the nonlinear simulation.
 
     Without `samples` it lasts until the force has settled.
     Raises UnstableLoopError where the loop is unstable, ParameterError for a plant that cannot be followed.
     """
+    pair = build_sampled_contact(build_sampled_plant(plant, sample_time_s))
+    if isinstance(law, TargetLaw):
+        return trace_linear_contact(pair, law.controller, approach, samples=samples)
     if law.deadband.width_n == 0.0:
-        pair = build_sampled_contact(build_sampled_plant(plant, sample_time_s))
         return simulate_contact(pair, law.controller, approach, samples=samples)
     linear = simulate_on(plant, Law(controller=law.controller), approach, sample_time_s)
     count = min(2 * len(linear.time_s), longest_run(sample_time_s)) if samples is None else samples
@@ -98,11 +113,11 @@ def simulate_on(
     )
 
 
-def nominal_contact(plants: PlantEnsemble, law: Law, approach: Approach) -> ContactTransient:
+def nominal_contact(plants: PlantEnsemble, law: AnyLaw, approach: Approach) -> ContactTransient:
     """Simulate the contact on the most likely plant; of a first blow alone its speed and force, and no trace."""
     if plants.nominal is not None:
         return simulate_on(plants.nominal, law, approach, plants.sample_time_s)
-    speed = approach.speed_m_s or (approach.force_n or 0.0) / law.controller.damping_n_s_per_m
+    speed = approach.speed_m_s or _free_speed(law, approach.force_n or 0.0)
     blow = plants.blow * speed
     return ContactTransient(
         time_s=np.zeros(1),
@@ -119,7 +134,14 @@ def nominal_contact(plants: PlantEnsemble, law: Law, approach: Approach) -> Cont
     )
 
 
-def simulate_others(plants: PlantEnsemble, law: Law, approach: Approach) -> list[ContactTransient | None]:
+def _free_speed(law: AnyLaw, force: float) -> float:
+    """Return the speed that a force holds in free space without payload; raises ParameterError for another law."""
+    if isinstance(law, TargetLaw):
+        raise ParameterError("approach", force, "a speed, where no payload is known")
+    return force / law.controller.damping_n_s_per_m
+
+
+def simulate_others(plants: PlantEnsemble, law: AnyLaw, approach: Approach) -> list[ContactTransient | None]:
     """Return the contact of every other plant, None where its loop is unstable; of a first blow alone none."""
     runs: list[ContactTransient | None] = []
     for plant in plants.others:
@@ -130,7 +152,7 @@ def simulate_others(plants: PlantEnsemble, law: Law, approach: Approach) -> list
     return runs
 
 
-def nominal_peak(plants: PlantEnsemble, law: Law, approach: Approach) -> float:
+def nominal_peak(plants: PlantEnsemble, law: AnyLaw, approach: Approach) -> float:
     """Return the peak at the sensor on the most likely plant, the first blow included [N, N·m]."""
     contact = nominal_contact(plants, law, approach)
     return with_blow(contact.peak_sensor_force_n, plants.blow, contact)

@@ -92,7 +92,13 @@ class PresentGains:
 
     @classmethod
     def of_file(cls, file: ControllerFile) -> "PresentGains":
-        """Return those of a controller file."""
+        """Return those of a controller file; raises UsageError for one that was designed for an export target."""
+        target = file.controller.provenance.get("as_run_by", {}).get("target")
+        if target:
+            raise UsageError(
+                f"{file.path} was designed for {target}, which runs another law than the gains of the file; compare "
+                "with gains that ran as M_a and B_a, as in mass=10,damping=1500."
+            )
         laws = {name: law_of(file.controller, name) for name in file.controller.axes}
         return cls(laws=laws, label=f"{file.path}, checksum {short(file.checksum)}", file=file)
 

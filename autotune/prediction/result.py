@@ -12,9 +12,19 @@ from autotune.shown import ResultTable, Shown, data_frame, plain_tree
 from problems.contact.transient import Approach, ContactTransient
 from problems.model.axis_kind import AxisKind
 from problems.model.controller import AdmittanceController
+from problems.model.linear_controllers import LinearController
 from problems.model.plant import Plant
 
-from .contact import ContactBand, Law, PeakInterval, contact_band, nominal_contact, peak_interval, simulate_others
+from .contact import (
+    AnyLaw,
+    ContactBand,
+    PeakInterval,
+    TargetLaw,
+    contact_band,
+    nominal_contact,
+    peak_interval,
+    simulate_others,
+)
 from .model_error import ELSEWHERE_TEXT, ModelError
 from .plants import PlantEnsemble
 
@@ -33,7 +43,7 @@ class PredictedContact(Shown):
     axis, surface
         Name of the axis, and what is touched.
     law
-        The gains that were running.
+        The gains that were running, or the law of the export target `run_by`.
     plant
         The most likely plant, in contact; without payload where that is not known (`neglected`), None where the first
         blow alone is.
@@ -56,12 +66,14 @@ class PredictedContact(Shown):
         outside of the domain, or without such a file.
     outside
         What of the plant lies outside of the ranges for which the certificate of the controller holds, one text each.
+    run_by
+        The export target whose law it is, "" for our own.
 
     """
 
     axis: str
     surface: str
-    law: AdmittanceController
+    law: AdmittanceController | LinearController
     plant: Plant | None
     contact: ContactTransient
     interval: PeakInterval
@@ -73,6 +85,7 @@ class PredictedContact(Shown):
     certified: bool = False
     certified_peak: float | None = None
     outside: tuple[str, ...] = ()
+    run_by: str = ""
 
     @property
     def first_blow(self) -> float:
@@ -102,10 +115,10 @@ class PredictedContact(Shown):
         return not self.contact.is_settled and len(time) > 1 and time_of_peak_s >= float(time[-2])
 
     def _headline(self) -> str:
-        units = axis_units(self.axis)
+        units, whose = axis_units(self.axis), f" as {self.run_by} runs it" if self.run_by else ""
         if self.plant is None:
             return (
-                f"Predicted contact on axis {self.axis}: first blow of {self.peak_force:.4g} {units.force} at "
+                f"Predicted contact on axis {self.axis}{whose}: first blow of {self.peak_force:.4g} {units.force} at "
                 f"{self.contact.contact_speed_m_s:.3g} {units.speed} on surface {self.surface}"
             )
         stiffness = self.plant.environment.stiffness_n_per_m * (1.0 if self.has_payload else 0.5)
@@ -117,7 +130,7 @@ class PredictedContact(Shown):
         else:
             peak = f"peak {self.peak_force:.4g} {units.force} at the surface, {1e3 * when:.3g} ms"
         return (
-            f"Predicted contact on axis {self.axis}: {peak} after touching {stiffness:.4g} {units.stiffness} at "
+            f"Predicted contact on axis {self.axis}{whose}: {peak} after touching {stiffness:.4g} {units.stiffness} at "
             f"{self.contact.contact_speed_m_s:.3g} {units.speed} with {mass}"
         )
 
@@ -155,7 +168,8 @@ class PredictedContact(Shown):
             yield f"outside of what the certificate holds: {'; '.join(self.outside)}"
         if self.certified_peak is not None:
             yield (
-                f"largest peak that the controller file predicts over its domain: {self.certified_peak:.4g} "
+                f"largest peak that the controller file predicts over its domain"
+                f"{f' as {self.run_by} runs it' if self.run_by else ''}: {self.certified_peak:.4g} "
                 f"{axis_units(self.axis).force}, computed on a grid and no proved bound"
             )
             if not self.certified:
@@ -170,6 +184,7 @@ class PredictedContact(Shown):
             "certified_peak": self.certified_peak,
             "outside": list(self.outside),
             "law": plain_tree(self.law),
+            "run_by": self.run_by or None,
             "plant": None if self.plant is None else {**_plant_tree(self.plant), "has_payload": self.has_payload},
             "contact": plain_tree(self.contact),
             "peak_force": self.peak_force,
@@ -250,7 +265,7 @@ def interval_notes(interval: PeakInterval, error: ModelError | None) -> Iterator
     )
 
 
-def predict_contact(plants: PlantEnsemble, law: Law, approach: Approach) -> PredictedContact:
+def predict_contact(plants: PlantEnsemble, law: AnyLaw, approach: Approach) -> PredictedContact:
     """Predict one contact: its trace on the most likely plant, the interval over the others.
 
     Raises UnstableLoopError where the loop on the most likely plant is unstable.
@@ -261,6 +276,7 @@ def predict_contact(plants: PlantEnsemble, law: Law, approach: Approach) -> Pred
         axis=plants.axis,
         surface=plants.surface,
         law=law.controller,
+        run_by=law.target if isinstance(law, TargetLaw) else "",
         plant=plants.nominal,
         contact=contact,
         interval=peak_interval(plants, contact, runs),

@@ -11,6 +11,7 @@ from autotune.formats.certificate_record import SoftRequirement
 from autotune.formats.controller_record import Controller
 from autotune.formats.units import ROTATIONAL_AXES, axis_units
 from autotune.plugins import find_requirement
+from autotune.prediction.as_run_by import as_run_by, designed_for
 from autotune.prediction.law import PresentGains
 from autotune.text import scenario_text, stiffness_text, value_text
 from problems.design.requirements import BUILT_IN, AdmittanceRequirement, Margin, PeakForceLimit
@@ -75,6 +76,32 @@ def design_facts(designs: Sequence[AxisDesign]) -> Facts:
         ):
             facts.append(Fact(label=mark + label, value=value, detail=detail))
     return Facts(facts=tuple(facts))
+
+
+def target_facts(controller: Controller) -> Iterator[Facts | Table]:
+    """Yield, of a file that was designed for an export target, what that runs and was certified to do."""
+    found = {name: each for name in controller.axes if (each := as_run_by(controller, name)) is not None}
+    facts, rows = [], []
+    for name, target in found.items():
+        units, mark = axis_units(name), f"{name}: " if len(found) > 1 else ""
+        gain, phase, delay = (target.margins.get(key) for key in ("gain_db", "phase_deg", "delay_s"))
+        facts += [
+            Fact(label=f"{mark}largest peak at the contact", value=f"{target.peak:.1f} {units.force}"),
+            Fact(label=f"{mark}modulus margin", value=number(target.margins.get("modulus"))),
+            Fact(
+                label=f"{mark}gain, phase, delay",
+                value=f"{number(gain)} dB, {number(phase)}°, {number(delay, 1e3)} ms",
+            ),
+            Fact(
+                label=f"{mark}free-space admittance",
+                value=f"{target.least_admittance:.3g} {units.admittance}",
+                detail=f"at least; a hand needs {target.hand_force:.4g} {units.hand}",
+            ),
+        ]
+        rows.append((name, ", ".join(f"{key} {value:g}" for key, value in target.parameters.items())))
+    if found:
+        yield Facts(facts=tuple(facts))
+        yield build_table(f"What {designed_for(controller)} is given", ("axis", "parameters"), rows)
 
 
 def gains_table(controller: Controller) -> Table:

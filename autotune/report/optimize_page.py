@@ -10,6 +10,7 @@ from autotune.charts.chart import Chart, Element, Line, Panel, Points, Scale
 from autotune.formats.canonical import short
 from autotune.formats.controller_record import Controller
 from autotune.formats.units import axis_units
+from autotune.prediction.as_run_by import as_run_by, designed_for
 from autotune.prediction.before_after import BeforeAndAfter
 from autotune.prediction.law import PresentGains
 from autotune.text import NOTHING_BEFORE
@@ -26,11 +27,13 @@ from .controller_tables import (
     domain_table,
     gains_table,
     law_before,
+    number,
     prices_of,
     proof_table,
     regions_table,
     requirement_table,
     response_table,
+    target_facts,
     worst_table,
 )
 from .page import Block, Fact, Facts, Note, Page, Section, Table, TableCell, Tone, build_table
@@ -55,7 +58,7 @@ def build_optimize_page(
     `steps` adds by axis how the search converged, `old` is drawn beside it on the same plants, `before_after` are the
     contacts of the log replayed, `fronts` are the axes of `pareto.yaml`.
     """
-    designs = axis_designs(controller)
+    designs, target = axis_designs(controller), designed_for(controller)
     replayed = before_after or {}
     sections = [
         Section(
@@ -63,20 +66,26 @@ def build_optimize_page(
             title="Before and after"
             if old is not None or any(each.surfaces for each in replayed.values())
             else "The contact",
-            blocks=tuple(block for design in designs for block in _first_blocks(design, old, replayed)),
+            blocks=tuple(block for design in designs for block in _first_blocks(design, old, replayed, target)),
         ),
-        Section(
-            key="result",
-            title="Result",
-            blocks=(design_facts(designs), gains_table(controller), *active_notes(controller)),
+        Section(key="target", title=f"As {target} runs it", blocks=tuple(target_facts(controller))),
+        *own_law_sections(
+            target,
+            [
+                Section(
+                    key="result",
+                    title="Result",
+                    blocks=(design_facts(designs), gains_table(controller), *active_notes(controller)),
+                ),
+                *(
+                    design_section(design, optimality_of(controller, design.name), old, checksum, replayed)
+                    for design in designs
+                ),
+                *([] if fronts is None else [front_section(fronts)]),
+                replace(search_section(controller, steps or {}), is_folded=True),
+                replace(certificate_section(controller, designs), is_folded=True),
+            ],
         ),
-        *(
-            design_section(design, optimality_of(controller, design.name), old, checksum, replayed)
-            for design in designs
-        ),
-        *([] if fronts is None else [front_section(fronts)]),
-        replace(search_section(controller, steps or {}), is_folded=True),
-        replace(certificate_section(controller, designs), is_folded=True),
         Section(
             key="provenance",
             title="Checksum and origin",
@@ -93,36 +102,45 @@ def build_optimize_page(
     )
 
 
+def own_law_sections(target: str, sections: Sequence[Section]) -> Iterator[Section]:
+    """Yield sections of our own law: of a file for an export target folded, and headed as what does not run there."""
+    for each in sections:
+        title = f"Our own law, not that of {target}: {each.title}"
+        yield replace(each, title=title, is_folded=True) if target else each
+
+
 def _lead(controller: Controller, designs: Sequence[AxisDesign]) -> str:
     """Return three sentences: what it changes, what is certified, and what holds it back."""
     many = len(designs) > 1
     recorded = controller.provenance.get("before_after", {})
     texts = {each.name: recorded[each.name]["text"] if each.name in recorded else NOTHING_BEFORE for each in designs}
     changes = ((f"axis {name}: " if many else "") + text for name, text in texts.items())
-    axes = (
-        (f"axis {each.name} " if many else "")
-        + f"at most {each.worst_contact.peak_contact_force_n:.1f} {each.units.force} at the contact, "
-        f"modulus margin {each.margins.modulus:.3f}"
-        for each in designs
-    )
-    whose = "our own law is " if "for" in controller.provenance.get("options", {}) else ""
-    certified = f"{whose}{controller.status.value} over all that is certified: {'; '.join(axes)}"
-    limits = [note.text for note in active_notes(controller)]
+    axes = ((f"axis {each.name} " if many else "") + _certified_text(controller, each) for each in designs)
+    target = designed_for(controller)
+    status = f"certified as {target} runs it" if target else f"{controller.status.value} over all that is certified"
+    certified = f"{status}: {'; '.join(axes)}"
+    limits = [] if target else [note.text for note in active_notes(controller)]
     sentences = ("; ".join(changes), certified, *((" ".join(limits),) if limits else ()))
     return " ".join(f"{each[0].upper()}{each[1:]}".rstrip(".") + "." for each in sentences)
 
 
+def _certified_text(controller: Controller, design: AxisDesign) -> str:
+    """Return largest peak and modulus margin of one axis, as what runs has them."""
+    target = as_run_by(controller, design.name)
+    peak = design.worst_contact.peak_contact_force_n if target is None else target.peak
+    modulus = design.margins.modulus if target is None else target.margins.get("modulus")
+    return f"at most {peak:.1f} {design.units.force} at the contact, modulus margin {number(modulus)}"
+
+
 def _first_blocks(
-    design: AxisDesign, old: PresentGains | None, replayed: Mapping[str, BeforeAndAfter]
+    design: AxisDesign, old: PresentGains | None, replayed: Mapping[str, BeforeAndAfter], target: str
 ) -> Iterator[Block]:
     """Yield the figure of the hardest contact before and after, of the log or else of the certified plants."""
     found = replayed.get(design.name)
-    if found is not None and found.as_run_by is not None:
-        # In front of the figure, whose curves are not what will run.
-        text = f"Axis {design.name}: figures, gains and certificate on this page are those of our own law; "
-        yield Note(text=f"{text}{found.as_run_by.text(design.name)}.", kind="note")
     chart = None if found is None else found.chart()
     if found is None or chart is None:
+        if target:
+            return
         chart = contact_chart(design, law_before(old, design.name))
         yield from () if chart is None else (chart,)
         return

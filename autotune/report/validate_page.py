@@ -8,6 +8,7 @@ import numpy as np
 from autotune.charts.chart import Band, Chart, Limit, Line, Panel, Scale, level_panels
 from autotune.formats.controller_record import Controller
 from autotune.formats.units import ROTATIONAL_AXES, axis_units
+from autotune.prediction.as_run_by import designed_for
 from autotune.validation.against_log import ComparedContact, ContactTrace, LogComparison, share_text
 from autotune.validation.monte_carlo import BAND, QUANTILES, AxisMonteCarlo
 from autotune.validation.report import ValidationReport
@@ -15,7 +16,7 @@ from autotune.validation.report import ValidationReport
 from .axis_design import AxisDesign, axis_designs
 from .controller_charts import contact_chart, stiffness_chart
 from .controller_tables import checksum_fact, design_facts
-from .optimize_page import certificate_section, footer
+from .optimize_page import certificate_section, footer, own_law_sections
 from .page import Block, Fact, Facts, Page, Section, Table, TableCell, Tone, build_table
 
 _PANELS = 3
@@ -40,16 +41,21 @@ def build_validate_page(controller: Controller, checksum: str, validated: Valida
         verdict_section(checksum, validated),
         *measured_section(validated),
         *simulated_section(validated),
-        *(
-            Section(
-                key=f"axis-{design.name}",
-                title=f"Axis {design.name}",
-                blocks=(design_facts((design,)), *_charts(design)),
-            )
-            for design in designs
-            if validated.report.passed
+        *own_law_sections(
+            designed_for(controller),
+            [
+                *(
+                    Section(
+                        key=f"axis-{design.name}",
+                        title=f"Axis {design.name}",
+                        blocks=(design_facts((design,)), *_charts(design)),
+                    )
+                    for design in designs
+                    if validated.report.passed
+                ),
+                certificate_section(controller, designs),
+            ],
         ),
-        certificate_section(controller, designs),
     ]
     return Page(
         title="Whether the controller keeps what it promises",

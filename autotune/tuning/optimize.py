@@ -1,7 +1,7 @@
 """From identified parameters to a validated controller: search, prove, write down, verify."""
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -128,12 +128,12 @@ def optimize(
         proved={name: each.proved for name, each in settled.items()},
     )  # fmt: skip
     compared = {} if present is None else compare(present, searches)
-    before_after = _before_after(identified, controller, present, compared) if replays else {}
+    before_after = replay_log(identified, controller, present, compared) if replays else {}
     notes = [
         default_message(name, each, problems[name]) for name, each in defaults.items() if each.attainable is not None
     ]
     notes += design_notes(identified, controller, problems, spec, has_compliance=bool(chosen))
-    controller = _with_notes(controller, notes, before_after)
+    controller = with_notes(controller, notes, before_after)
     return Optimized(
         controller=controller,
         searches=searches,
@@ -146,20 +146,23 @@ def optimize(
     )
 
 
-def _with_notes(controller: Controller, notes: list[str], before_after: Mapping[str, BeforeAndAfter]) -> Controller:
+def with_notes(controller: Controller, notes: Sequence[str], before_after: Mapping[str, BeforeAndAfter]) -> Controller:
     """Return the controller with what the user should know in its provenance, and what it changes."""
     trees = {name: each.to_dict() for name, each in before_after.items() if not each.is_empty}
-    said: dict[str, Any] = ({"notes": notes} if notes else {}) | ({"before_after": trees} if trees else {})
+    said: dict[str, Any] = ({"notes": list(notes)} if notes else {}) | ({"before_after": trees} if trees else {})
     return replace(controller, provenance={**controller.provenance, **said})
 
 
-def _before_after(
+def replay_log(
     identified: IdentifiedFile,
     controller: Controller,
     present: PresentGains | None,
     compared: Mapping[str, SideBySide],
 ) -> dict[str, BeforeAndAfter]:
-    """Return what a controller changes; the largest peak of present gains that are unstable somewhere is infinite."""
+    """Return what a controller changes on the contacts of the log, axis by axis.
+
+    The largest peak of present gains that are unstable somewhere is infinite.
+    """
     did = {name: both.old.performance for name, both in compared.items()}
     worst = {name: math.inf if each is None else each.peak_contact_force_n for name, each in did.items()}
     return compare_before_after(identified, controller, present=present, worst_before=worst)

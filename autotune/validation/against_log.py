@@ -10,6 +10,7 @@ from autotune.formats.certificate_record import AxisDomain
 from autotune.formats.controller_record import Controller, admittance_controller
 from autotune.formats.limits import CollisionResponse
 from autotune.formats.units import ROTATIONAL_AXES, axis_units
+from autotune.prediction.as_run_by import designed_for
 from autotune.prediction.contact import simulate_on
 from autotune.prediction.law import law_of
 from identification.errors import LogError
@@ -115,7 +116,7 @@ def compare_with_log(
     Raises LogError for a log without a contact along an axis of the file, or whose command no contact explains by this
     law; EstimateError for a log without raw wrench or pose; UsageError for a file with a collision response.
     """
-    refuse_response(controller)
+    refuse_other_law(controller)
     found = find_log_contacts(recording, controller, frames)
     if not found.contacts:
         raise LogError(
@@ -141,8 +142,15 @@ def compare_with_log(
     )
 
 
-def refuse_response(controller: Controller) -> None:
-    """Raise UsageError for a file with a collision response, which no comparison with a log knows."""
+def refuse_other_law(controller: Controller) -> None:
+    """Raise UsageError for a file whose law is not that of the log's commands: another target's, or with a response."""
+    target = designed_for(controller)
+    if target:
+        raise UsageError(
+            f"The file was designed for {target}, whose law moved the robot, and the comparison with a log follows our "
+            "own law's commands. Hold its peaks against the log: autotune predict identified.yaml --controller FILE "
+            "--log LOG."
+        )
     if controller.collision.response is not CollisionResponse.NONE:
         raise UsageError(
             "The comparison with a log does not know the collision response, and the file has one: the command jumps "

@@ -5,17 +5,19 @@ is made here: the same domain, the same requirements, its own difference equatio
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from autotune.certificate.claim import Claim, CombinedCertificate, prove
+from autotune.errors import CertificateError
 from autotune.formats.certificate_record import Asked, AxisDomain, AxisMargins
-from autotune.formats.controller_record import AxisPrediction, FreeSpaceAdmittance, ScenarioPrediction
+from autotune.formats.controller_record import AxisPrediction, Controller, FreeSpaceAdmittance, ScenarioPrediction
 from autotune.formats.units import ROTATIONAL_AXES, axis_units
 from autotune.plugins import find_requirement
+from autotune.prediction.as_run_by import as_run_by, designed_for
 from problems.contact.linear_controller_contact import force_per_speed, simulate_linear_contact
 from problems.contact.transient import Approach, build_sampled_contact
 from problems.design.requirements import (
@@ -38,6 +40,7 @@ from problems.stability.passivity import passive_below_hz
 
 from .axis_proof import STABILITY_WORK, describe_unstable
 from .margins import SweptMargins, sweep_margins
+from .report import Check
 from .requirements import worst_of_loops
 from .validation_samples import ValidationSamples, build_validation_samples
 
@@ -46,6 +49,8 @@ _PEAK_STIFFNESS_POINTS = 9
 _BAND_POINTS = 41
 # What a requirement may be missed by: the frequency grid's share of a margin, as in `validate`.
 _MISSED = 1e-3
+# The same contacts computed again; the numbers are written whole.
+_SAME_NUMBER = 1e-6
 _DEFAULT_BAND_HZ = (0.1, 2.0)
 # How much of the room of a weak spring may be used, see `spring_share`.
 _SPRING_ROOM = 0.1
@@ -108,6 +113,48 @@ class LawCertificate:
     def holds(self) -> bool:
         """Whether everything that was asked is met."""
         return not self.missed
+
+
+def axis_task(controller: Controller, name: str) -> AxisTask:
+    """Return what one axis was certified for; raises CertificateError for what cannot be certified again."""
+    asked, domain = controller.certificate.requirements_of(name), controller.certificate.domain[name]
+    if asked is None:
+        raise CertificateError(f"Axis {name}: the certificate does not say what was asked (rotational_requirements).")
+    if domain.environment_mass_kg != 0.0:
+        raise CertificateError(f"Axis {name}: an environment with mass cannot be certified by this release.")
+    if domain.approach_force_n is None and domain.approach_speed_m_s is None:
+        raise CertificateError(f"Axis {name}: the domain names no approach.")
+    if not controller.predicted[name].scenarios:
+        raise CertificateError(f"Axis {name}: the file predicts no contact to compare with.")
+    return AxisTask(
+        axis=name,
+        domain=domain,
+        asked=asked,
+        margins=controller.certificate.margins[name],
+        predicted=controller.predicted[name],
+        sample_time_s=controller.sample_time_s,
+    )
+
+
+def check_targets(controller: Controller) -> Iterator[Check]:
+    """Certify again what the export target runs that a file was designed for; yield nothing for other files."""
+    for axis in controller.axes:
+        stated = as_run_by(controller, axis)
+        if stated is None:
+            continue
+        found, unit = certify_law(axis_task(controller, axis), stated.law), axis_units(axis).force
+        wrong = list(found.missed)
+        if found.worst is not None and abs(found.worst.peak_contact_force_n / stated.peak - 1.0) > _SAME_NUMBER:
+            wrong.append(f"its largest peak is {found.worst.peak_contact_force_n:.4g} {unit}, not {stated.peak:.4g}")
+        good = f"stable, all that was asked is met, at most {stated.peak:.1f} {unit} at the contact, as stated"
+        yield Check(axis=axis, name=f"as {stated.target} runs it", passed=not wrong, message="; ".join(wrong) or good)
+
+
+def of_own_law(controller: Controller, checks: Sequence[Check]) -> tuple[Check, ...]:
+    """Return checks of the law that a file holds, named so where an export target runs another one."""
+    if not designed_for(controller):
+        return tuple(checks)
+    return tuple(replace(each, name=f"our own law, {each.name}") for each in checks)
 
 
 def certify_law(task: AxisTask, law: LinearController) -> LawCertificate:

@@ -15,7 +15,7 @@ from identification.signals.recording import Recording
 from problems.contact.transient import Approach
 from problems.stability.margins import UnstableLoopError
 
-from .against_log import ComparedContact, LogComparison, refuse_response
+from .against_log import ComparedContact, LogComparison, refuse_other_law
 
 _SAME_GAIN = 0.01
 
@@ -32,7 +32,7 @@ def compare_touches_of_log(
     with other gains, or without a touch along an axis of the file; EstimateError for one that shows nothing; UsageError
     for a file with a collision response.
     """
-    refuse_response(controller)
+    refuse_other_law(controller)
     found = identify_cell(recording, frames)
     touches = [touch for line in found.timelines for touch in line.touches if touch.axis in controller.axes]
     _check_gains(controller, touches)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from autotune.formats.controller_record import Controller
 
 from .disturbances import Disturbances
+from .law import check_targets, of_own_law
 from .monte_carlo import SAMPLES, SEED, AxisMonteCarlo, monte_carlo_checks, run_monte_carlo
 from .report import Check
 from .validate import validate_controller
@@ -37,4 +38,5 @@ def verify(
     # Behind a claim that does not hold there is nothing to simulate: an unstable loop has no peaks.
     if samples and report.passed:
         simulated = run_monte_carlo(controller, count=samples, seed=seed, disturbances=disturbances, progress=progress)
-    return Verified(checks=(*report.checks, *monte_carlo_checks(simulated)), simulated=simulated)
+    checks = (*report.checks, *monte_carlo_checks(simulated))
+    return Verified(checks=(*check_targets(controller), *of_own_law(controller, checks)), simulated=simulated)

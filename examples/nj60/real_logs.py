@@ -22,7 +22,7 @@ from autotune.formats.yaml12 import dump_yaml, load_yaml
 from autotune.pipeline import IdentifyOptions, identify_log
 from autotune.predicting import ContactRequest, compare_with_touches
 from autotune.prediction.against_touches import ComparedTouch, Running, compared_row
-from autotune.prediction.contact import Law, simulate_on
+from autotune.prediction.contact import AnyLaw, simulate_on
 from autotune.prediction.law import law_of_gains
 from autotune.prediction.plants import Surface, build_plants
 from autotune.prediction.series_plant import series_plant
@@ -255,7 +255,7 @@ def with_payload(robot: RobotModel, stiffness: float, mass: float) -> Plant:
     )
 
 
-def peak_text(plant: Plant, law: Law, approach: Approach, period_s: float) -> str:
+def peak_text(plant: Plant, law: AnyLaw, approach: Approach, period_s: float) -> str:
     """Return the peak at the sensor, or that there is none."""
     try:
         return f"{simulate_on(plant, law, approach, period_s).peak_sensor_force_n:.1f}"

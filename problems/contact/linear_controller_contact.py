@@ -31,7 +31,7 @@ from .kernel_types import (
     Start,
     Wall,
 )
-from .transient import Approach, SampledContact
+from .transient import Approach, ContactTransient, SampledContact
 
 _PARTS = 20
 _DECAY_EXPONENTS = 7.0
@@ -84,10 +84,7 @@ def simulate_linear_contact(pair: SampledContact, law: LinearController, approac
     """
     if approach.driven_by != "desired_force" or approach.after_impact_n is not None:
         raise ParameterError("approach", approach, "driven by the desired force, which stays")
-    radius = spectral_radius(build_loop(pair.contact, law))
-    if not radius < 1.0:
-        raise UnstableLoopError(radius)
-    h, samples = pair.contact.sample_time_s, _samples(radius, pair.contact.sample_time_s)
+    h, (samples, _) = pair.contact.sample_time_s, _samples(pair, law)
     found, (loop, start, force, speed) = np.zeros(FOUND), begin_linear_contact(pair, law, approach)
     run_linear_contact(loop, start, force, samples, True, found)
     # A force that only creeps up to its value at rest counts with that value.
@@ -97,6 +94,35 @@ def simulate_linear_contact(pair: SampledContact, law: LinearController, approac
         time_of_peak_s=float(found[CONTACT_TIME]) * h,
         contact_speed_m_s=speed,
         driving_force_n=force,
+    )
+
+
+def trace_linear_contact(
+    pair: SampledContact, law: LinearController, approach: Approach, *, samples: int | None = None
+) -> ContactTransient:
+    """Simulate the same impact with the forces at every tick; F^d may be another one after it.
+
+    Raises as `simulate_linear_contact`.
+    """
+    (longest, is_settled), h = _samples(pair, law), pair.contact.sample_time_s
+    count = longest if samples is None else samples
+    loop, start, force, speed = begin_linear_contact(pair, law, approach)
+    after = force if approach.after_impact_n is None else approach.after_impact_n
+    sensor, contact, found = np.empty(count), np.empty(count), np.zeros(FOUND)
+    _trace(loop, start, after, sensor, contact, found)
+    is_creeping = float(found[SENSOR_PEAK]) < after, float(found[CONTACT_PEAK]) < after
+    return ContactTransient(
+        time_s=np.asarray(np.arange(count) * h, dtype=np.float64),
+        sensor_force_n=sensor,
+        contact_force_n=contact,
+        contact_speed_m_s=speed,
+        driving_force_n=after,
+        peak_sensor_force_n=max(float(found[SENSOR_PEAK]), after),
+        time_of_sensor_peak_s=h * float(count - 1 if is_creeping[0] else np.argmax(sensor)),
+        peak_contact_force_n=max(float(found[CONTACT_PEAK]), after),
+        time_of_peak_s=h * float(count - 1 if is_creeping[1] else found[CONTACT_TIME]),
+        impulse_n_s=0.0,
+        is_settled=samples is not None or is_settled,
     )
 
 
@@ -123,9 +149,13 @@ def begin_linear_contact(
     return loop, Start(moved[:n].copy(), past, control), force, speed
 
 
-def _samples(radius: float, h: float) -> int:
+def _samples(pair: SampledContact, law: LinearController) -> tuple[int, bool]:
+    """Return how long a run lasts, and whether all has decayed then; raises UnstableLoopError."""
+    radius, h = spectral_radius(build_loop(pair.contact, law)), pair.contact.sample_time_s
+    if not radius < 1.0:
+        raise UnstableLoopError(radius)
     decay = _DECAY_EXPONENTS / -math.log(radius) if radius > 0.0 else 0.0
-    return math.ceil(max(_SHORTEST_S / h, min(decay, _LONGEST_S / h)))
+    return math.ceil(max(_SHORTEST_S / h, min(decay, _LONGEST_S / h))), decay <= _LONGEST_S / h
 
 
 def _steady(pair: SampledContact, law: LinearController, force: float) -> tuple[FloatArray, float]:
@@ -183,6 +213,24 @@ def run_linear_contact(
         if chain > 0:
             past[NEWEST] = command
     return touching, switches
+
+
+@compiled
+def _trace(
+    loop: LinearLoop, start: Start, force: float, sensor: FloatArray, contact: FloatArray, found: FloatArray
+) -> None:
+    """Step from the impact, and note the forces at the sensor and at the contact (n,) at every tick."""
+    touching, tick = True, np.zeros(FOUND)
+    for k in range(len(sensor)):
+        state = start.state
+        contact[k] = spring_force(loop.wall, state[len(state) - 2], state[len(state) - 1]) if touching else 0.0
+        tick[:] = 0.0
+        tick[SENSOR_PEAK] = -np.inf
+        touching, _ = run_linear_contact(loop, start, force, 1, touching, tick)
+        sensor[k] = tick[SENSOR_PEAK]
+        found[SENSOR_PEAK] = max(found[SENSOR_PEAK], tick[SENSOR_PEAK])
+        if tick[CONTACT_PEAK] > found[CONTACT_PEAK]:
+            found[CONTACT_PEAK], found[CONTACT_TIME] = tick[CONTACT_PEAK], k + tick[CONTACT_TIME]
 
 
 @compiled

@@ -11,6 +11,7 @@ from autotune.demo import run_demo
 from autotune.export.designing import lacking_gains
 from autotune.export.targets import TARGETS
 from autotune.formats.controller import read_controller
+from autotune.prediction.as_run_by import as_run_by
 from tests.autotune.tuning.cases import shorten_proofs
 from tests.conftest import RunCli
 
@@ -50,14 +51,24 @@ def test_the_demo_s_controller_reaches_every_target_by_the_commands_that_a_refus
         done = run_cli(*shlex.split(command)[1:])
         assert done.returncode == 0, f"{command}\n{done.stderr}"
         if command.startswith("autotune optimize"):
-            # What will run comes first, and no number of our own law goes by its name.
-            assert f"before → after, axis x: as {target} runs it, certified: at most" in done.stdout.splitlines()[0]
-            assert "with this controller" not in done.stdout
+            # The replay is that of the law which will run, and our own law is headed as what does not.
+            assert f"; with this controller as {target} runs it at the same speed" in done.stdout.splitlines()[0]
             assert f"As {target} runs it, certified:" in done.stdout
-            assert f"next: autotune export for_target.yaml --target {target}" in done.stderr
+            assert "Our own law, from which that was made, and which does not run there:" in done.stdout
+            following = done.stderr.splitlines()[-1].split()
+            assert following[:6] == ["next:", "autotune", "export", "for_target.yaml", "--target", target]
+            assert ("--orientation" in following) == (target in NAMES)
     assert (tmp_path / out).is_file()
     made = read_controller(tmp_path / "for_target.yaml").controller
     assert made.provenance["options"]["for"] == target
+    stated = as_run_by(made, "x")
+    assert stated is not None
+    predicted = run_cli("predict", "for_target.yaml", "--surface", "145N/mm", "--payload-mass", "16.6", "--json")
+    found = json.loads(predicted.stdout)
+    assert found["run_by"] == target
+    # The worst certified contact is near the stiff and heavy end.
+    assert found["peak_force"] <= stated.peak * (1.0 + 1e-9)
+    assert found["peak_force"] > 0.97 * stated.peak
     # Where our own law needs a lead for it, the file says so.
     reported = any("Our own law cannot do this without" in each for each in made.provenance.get("notes", ()))
     assert reported == bool(lacking_gains(TARGETS[target], made))

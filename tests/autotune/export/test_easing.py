@@ -107,5 +107,5 @@ def test_a_design_for_a_target_is_at_its_own_period(tmp_path: Path) -> None:
 def test_what_is_certified_for_a_target_needs_no_names_of_an_installation(tmp_path: Path) -> None:
     found = certify_for(FZI_CARTESIAN, peer_controller({"x": PLAIN}, EASY), tmp_path / "controller.yaml")
     assert found.tree["axes"]["x"]["peak_contact_force"] > 0.0
-    with pytest.raises(InfeasibleError, match=r"With ros2_control: .* Lines for problem\.yaml with which it can: req"):
+    with pytest.raises(InfeasibleError, match=r"With ros2_control: .* Put into problem.*: req.* run autotune optimize"):
         certify_for(ROS2_CONTROL, peer_controller({"x": LEAD}, HARD), tmp_path / "controller.yaml")

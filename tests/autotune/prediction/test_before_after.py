@@ -1,5 +1,6 @@
 """Before and after: replayed contacts against scipy's integrator, and the gains of today in every form."""
 
+import math
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -9,14 +10,19 @@ import pytest
 import autotune as at
 from autotune.errors import UsageError
 from autotune.formats.cell import read_cell
-from autotune.formats.controller_record import Controller
+from autotune.formats.controller import ControllerFile
+from autotune.formats.controller_record import Controller, admittance_controller
 from autotune.formats.identified import IdentifiedFile
 from autotune.pipeline import IdentifyOptions, identify_log
-from autotune.prediction.before_after import AsRunBy, BeforeAndAfter, compare_before_after
+from autotune.prediction.as_run_by import with_target
+from autotune.prediction.before_after import BeforeAndAfter, compare_before_after
+from autotune.prediction.certified import predict_certified
 from autotune.prediction.law import PresentGains, law_of_gains
 from autotune.prediction.said_gains import present_gains
+from autotune.validation.law import check_targets, of_own_law
 from identification.result import Timeline, Touch, TouchCause
 from problems.errors import ParameterError
+from problems.model.sampled import linear_controller
 from tests.autotune.formats.samples import make_identified
 from tests.autotune.prediction.pressing import Cell, contact_peak
 from tests.autotune.prediction.test_contact import plant_of
@@ -85,22 +91,52 @@ def test_the_sentence_says_both_peaks_and_by_how_much_free_motion_changes() -> N
     assert found.sentence().endswith(f"free motion {heavier:.0f} % heavier")
 
 
-def test_what_an_export_target_does_comes_first_and_the_replay_is_named_as_our_own_law_s() -> None:
-    """Nothing of our own law's replay is called that of this controller; a report made later says the same."""
+def as_target(made: Controller, *, peak: float = 56.9) -> Controller:
+    """Return a file designed for a target that runs the same gains by the law of any linear controller."""
+    law = linear_controller(admittance_controller(made, "x"), made.sample_time_s)
+    said = {
+        "parameters": {"mass": 8.0}, "peak_contact_force": peak, "peak_contact_force_before": 39.2,
+        "hand_force": 1000.0, "least_admittance": 7e-4, "margins": {"modulus": 0.5},
+    }  # fmt: skip
+    return with_target(made, "crisp", {"x": said}, {"x": law})
+
+
+def test_of_a_file_for_an_export_target_every_figure_is_of_the_law_that_the_target_runs() -> None:
+    """The same gains as a law of another program have the same contact, in the replay and in a prediction."""
     file, made = source(touch(peak_of(13.0, 1000.0, 0.02))), controller()
-    own = compare_before_after(file, made, present=today())["x"]
-    found = own.designed_for(AsRunBy(target="crisp", peak=56.94, own_peak=39.2))
-    assert found.sentence().startswith(
-        "as crisp runs it, certified: at most 56.9 N at the contact instead of 39.2 N with our own law; in your log "
-    )
-    peak = own.surfaces[0].after.predicted.peak_sensor_force
-    assert f"; with our own law at the same speed {peak:.1f} N [" in found.sentence()
-    chart = found.chart()
+    own = compare_before_after(file, made, present=today())["x"].surfaces[0].after.predicted
+    compared = compare_before_after(file, as_target(made), present=today())["x"]
+    found = compared.surfaces[0].after.predicted
+    assert found.run_by == "crisp"
+    assert found.peak_sensor_force == pytest.approx(own.peak_sensor_force, rel=1e-6)
+    assert found.interval.sensor == pytest.approx(own.interval.sensor, rel=1e-6)
+    assert "with this controller as crisp runs it at the same speed" in compared.sentence()
+    assert (compared.hand[1], compared.worst[1]) == (1000.0, 56.9)
+    predicted = predict_certified(as_target(made), "x", 1e5)
+    assert predicted.peak_force == pytest.approx(predict_certified(made, "x", 1e5).peak_force, rel=1e-4)
+    assert "on axis x as crisp runs it:" in str(predicted)
+    chart = compared.chart()
     assert chart is not None
-    assert "our own law, predicted" in {each.label for each in chart.panels[0].elements}
-    assert "this controller" not in f"{found}{chart}"
-    noted = replace(made, provenance={**made.provenance, "before_after": {"x": found.to_dict()}})
-    assert compare_before_after(file, noted, present=today())["x"].sentence() == found.sentence()
+    assert "after as crisp runs it, predicted" in {each.label for each in chart.panels[0].elements}
+
+
+def test_a_file_for_a_target_is_verified_for_its_law_and_not_taken_for_gains_that_ran() -> None:
+    made = small_controller()
+    false, *own = check_targets(as_target(made, peak=1.0))
+    assert not own
+    assert not false.passed
+    assert false.name == "as crisp runs it"
+    assert "its largest peak is" in false.message
+    assert {each.name for each in of_own_law(as_target(made), [false])} == {"our own law, as crisp runs it"}
+    file = ControllerFile(controller=as_target(made), checksum="0" * 64, path=Path("for.yaml"), sha256="")
+    with pytest.raises(UsageError, match="was designed for crisp"):
+        PresentGains.of_file(file)
+
+
+def test_gains_of_today_that_are_unstable_are_named_where_the_log_says_its_own() -> None:
+    log = source(touch(60.0, mass=13.0, damping=1000.0, lead_s=0.02))
+    found = compare_before_after(log, controller(), present=today(), worst_before={"x": math.inf})["x"]
+    assert "the gains of today (gains) are unstable on a certified plant" in found.sentence()
 
 
 def test_the_figure_shows_what_the_sentence_says() -> None:

@@ -3,7 +3,11 @@
 import numpy as np
 import pytest
 
-from problems.contact.linear_controller_contact import force_per_speed, simulate_linear_contact
+from problems.contact.linear_controller_contact import (
+    force_per_speed,
+    simulate_linear_contact,
+    trace_linear_contact,
+)
 from problems.contact.transient import Approach, build_sampled_contact, simulate_contact
 from problems.errors import ParameterError
 from problems.model.controller import AdmittanceController
@@ -70,6 +74,24 @@ def test_the_contact_of_a_law_is_that_of_the_exact_kernel(delay_s: float, coupli
         assert found.time_of_peak_s == pytest.approx(exact.time_of_peak_s, abs=PERIOD_S / 19.0)
     # B_a + B_p, but for the ripple of F that a damped coupling shows between the ticks.
     assert force_per_speed(pair, law) == pytest.approx(1630.0, rel=2e-3)
+
+
+@pytest.mark.parametrize("after", [None, 12.0])
+def test_the_forces_over_time_of_a_law_are_those_of_the_exact_kernel(after: float | None) -> None:
+    """Also under another F^d after the impact, which both creep to."""
+    plant = paper_plant(stiffness=1.2e5, drag=330.0, coupling_damping=150.0, robot=one_pole(2.7e-3))
+    pair = build_sampled_contact(build_sampled_plant(plant, PERIOD_S))
+    controller = AdmittanceController(mass_kg=6.0, damping_n_s_per_m=1300.0, lead_s=0.0209)
+    law, approach = linear_controller(controller, PERIOD_S), Approach(speed_m_s=0.02, after_impact_n=after)
+    found = trace_linear_contact(pair, law, approach)
+    exact = simulate_contact(pair, controller, approach, samples=len(found.time_s))
+    for name in ("time_s", "sensor_force_n", "contact_force_n"):
+        np.testing.assert_allclose(getattr(found, name), getattr(exact, name), rtol=1e-9, atol=1e-7)
+    for name in ("contact_speed_m_s", "peak_sensor_force_n", "time_of_sensor_peak_s"):
+        assert getattr(found, name) == pytest.approx(getattr(exact, name), rel=1e-9)
+    assert found.peak_contact_force_n == pytest.approx(exact.peak_contact_force_n, rel=1e-5)
+    assert found.time_of_peak_s == pytest.approx(exact.time_of_peak_s, abs=PERIOD_S / 19.0)
+    assert found.is_settled
 
 
 def test_a_payload_that_bounces_has_the_same_peak() -> None:
