@@ -11,7 +11,7 @@ import numpy as np
 
 from problems.arrays import BoolArray, FloatArray
 
-from .extended_payload import OWN, OWN_WITH_PART, Extension, extended_force
+from .extended_payload import OWN, OWN_WITH_PART, Extension, extended_force, own_forces
 from .gradients import force_jacobian
 from .model import COUPLING_NAMES
 from .noise import Whitener, fit_whitener
@@ -22,7 +22,7 @@ from .solve import Point, Problem, linearise, logarithmic, sizes_of
 _COUPLING = len(COUPLING_NAMES)
 # Steps of differences and largest steps of a descent: K_s and the like in their sizes, latency in samples, then share,
 # logarithm of the frequency and damping ratio of the part, and F_c in N.
-_SMALL, _SMALL_LATENCY, _SMALL_FRICTION = 1e-4, 1e-2, 1e-2
+_SMALL, _SMALL_LATENCY, _SMALL_FRICTION, _OWN_NUDGE_N = 1e-4, 1e-2, 1e-2, 0.1
 _LARGEST, _LARGEST_PART = 0.3, (0.05, 0.15, 0.03)
 MOST_SHARE, MOST_RATIO, _LOWEST_HZ, _HIGHEST_SHARE = 0.3, 0.15, 3.0, 0.45
 _HALVINGS, _CONVERGED, _EASIEST, _DAMPING_STEP = 8, 0.05, 1e-6, 10.0
@@ -168,18 +168,47 @@ class ExtendedProblem:
 
     def errors(self, theta: FloatArray, own: Sequence[FloatArray], kind: PayloadKind) -> list[FloatArray]:
         """Return predicted − measured force of every span, without the samples that show what was before it."""
+        return self.shown(theta, self.forces(theta, own, kind))
+
+    def forces(self, theta: FloatArray, own: Sequence[FloatArray], kind: PayloadKind) -> list[FloatArray]:
+        """Return the coupling's force of every span on the path of the joint fit."""
+        path, period = self.problem.path(self.point.values), self.problem.signals.period_s
+        coupling, extension = self.values(theta)[:_COUPLING], self.extension(theta, kind)
+        return [
+            extended_force(coupling, extension, mine, path, segment.slice, period)
+            for segment, mine in zip(self.segments, own, strict=True)
+        ]
+
+    def shown(self, theta: FloatArray, forces: Sequence[FloatArray]) -> list[FloatArray]:
+        """Return `errors` of these `forces`: moved with the robot, as the sensor shows them, less what was measured."""
         path, signals = self.problem.path(self.point.values), self.problem.signals
-        values, extension, sensor = self.values(theta), self.extension(theta, kind), self.sensor_dynamics(theta)
+        damping, sensor = float(self.values(theta)[1]), self.sensor_dynamics(theta)
+        known = signals.sensor_dynamics.unknown(signals.period_s)
         out = []
-        for segment, mine, slopes in zip(self.segments, own, self._robot_slopes, strict=True):
-            force = extended_force(values[:_COUPLING], extension, mine, path, segment.slice, signals.period_s)
-            force = force + theta[_COUPLING : self.shared] @ slopes
-            force = sensor.shown(force, path, segment.slice, float(values[1]), signals.period_s)
+        for segment, coupled, slopes in zip(self.segments, forces, self._robot_slopes, strict=True):
+            force = coupled + theta[_COUPLING : self.shared] @ slopes
+            force = sensor.shown(force, path, segment.slice, damping, signals.period_s)
             if self.lags == 1:
                 force = force - theta[self.shared] * np.gradient(force)
-            known = signals.sensor_dynamics.unknown(signals.period_s)
             out.append((force - signals.force_n[segment.slice])[known:])
         return out
+
+    def own_slopes(self, at: "PayloadFit") -> list[FloatArray]:
+        """Return how every span's errors follow its own parameters (n, own)."""
+        forces = self.forces(at.theta, at.own, at.kind)
+        here = self.shown(at.theta, forces)
+        nudges = _OWN_NUDGE_N * np.eye(len(at.own[0]))
+        if at.kind.friction:
+            nudged = [self.errors(at.theta, [own + step for own in at.own], at.kind) for step in nudges]
+        else:
+            path, period = self.problem.path(self.point.values), self.problem.signals.period_s
+            coupling, extension = self.values(at.theta)[:_COUPLING], self.extension(at.theta, at.kind)
+            added = [own_forces(coupling, extension, path, segment.slice, period) for segment in self.segments]
+            nudged = [
+                self.shown(at.theta, [f + step @ more for f, more in zip(forces, added, strict=True)])
+                for step in nudges
+            ]
+        return [np.array([(n[i] - error) / _OWN_NUDGE_N for n in nudged]).T for i, error in enumerate(here)]
 
     def cost(self, theta: FloatArray, own: Sequence[FloatArray], kind: PayloadKind, noise: Whitener) -> float:
         """Return the sum of squares of the whitened forces and of what else is known."""
@@ -224,15 +253,20 @@ class Linearised:
 def linearised(of: ExtendedProblem, at: PayloadFit) -> Linearised:
     """Return the problem's slopes at a candidate by differences, each span's own parameters projected out."""
     small = of.steps(at.kind)[0]
-    here = of.errors(at.theta, at.own, at.kind)
-    moved = [of.errors(at.theta + step, at.own, at.kind) for step in np.diag(small)]
-    nudged = [of.errors(at.theta, [o + step for o in at.own], at.kind) for step in 0.1 * np.eye(len(at.own[0]))]
+    forces = of.forces(at.theta, at.own, at.kind)
+    here = of.shown(at.theta, forces)
+    # Robot and latency act on the coupling's force; everything else changes it.
+    behind = range(_COUPLING, of.shared + of.lags)
+    moved = [
+        of.shown(theta, forces if i in behind else of.forces(theta, at.own, at.kind))
+        for i, theta in enumerate(at.theta + np.diag(small))
+    ]
     matrix, slope = of.prior(len(at.theta))
     slope = slope + matrix @ at.theta
     rows, follows = [], []
-    for i, error in enumerate(here):
+    for i, (error, owned) in enumerate(zip(here, of.own_slopes(at), strict=True)):
         columns = [error, *((m[i] - error) / s for m, s in zip(moved, small, strict=True))]
-        own = at.noise.apply(np.array([(m[i] - error) / 0.1 for m in nudged]).T)
+        own = at.noise.apply(owned)
         white = at.noise.apply(np.array(columns).T)
         q, r = np.linalg.qr(own)
         taken = q.T @ white
@@ -364,7 +398,5 @@ def scorer(of: ExtendedProblem, at: PayloadFit) -> Callable[[PayloadFit, Payload
         along -= float(part @ (root.T @ here.slope))
         return (along**2 / square, -along / square) if square > 0.0 and along < 0.0 else (0.0, 0.0)
 
-    nudged = [of.errors(at.theta, [o + step for o in at.own], at.kind) for step in 0.1 * np.eye(len(at.own[0]))]
-    still = of.errors(at.theta, at.own, at.kind)
-    own_bases = [np.linalg.qr(at.noise.apply(np.array([n[i] - e for n in nudged]).T))[0] for i, e in enumerate(still)]
+    own_bases = [np.linalg.qr(at.noise.apply(owned))[0] for owned in of.own_slopes(at)]
     return score

@@ -10,6 +10,7 @@ brings the coupling to rest at its end. Time is counted in samples.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import expm
@@ -44,28 +45,61 @@ class Extension:
         return OWN_WITH_PART if self.frequency_hz > 0.0 else OWN
 
 
-@compiled
-def run_extended(
-    phi: FloatArray, pushed: FloatArray, rubbed: FloatArray, arriving: FloatArray, limit: float, start: FloatArray
-) -> FloatArray:
-    """Return state and friction of every sample (n, m + 1): p_(k+1) = phi p_k + `pushed`_k + `rubbed` f_k.
+class _Motion(NamedTuple):
+    """One sample's step: `phi` (m, m), `gamma` (m, k), friction `rubbed` (m,) per N; K_s and B_s over a sample."""
 
-    `pushed` is (n, m), `rubbed` (m,), `arriving` (n,) the flange's speed before the next tick, `start` p_0 (m,).
+    phi: FloatArray
+    gamma: FloatArray
+    rubbed: FloatArray
+    k_s: float
+    b_s: float
+
+
+@compiled
+def run_extended(motion: _Motion, drive: FloatArray, ends: FloatArray, limit: float, start: FloatArray) -> FloatArray:
+    """Return F (n,) at every tick under p_(k+1) = phi p_k + gamma drive_k + rubbed f_k, |f_k| at most `limit`.
+
+    `drive` (n, k) and `ends` (n, 4) are those of a `PathSegment`, `start` p_0 (m,), positions against the first. At a
+    tick the friction is the mean of what acts before and after it.
     """
-    count, size = pushed.shape
-    out, now, following = np.empty((count, size + 1)), start.copy(), start.copy()
+    phi, gamma, rubbed = motion.phi, motion.gamma, motion.rubbed
+    count, width, size = drive.shape[0], drive.shape[1], len(start)
+    force, now, following = np.empty(count), start.copy(), start.copy()
+    origin, before = ends[0, 0], 0.0
     for k in range(count):
         for i in range(size):
-            out[k, i] = now[i]
-            total = pushed[k, i]
+            total = -origin * gamma[i, width - _TAYLOR]
+            for j in range(width):
+                total += gamma[i, j] * drive[k, j]
             for j in range(size):
                 total += phi[i, j] * now[j]
             following[i] = total
-        friction = min(max((arriving[k] - following[SPEED]) / rubbed[SPEED], -limit), limit)
-        out[k, size] = friction
+        friction = min(max((ends[k, 3] - following[SPEED]) / rubbed[SPEED], -limit), limit)
+        if k == 0:
+            before = friction
+        coupled = motion.k_s * (now[0] - ends[k, 0] + origin) + motion.b_s * (now[SPEED] - ends[k, 1])
+        force[k] = coupled + 0.5 * (before + friction)
         for i in range(size):
             now[i] = following[i] + rubbed[i] * friction
-    return out
+        before = friction
+    return force
+
+
+@compiled
+def run_undriven(motion: _Motion, start: FloatArray, count: int) -> FloatArray:
+    """Return F (n,) of a payload that is left to itself, without friction, beside a flange at rest in 0."""
+    phi, size = motion.phi, len(start)
+    force, now, following = np.empty(count), start.copy(), start.copy()
+    for k in range(count):
+        force[k] = motion.k_s * now[0] + motion.b_s * now[SPEED]
+        for i in range(size):
+            total = 0.0
+            for j in range(size):
+                total += phi[i, j] * now[j]
+            following[i] = total
+        for i in range(size):
+            now[i] = following[i]
+    return force
 
 
 def extended_step(
@@ -119,17 +153,30 @@ def extended_force(
     `own` (`extension.own_count`,) is the payload's offset and speed against the flange at first, counted in N of the
     coupling, the force's offset [N], and the part's offset and speed against the payload in the same way.
     """
-    cut, robot = path.cut(used), None if path.robot is None else np.asarray(path.robot.real)
-    phi, gamma, rubbed = extended_step(coupling, extension, robot, float(path.hold.fraction.real), period_s)
-    k_s, b_s, origin = float(coupling[0]), float(coupling[1]) / period_s, cut.ends[0, 0]
-    pushed = cut.drive @ gamma.T - origin * gamma[:, -_TAYLOR]
-    start = np.zeros(len(phi))
-    start[:2] = own[0] / k_s, cut.ends[0, 1] + own[1] / k_s
-    if len(phi) == 4:
-        start[2:] = start[:2] + own[OWN:] / k_s
-    states = run_extended(phi, pushed, rubbed, np.ascontiguousarray(cut.ends[:, 3]), extension.friction_n, start)
-    friction = states[:, -1]
-    # At a tick the mean of what acts before and after it.
-    at_tick = 0.5 * (friction + np.concatenate([friction[:1], friction[:-1]]))
-    force = k_s * (states[:, 0] - cut.ends[:, 0] + origin) + b_s * (states[:, 1] - cut.ends[:, 1])
-    return np.asarray(force + at_tick + own[2])
+    cut, motion = path.cut(used), _motion(coupling, extension, path, period_s)
+    start = _first_state(own, motion)
+    start[SPEED::2] += cut.ends[0, 1]
+    return np.asarray(run_extended(motion, cut.drive, cut.ends, extension.friction_n, start) + own[2])
+
+
+def own_forces(
+    coupling: FloatArray, extension: Extension, path: FlangePath, used: slice, period_s: float
+) -> FloatArray:
+    """Return what each of a span's own parameters adds to F (own, n) per unit; without friction F is linear in them."""
+    motion, count = _motion(coupling, extension, path, period_s), used.stop - used.start
+    units = np.eye(extension.own_count)
+    return np.array([run_undriven(motion, _first_state(unit, motion), count) + unit[2] for unit in units])
+
+
+def _motion(coupling: FloatArray, extension: Extension, path: FlangePath, period_s: float) -> _Motion:
+    """Return what happens over one sample."""
+    robot = None if path.robot is None else np.asarray(path.robot.real)
+    steps = extended_step(coupling, extension, robot, float(path.hold.fraction.real), period_s)
+    phi, gamma, rubbed = map(np.ascontiguousarray, steps)
+    return _Motion(phi, gamma, rubbed, float(coupling[0]), float(coupling[1]) / period_s)
+
+
+def _first_state(own: FloatArray, motion: _Motion) -> FloatArray:
+    """Return the state at a span's beginning against a flange at rest in 0."""
+    start = own[:2] / motion.k_s
+    return start if len(motion.phi) == 2 else np.concatenate([start, start + own[OWN:] / motion.k_s])
