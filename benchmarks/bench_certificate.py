@@ -2,8 +2,7 @@
 
 import time
 
-from autotune.certificate.certify import certify
-from autotune.certificate.claim import WORK_PER_SECOND
+from autotune.certificate.certify import WORK_PER_SECOND, certify
 from autotune.certificate.family import Family
 from autotune.validation.margins import sweep_margins
 from problems.design.uncertainty import MASS, STIFFNESS, PlantSet

@@ -35,8 +35,7 @@ from .robot.admittance_estimates import AdmittanceRobots, identify_admittance_ro
 from .robot.admittance_motion import with_compensated_force
 from .sensor import describe_sensor
 from .signals.aligned import AlignedLog, align, check_regular, find_gaps
-from .signals.frames import Frames
-from .signals.recording import PoseSignal, Recording
+from .signals.recording import Frames, PoseSignal, Recording
 from .signals.repairs import restore_commands, without_spikes
 from .signals.segments import MotionSpans, find_motion
 from .turn_estimate import identify_turn, unidentified_turn

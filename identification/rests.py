@@ -10,8 +10,7 @@ from .payload.gravity_verdicts import WITHOUT_TORQUE, com_estimate, gravity_find
 from .payload.mounting import identify_mounting
 from .payload.static_poses import rows_as_poses
 from .result import Estimate, Finding, Identified, PayloadEstimate, SensorEstimate, Status, VectorEstimate
-from .signals.frames import Frames
-from .signals.recording import Recording
+from .signals.recording import Frames, Recording
 from .verdicts import missing, unidentifiable, unidentifiable_vector, vector
 
 _METHOD = "least squares over static poses"

@@ -9,8 +9,7 @@ from .payload.gravity import GravityFit
 from .payload.mounting import identify_mounting
 from .rests import residual_estimate, torque_bias
 from .result import Estimate, Finding, SensorEstimate, Status
-from .signals.frames import Frames
-from .signals.recording import PoseSignal
+from .signals.recording import Frames, PoseSignal
 from .signals.sensor_noise import SensorNoise, identify_sensor_noise
 from .verdicts import unidentifiable, vector
 

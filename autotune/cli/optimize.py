@@ -223,7 +223,8 @@ def _certified_for(
     """Certify the design as the target runs it, note in its provenance what that is, and replay the log with it."""
     from autotune.export.designing import certify_for, lacking_gains
     from autotune.prediction.as_run_by import with_target
-    from autotune.tuning.optimize import replay_log, with_notes
+    from autotune.tuning.optimize import replay_log
+    from autotune.tuning.provenance import with_notes
 
     made, notes = found.controller, list(found.controller.provenance.get("notes", ()))
     options = {**made.provenance["options"], "for": target.name}

@@ -20,8 +20,9 @@ from autotune.formats.yaml12 import kind_of_file
 from autotune.prediction.as_run_by import designed_for, own_law_notes
 from autotune.tuning.bounds import Box
 from autotune.tuning.compare import start_design
-from autotune.tuning.optimize import carried_payload, make_provenance
+from autotune.tuning.optimize import carried_payload
 from autotune.tuning.problems import build_problems, within_domain
+from autotune.tuning.provenance import make_provenance
 from autotune.tuning.search import SearchResult, solve_design
 from autotune.tuning.threshold import ThresholdSettings, threshold_settings
 from autotune.validation.axis_proof import ProofOptions

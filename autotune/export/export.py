@@ -1,25 +1,30 @@
-"""Verify a controller file, write it in another format, and return what was written."""
+"""Verify a controller file, write it in another format, as a file or a folder, and return what was written."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from hashlib import sha256
 from pathlib import Path
 from typing import Any, cast
 
-from autotune.errors import CertificateError, InfeasibleError, UsageError
-from autotune.formats.atomic import check_target, write_atomic
-from autotune.formats.canonical import flow_text
+from autotune.errors import AutotuneError, CertificateError, InfeasibleError, UsageError
+from autotune.formats.atomic import check_target, write_atomic, write_folder_atomic
+from autotune.formats.canonical import dump_yaml, flow_text
 from autotune.formats.controller import ControllerFile, read_controller
+from autotune.formats.yaml12 import load_yaml
 from autotune.runtime.load import check_digits, check_expected, verify_signature
 from autotune.validation.validate import validate_controller
 
 from .base_axes import MissingOrientationError
 from .designing import DESIGNED, design_command, export_command, lines_for
-from .package_folder import check_folder, write_folder
 from .ros_yaml import DOWNWARDS
 from .target import ExportRequest, ExportTarget, Rendered
 from .targets import TARGETS
 
 _SAME_PERIOD = 1e-6
+
+LIST = "autotune_export.yaml"
+"""The file with the names and digests of all others, by which a folder of this tool is known."""
+_FORMAT = "autotune/export_folder"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -194,3 +199,50 @@ def check_law(source: ControllerFile, progress: Callable[[float], None] | None =
         validate_controller(source.controller, progress, is_short=True).require()
     except CertificateError as reason:
         raise CertificateError(f"{source.path} is false, so nothing is exported from it: {reason}") from reason
+
+
+def check_folder(folder: Path, source: Path | str) -> bool:
+    """Return whether an earlier export will be replaced; raises UsageError where anything else would be lost."""
+    check_target(folder, [source])
+    if not folder.exists():
+        return False
+    advice = "so it is not replaced; name another folder with -o"
+    if not folder.is_dir():
+        raise UsageError(f"{folder} is a file, and this export is a folder, {advice}.")
+    present = {str(each.relative_to(folder)) for each in folder.rglob("*") if not each.is_dir() or each.is_symlink()}
+    if not present:
+        return False
+    if LIST not in present:
+        raise UsageError(f"{folder} exists and is no earlier export, {advice}.")
+    digests = _digests(folder / LIST)
+    strange = sorted(present - {LIST} - set(digests))
+    if strange:
+        raise UsageError(f"{folder} holds {strange[0]} beside an earlier export, which would be lost, {advice}.")
+    changed = [name for name in sorted(present - {LIST}) if _digest((folder / name).read_bytes()) != digests[name]]
+    if changed:
+        raise UsageError(f"{folder / changed[0]} was changed since it was exported, {advice}.")
+    return True
+
+
+def write_folder(folder: Path, texts: Mapping[str, str]) -> None:
+    """Write the texts by their names inside of the folder, and their list, in one step."""
+    digests = {name: _digest(text.encode()) for name, text in texts.items()}
+    listed = dump_yaml({"format": _FORMAT, "version": 1, "files": digests})
+    write_folder_atomic(folder, {**texts, LIST: listed})
+
+
+def _digests(path: Path) -> dict[str, str]:
+    try:
+        tree = load_yaml(path, error=UsageError)
+    except AutotuneError:
+        tree = {}
+    found = tree.get("files")
+    if tree.get("format") != _FORMAT or not isinstance(found, dict):
+        raise UsageError(
+            f"{path} is no list of an export, so {path.parent} is not replaced; name another folder with -o."
+        )
+    return {str(name): str(digest) for name, digest in found.items()}
+
+
+def _digest(data: bytes) -> str:
+    return sha256(data).hexdigest()

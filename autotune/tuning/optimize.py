@@ -1,9 +1,9 @@
 """From identified parameters to a validated controller: search, prove, write down, verify."""
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -11,39 +11,29 @@ from autotune.errors import CertificateError, InfeasibleError
 from autotune.formats.controller_record import Controller, RuntimePayload
 from autotune.formats.identified import IdentifiedFile
 from autotune.formats.problem import ComplianceSpec, ProblemSpec
-from autotune.formats.records import rename_axis_keys
-from autotune.formats.units import ROTATIONAL_AXES
+from autotune.formats.units import axis_units
 from autotune.prediction.before_after import BeforeAndAfter, compare_before_after
 from autotune.prediction.law import PresentGains
-from autotune.validation.axis_proof import AxisProof, ProofOptions
+from autotune.validation.axis_proof import AxisProof, ProofOptions, prove_axis
+from autotune.validation.bouncing import RefutedError, search_bouncing
 from autotune.validation.report import ValidationReport
 from autotune.validation.validate import validate_controller
-from autotune.version import __version__
 from identification.result import Identified
 from problems.arrays import FloatArray
 from problems.design.problem import FURTHER_VARIABLES, VARIABLES, DesignProblem
-from problems.design.uncertainty import MASS, STIFFNESS
 from problems.progress import ProgressSlice, no_progress
 
 from .causes import explain, explanation_message
 from .compare import SideBySide, check_comparable, compare, start_design
-from .compliance import (
-    Compliance,
-    build_compliance_problems,
-    choose_compliance,
-    compliance_tree,
-    infeasible_message,
-    settle_compliance,
-)
+from .compliance import Compliance, build_compliance_problems, choose_compliance, infeasible_message, settle_compliance
 from .defaults import DefaultAdmittance, default_admittance, default_message, lower_default
-from .design_notes import design_notes, exact_names
 from .limits import LimitsSettings, limits_settings, with_limits
-from .optimality_report import OptimalityReport, optimality_tree
-from .plausible import left_out_tree
+from .optimality_report import OptimalityReport, report_optimality
 from .problems import build_problems, certified_mass_kg, runtime_mass_kg, within_domain
-from .record import build_controller, runtime_payload
+from .provenance import design_notes, make_provenance, result_trees, with_notes
+from .record import build_controller, build_domain, runtime_payload
+from .scenario_exchange import NOTHING, Counterexamples, ImpactTest
 from .search import SearchResult, solve_design
-from .settling import Settled, prove_search, settle
 from .threshold import ThresholdSettings, choose_threshold, threshold_settings
 
 # Of the time of a usual run, measured, for the progress bar alone. The second is a share of what comes
@@ -51,6 +41,21 @@ from .threshold import ThresholdSettings, choose_threshold, threshold_settings
 _SEARCH_SHARE, _PROOF_SHARE = 0.4, 0.1
 _COMPLIANCE_SHARE = 0.6
 _ROUNDING = 1e-9
+
+_ROUNDS = 6
+# A reference that lies lower by more than this is worth another search, from its design.
+_LARGEST_GAP = 1e-3
+_BETTER = 1e-6
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settled:
+    """A search's result that nothing refutes, what is proved of it, its optimality, and the counterexamples met."""
+
+    search: SearchResult
+    proved: AxisProof
+    optimality: OptimalityReport
+    counterexamples: Counterexamples
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,8 +124,7 @@ def optimize(
     defaults = {name: each for name, each in by_default.items() if each is not None}
     problems = {name: each.problem for name, each in searches.items()}
     provenance = make_provenance(identified, problems, spec, seed, problem_path, present, asked)
-    provenance |= _optimality_tree(optimality_reports) | _surfaces_tree(problems, identified.result, chosen)
-    provenance |= _defaults_tree(defaults)
+    provenance |= result_trees(problems, identified.result, optimality_reports, defaults, chosen)
     controller, checked = certify(
         searches, payload, provenance, asked, lambda done: report((1.0 - _SEARCH_SHARE) * done),
         threshold=threshold_settings(identified.result, spec),
@@ -146,13 +150,6 @@ def optimize(
     )
 
 
-def with_notes(controller: Controller, notes: Sequence[str], before_after: Mapping[str, BeforeAndAfter]) -> Controller:
-    """Return the controller with what the user should know in its provenance, and what it changes."""
-    trees = {name: each.to_dict() for name, each in before_after.items() if not each.is_empty}
-    said: dict[str, Any] = ({"notes": list(notes)} if notes else {}) | ({"before_after": trees} if trees else {})
-    return replace(controller, provenance={**controller.provenance, **said})
-
-
 def replay_log(
     identified: IdentifiedFile,
     controller: Controller,
@@ -171,35 +168,12 @@ def replay_log(
 def _settle_all(
     searches: Mapping[str, SearchResult], asked: ProofOptions, seed: int, report: Callable[[float], None]
 ) -> dict[str, Settled]:
-    """Return what nothing refutes of every axis, see `settling.settle`."""
+    """Return what nothing refutes of every axis, see `settle`."""
     settled = {}
     for name, search in searches.items():
         settled[name] = settle(name, search, asked, seed=seed)
         report((1.0 - _SEARCH_SHARE) * _PROOF_SHARE / len(searches))
     return settled
-
-
-def _optimality_tree(optimality_reports: Mapping[str, OptimalityReport]) -> dict[str, Any]:
-    """Return the optimality of the designs, axis by axis."""
-    trees = {
-        name: optimality_tree(each, rotational=name in ROTATIONAL_AXES) for name, each in optimality_reports.items()
-    }
-    return {"optimality": trees}
-
-
-def _defaults_tree(defaults: Mapping[str, DefaultAdmittance]) -> dict[str, Any]:
-    """Return what was asked by default, axis by axis, where it followed the cell."""
-    trees = {name: rename_axis_keys(name, each.tree(), reading=False) for name, each in defaults.items()}
-    return {"defaults": trees} if trees else {}
-
-
-def _surfaces_tree(
-    problems: Mapping[str, DesignProblem], identified: Identified, chosen: Mapping[str, Compliance]
-) -> dict[str, Any]:
-    """Return the compliance that takes the place of the surfaces, else the surfaces that the ranges leave out."""
-    if chosen:
-        return {"compliance": {name: compliance_tree(each) for name, each in chosen.items()}}
-    return dict(left_out_tree(problems, identified))
 
 
 def carried_payload(identified: Identified, problems: Mapping[str, DesignProblem], spec: ProblemSpec) -> RuntimePayload:
@@ -224,7 +198,7 @@ def certify(
     `threshold` asks for a collision response, chosen for these designs, `limits` says what is known of the cell for
     those of the runtime. `progress` gets the share of the work done since the last call; `proved` is what has been
     proved already. Raises CertificateError when a claim cannot be proved or verified, RefutedError among them
-    (`settling.prove_search`), and what `choose_threshold` raises.
+    (`prove_search`), and what `choose_threshold` raises.
     """
     for name, search in searches.items():
         check_within_bounds(search, name)
@@ -359,33 +333,66 @@ def _search(
     return found
 
 
-def make_provenance(
-    identified: IdentifiedFile,
-    problems: Mapping[str, DesignProblem],
-    spec: ProblemSpec,
-    seed: int,
-    problem_path: Path | None,
-    present: PresentGains | None,
-    proof: ProofOptions,
-) -> dict[str, Any]:
-    """Return where a controller comes from: the tool, the identified file, and what was asked."""
-    plant = identified.provenance.get("plant")
-    ranges = {MASS: spec.options.get("payload_mass"), STIFFNESS: spec.options.get("environment_stiffness")}
-    said = {name: None if each is None else list(each) for name, each in ranges.items()}
-    return {
-        "tool": f"autotune {__version__}",
-        "identified": {
-            "path": str(identified.path),
-            "sha256": identified.sha256,
-            # Of a plant that a person wrote, what was written and what of it was taken as exact.
-            **({} if plant is None else {"plant": plant, "exact": list(exact_names(identified, problems))}),
-        },
-        "options": {
-            "problem": None if problem_path is None else str(problem_path),
-            **said,
-            "seed": seed,
-            "slack": proof.slack,
-            "proof_budget_s": proof.further_s,
-            "compare": None if present is None else present.tree(),
-        },
-    }
+def settle(name: str, found: SearchResult, asked: ProofOptions, *, seed: int) -> Settled:
+    """Search again until nothing refutes the result, then from the reference's design where that is better.
+
+    The plant at which a proof fails joins the scenarios; an impact that bounces for ever must come to rest. Raises
+    CertificateError where that does not help within a few rounds, InfeasibleError where no controller is left.
+    """
+    first = _unrefuted(name, found, asked, NOTHING, seed)
+    search, start = first.search, first.optimality.reference.design
+    if not first.optimality.gap > _LARGEST_GAP or not ImpactTest(search.problem, first.counterexamples).passes(start):
+        return first
+    try:
+        other = solve_design(search.problem, seed=seed, start=start, counterexamples=first.counterexamples)
+        if other.evaluation.cost > (1.0 - _BETTER) * search.evaluation.cost:
+            return first
+        second = _unrefuted(name, other, asked, first.counterexamples, seed)
+    except (InfeasibleError, CertificateError):
+        # The first result is kept.
+        return first
+    lower = second.search.evaluation.cost < search.evaluation.cost
+    return second if lower else first
+
+
+def _unrefuted(
+    name: str, search: SearchResult, asked: ProofOptions, counterexamples: Counterexamples, seed: int
+) -> Settled:
+    """Return a result that nothing refutes, and what was taken in."""
+    for round_index in range(_ROUNDS + 1):
+        try:
+            proved = prove_search(name, search, asked)
+        except RefutedError as error:
+            joined = counterexamples.joined(error)
+            if joined == counterexamples or round_index == _ROUNDS:
+                raise
+            refuted, counterexamples = error, joined
+        else:
+            break
+        try:
+            search = solve_design(search.problem, seed=seed, start=search.design, counterexamples=counterexamples)
+        except InfeasibleError as error:
+            raise InfeasibleError(f"{refuted} Searched again with that: {error}", missed=error.missed) from error
+    return Settled(search=search, proved=proved, optimality=report_optimality(search), counterexamples=counterexamples)
+
+
+def prove_search(
+    name: str, search: SearchResult, asked: ProofOptions, report: Callable[[float], None] | None = None
+) -> AxisProof:
+    """Prove of one axis stability, and of the modulus that the search found over its dense grid what can be.
+
+    Raises RefutedError with the plant where a proof fails, and with the impact where a contact bounces for ever.
+    """
+    problem, law = search.problem, search.problem.controller(search.design)
+    swept = min(each.margins.modulus for each in search.margins)
+    proved = prove_axis(problem.plants, law, problem.sample_time_s, name, swept, asked, report)
+    bouncing = search_bouncing(name, build_domain(problem), law, problem.sample_time_s)
+    if bouncing.found is not None:
+        raise RefutedError(
+            f"Axis {name}: {bouncing.message()}. Stability in contact and in free space does not exclude that, so the "
+            f"{axis_units(name).force_name} never comes to rest.",
+            axis=name,
+            scenario=bouncing.found.scenario,
+            impact=bouncing.found,
+        )
+    return proved

@@ -14,8 +14,7 @@ from autotune.prediction.as_run_by import designed_for
 from autotune.prediction.contact import simulate_on
 from autotune.prediction.law import law_of
 from identification.errors import LogError
-from identification.signals.frames import Frames
-from identification.signals.recording import Recording
+from identification.signals.recording import Frames, Recording
 from problems.arrays import FloatArray
 from problems.contact.transient import Approach
 from problems.design.uncertainty import Scenario

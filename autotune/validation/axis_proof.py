@@ -5,8 +5,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import partial
 
-from autotune.certificate.certify import ProofOutcome
-from autotune.certificate.claim import METHOD, WORK_PER_SECOND, Claim, CombinedCertificate, prove
+from autotune.certificate.certify import METHOD, WORK_PER_SECOND, Claim, CombinedCertificate, ProofOutcome, prove
 from autotune.certificate.family import PROVABLE
 from autotune.errors import CertificateError
 from autotune.formats.certificate_record import Proof, ProvenRegion

@@ -17,8 +17,7 @@ from identification.payload.gravity import GravityFit, identify_gravity
 from identification.payload.static_poses import GRAVITY_B_M_S2, collect_static_poses
 from identification.signals.aligned import AlignedLog, align
 from identification.signals.contact_rule import CONTACT
-from identification.signals.frames import Frames
-from identification.signals.recording import AXES, Recording
+from identification.signals.recording import AXES, Frames, Recording
 from identification.signals.segments import MotionSpans, Span, find_motion
 from identification.timeline.contacts import ContactTimes, find_contacts, learn_law
 from identification.timeline.payload import AxisContacts, observe_payload, press_sign

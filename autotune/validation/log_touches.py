@@ -10,8 +10,7 @@ from autotune.prediction.result import predict_contact
 from identification.errors import LogError
 from identification.identify import identify_cell
 from identification.result import Touch, TouchCause
-from identification.signals.frames import Frames
-from identification.signals.recording import Recording
+from identification.signals.recording import Frames, Recording
 from problems.contact.transient import Approach
 from problems.stability.margins import UnstableLoopError
 

@@ -8,7 +8,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
-from autotune.certificate.claim import METHOD
+from autotune.certificate.certify import METHOD
 from autotune.formats.certificate_record import AxisDomain, Proof, ProvenRegion
 from autotune.formats.controller_record import Controller
 from autotune.formats.units import axis_units

@@ -8,8 +8,7 @@ from ..payload.inertia import inertial_sign
 from ..payload.static_poses import StaticPose, collect_static_poses
 from ..result import Finding
 from ..signals.aligned import AlignedLog, align
-from ..signals.frames import Frames
-from ..signals.recording import Recording
+from ..signals.recording import Frames, Recording
 from ..signals.segments import MotionSpans, find_motion
 from .search import Convention, ConventionRanking, ConventionVerdict, SignOrigin, rank_conventions
 

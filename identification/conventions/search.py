@@ -12,8 +12,7 @@ from problems.arrays import FloatArray
 from ..errors import EstimateError
 from ..payload.static_poses import SAY_COMPENSATED, SMALL_SWING_N, StaticPose, group_by_orientation
 from ..result import Finding
-from ..signals.frames import Frames
-from ..signals.recording import PoseSignal, Recording
+from ..signals.recording import Frames, PoseSignal, Recording
 from .weight_misfit import (
     HYPOTHESES,
     ConventionHypothesis,

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from problems.arrays import BoolArray, FloatArray, IntArray
 
 from ..payload.static_poses import GRAVITY_B_M_S2, StaticPose, cross_matrix, group_means, group_shares, weighted_median
-from ..signals.frames import Frames
+from ..signals.recording import Frames
 
 _Fit = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
 QUARTER_TURNS = Rotation.create_group("O")

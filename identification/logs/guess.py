@@ -10,9 +10,8 @@ from problems.arrays import FloatArray
 from problems.frozen import freeze
 
 from ..errors import LogError
-from .columns import is_unit, leaps, path_length, rises, unevenness
 from .messages.decode import Wanted
-from .names import Meaning, Named, NamedVector, joint_groups, read_names
+from .names import Meaning, Named, NamedVector, is_unit, joint_groups, leaps, path_length, read_names, rises, unevenness
 from .numbers import NumberFields, number_fields
 from .opened import OpenedLogs, open_logs
 from .roles.cell import Cell

@@ -13,8 +13,7 @@ from problems.errors import require_extra
 
 from ..errors import LogError, listed
 from ..result import Finding
-from ..signals.frames import slerp
-from ..signals.recording import PoseSignal, Recording
+from ..signals.recording import PoseSignal, Recording, slerp
 from .messages.decode import Series, Wanted
 from .opened import OpenedLogs
 from .recording import build_frames, interpret_pose, nameless_series

@@ -1,10 +1,13 @@
-"""What names of columns and fields say: which numbers form a vector, of what, in which unit."""
+"""What names and values of columns and fields say: which numbers form a vector, of what, in which unit."""
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 
+import numpy as np
+
+from problems.arrays import FloatArray
 from problems.frozen import FrozenDict, freeze
 
 from .roles.registry import COMMAND_WORDS, PROCESSED_WORDS
@@ -72,6 +75,9 @@ _COUNTED = re.compile(r"(.*?)[._\[]?\d+\]?")
 _JOINTS = frozenset({"q", "j", "joint", "joints"})
 _ARM_JOINTS = (6, 7)
 _TURN_MATRICES = tuple([f"{row}{column}" for row in of for column in of] for of in ("123", "012"))
+
+_LEAP_SHARE = 0.05
+_NORM_TOLERANCE = 2e-3
 
 
 class Meaning(StrEnum):
@@ -296,3 +302,32 @@ def _with_torques(vectors: tuple[NamedVector, ...]) -> tuple[NamedVector, ...]:
         else v
         for v in vectors
     )
+
+
+def path_length(values: FloatArray) -> float:
+    """Return how often a signal goes its whole range: noise and what rings do so many times."""
+    return float(np.sum(np.abs(np.diff(values)))) / max(float(np.ptp(values)), 1e-300)
+
+
+def unevenness(values: FloatArray) -> float:
+    """Return the deviation of the steps of a column (n,) over their mean."""
+    steps = np.diff(values)
+    return float(np.std(steps) / np.mean(steps))
+
+
+def rises(values: FloatArray) -> bool:
+    """Return whether a column (n,) is known throughout and never falls."""
+    steps = np.diff(values)
+    return bool(np.all(np.isfinite(values)) and np.all(steps >= 0.0) and values[-1] > values[0])
+
+
+def is_unit(four: FloatArray) -> bool:
+    """Return whether every row of four columns (n, 4) has the norm 1."""
+    return bool(np.all(np.abs(np.linalg.norm(four, axis=1) - 1.0) < _NORM_TOLERANCE))
+
+
+def leaps(values: FloatArray) -> bool:
+    """Return whether columns (n, k) go far from row to row, as of poses at rest that were averaged."""
+    moved = np.ptp(values, axis=0)
+    steps = np.median(np.abs(np.diff(values, axis=0)), axis=0)
+    return bool(np.median(steps[moved > 0.0] / moved[moved > 0.0]) > _LEAP_SHARE) if np.any(moved > 0.0) else False

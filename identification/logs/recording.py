@@ -10,10 +10,10 @@ from problems.arrays import BoolArray, FloatArray
 
 from ..errors import LogError
 from ..result import Finding
-from ..signals.frames import Frames
 from ..signals.recording import (
     AXES,
     AppliedDeadband,
+    Frames,
     GainsSignal,
     PoseSignal,
     Recording,

@@ -10,7 +10,7 @@ from problems.arrays import BoolArray, FloatArray, IntArray
 
 from ..errors import EstimateError
 from ..signals.aligned import AlignedLog
-from ..signals.frames import turned_rad
+from ..signals.recording import turned_rad
 from .pose_fit import BiasStep, PoseEquations, ResidualTerm, TermKind, find_bias_step, find_terms, robust_fit
 from .static_poses import (
     GRAVITY_B_M_S2,

@@ -8,7 +8,7 @@ import numpy as np
 from problems.arrays import FloatArray, IntArray
 
 from ..signals.aligned import AlignedLog
-from ..signals.frames import turn_vectors_rad
+from ..signals.recording import turn_vectors_rad
 from ..signals.segments import MotionSpans, Span, low_pass
 from .gravity import GravityFit
 from .static_poses import StaticPose, cross_matrix

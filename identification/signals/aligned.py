@@ -10,8 +10,7 @@ from scipy.spatial.transform import Rotation
 from problems.arrays import BoolArray, FloatArray, IntArray
 
 from ..errors import LogError
-from .frames import slerp
-from .recording import PoseSignal, Recording, StampArray, WrenchSignal
+from .recording import PoseSignal, Recording, StampArray, WrenchSignal, slerp
 
 _SHORTEST_OVERLAP_S = 2.0
 _FEWEST_SAMPLES = 30

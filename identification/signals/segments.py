@@ -10,7 +10,7 @@ from scipy.signal import butter, sosfiltfilt
 from problems.arrays import BoolArray, FloatArray, IntArray
 
 from .aligned import AlignedLog, Span, edges_of, spans_of
-from .frames import turned_rad
+from .recording import turned_rad
 
 __all__ = ["MotionSpans", "Span", "find_motion", "low_pass", "without_pauses", "without_short"]
 

@@ -11,7 +11,7 @@ from problems.arrays import FloatArray, IntArray
 
 from ...payload.static_poses import GRAVITY_B_M_S2
 from ...signals.aligned import AlignedLog
-from ...signals.frames import turn_vectors_rad
+from ...signals.recording import turn_vectors_rad
 from ...signals.segments import low_pass
 
 _BAND_HZ = 8.0

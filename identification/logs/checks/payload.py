@@ -15,8 +15,7 @@ from ...payload.static_poses import StaticPose, collect_static_poses, rows_as_po
 from ...result import Finding
 from ...signals.aligned import AlignedLog, align
 from ...signals.constant_runs import find_runs
-from ...signals.frames import turned_rad
-from ...signals.recording import AXES, Recording
+from ...signals.recording import AXES, Recording, turned_rad
 from ...signals.segments import find_motion, low_pass
 
 _STILL_M_S = 1.5e-3

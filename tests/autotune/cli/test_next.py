@@ -7,7 +7,16 @@ from pathlib import Path
 import pytest
 
 from autotune.cli.main import main
-from tests.autotune.formats.samples import PLANT_TEXT
+
+PLANT_TEXT = """format: autotune/plant
+version: 1
+mass: 16
+coupling_stiffness: 3e5
+drag: 630
+robot: {bandwidth: 3.2, delay: 2.4e-3}
+environment_stiffness: [2e4, 8e4]
+sample_time: 8e-4
+"""
 
 
 def following(capsys: pytest.CaptureFixture[str], *words: str) -> list[str]:

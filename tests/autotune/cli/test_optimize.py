@@ -16,7 +16,7 @@ from autotune.formats.controller import read_controller
 from autotune.formats.controller_record import Controller
 from autotune.formats.limits import ResidualPeaks
 from autotune.formats.yaml12 import load_yaml
-from autotune.tuning.design_notes import residual_notes
+from autotune.tuning.provenance import residual_notes
 from problems.design.problem import DesignProblem
 from tests.autotune.tuning.cases import FAST_PROBLEM_YAML, write_plant
 from tests.autotune.tuning.turning import write_two_axes

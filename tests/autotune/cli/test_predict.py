@@ -11,7 +11,8 @@ from autotune.formats.controller import write_controller
 from autotune.formats.quantity import Uncertain
 from autotune.predicting import parse_approach, parse_surface
 from autotune.prediction.said_gains import parse_gains
-from tests.autotune.formats.samples import PLANT_TEXT, make_identified
+from tests.autotune.cli.test_next import PLANT_TEXT
+from tests.autotune.formats.samples import make_identified
 from tests.autotune.tuning.cases import fast_optimized
 
 GAINS = ("--gains", "mass=13,damping=1kNs/m,lead=20ms")

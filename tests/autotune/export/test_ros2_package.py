@@ -16,8 +16,7 @@ from ruamel.yaml import YAML
 from scipy.spatial.transform import Rotation
 
 from autotune.errors import UsageError
-from autotune.export.export import export_controller
-from autotune.export.package_folder import LIST
+from autotune.export.export import LIST, export_controller
 from autotune.formats.controller import write_controller
 from autotune.runtime import START, Fault, RuntimeController, step
 from autotune.runtime.load import read_law

@@ -334,16 +334,6 @@ def wrench_filters() -> st.SearchStrategy[WrenchFilterEstimate]:
     )
 
 
-PLANT_TEXT = """format: autotune/plant
-version: 1
-mass: 16
-coupling_stiffness: 3e5
-drag: 630
-robot: {bandwidth: 3.2, delay: 2.4e-3}
-environment_stiffness: [2e4, 8e4]
-sample_time: 8e-4
-"""
-
 FIT = FitQuality(
     free_spans=1,
     explained_free=0.999,

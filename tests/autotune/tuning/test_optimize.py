@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from autotune.certificate.claim import METHOD
+from autotune.certificate.certify import METHOD
 from autotune.errors import CertificateError
 from autotune.formats.controller_record import ControllerStatus, admittance_controller
 from autotune.formats.identified import IdentifiedFile

@@ -9,12 +9,11 @@ import pytest
 from autotune.errors import CertificateError, InfeasibleError
 from autotune.formats.identified import read_identified
 from autotune.formats.problem import read_problem
-from autotune.tuning import settling
-from autotune.tuning.optimize import optimize
+from autotune.tuning import optimize as tuning
+from autotune.tuning.optimize import optimize, prove_search, settle
 from autotune.tuning.record import build_domain
 from autotune.tuning.scenario_exchange import NOTHING, Counterexamples, ImpactTest
 from autotune.tuning.search import solve_design
-from autotune.tuning.settling import prove_search, settle
 from autotune.validation import bouncing
 from autotune.validation.axis_proof import ProofOptions
 from autotune.validation.bouncing import RefutedError
@@ -74,7 +73,7 @@ def test_a_plant_where_the_proof_fails_joins_the_scenarios(monkeypatch: pytest.M
             raise RefutedError("Axis x: not proved", axis="x", scenario=plant)
         return prove_search(name, search, asked)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(settling, "prove_search", once)
+    monkeypatch.setattr(tuning, "prove_search", once)
     settled = settle("x", found, ProofOptions(), seed=0)
     assert settled.counterexamples == Counterexamples(scenarios=(plant,))
     assert plant in settled.search.active.scenarios
@@ -88,7 +87,7 @@ def test_a_plant_that_refutes_again_ends_the_search(monkeypatch: pytest.MonkeyPa
         asked.append(arguments)
         raise RefutedError("Axis x: not proved", axis="x", scenario=plant)
 
-    monkeypatch.setattr(settling, "prove_search", always)
+    monkeypatch.setattr(tuning, "prove_search", always)
     with pytest.raises(CertificateError, match="not proved"):
         settle("x", found, ProofOptions(), seed=0)
     assert len(asked) == 2

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from autotune.certificate.claim import METHOD, prove
+from autotune.certificate.certify import METHOD, prove
 from autotune.errors import CertificateError
 from autotune.formats.certificate_record import AxisDomain, ConfidenceSet
 from autotune.formats.controller_record import admittance_controller

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from autotune.certificate.claim import METHOD
+from autotune.certificate.certify import METHOD
 from autotune.formats.certificate_record import Proof
 from autotune.formats.controller_record import Controller, admittance_controller
 from autotune.validation.axis_proof import Prover

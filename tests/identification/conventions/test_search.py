@@ -15,8 +15,7 @@ from identification.errors import EstimateError
 from identification.payload.gravity import identify_gravity
 from identification.payload.static_poses import GRAVITY_B_M_S2, StaticPose
 from identification.signals.aligned import align
-from identification.signals.frames import Frames
-from identification.signals.recording import PoseSignal, Recording
+from identification.signals.recording import Frames, PoseSignal, Recording
 from identification.signals.segments import find_motion
 from problems.arrays import FloatArray
 from tests.identification.rests import PAYLOAD, Truth, poses_at, turned_about_the_vertical

@@ -142,9 +142,8 @@ def test_arrays_without_a_header_are_stamped_by_the_recorder_and_so_is_all_else(
     path = write_log(tmp_path / "run.mcap", [NUMBERS, POSE])
     recording = read_recording(path, cell)
     assert_same_motion(recording, delayed=True)
-    reported = [finding for finding in recording.findings if finding.code == "log-clock"]
-    assert len(reported) == 1
-    assert reported[0].message.startswith("/numbers has no header stamps")
+    (reported,) = [finding for finding in recording.findings if finding.code == "log-clock"]
+    assert reported.message.startswith("/numbers has no header stamps")
     mixed = read_recording(path, replace(cell, pose=None))
     assert mixed.clocks == {"wrench": "log", "pose": "log"}
     assert np.array_equal(mixed.pose.stamp_ns, POSE.stamps + DELAY_NS)

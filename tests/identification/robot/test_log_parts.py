@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import butter, sosfilt
 
-from identification.robot.log_parts import spread_of_parts
+from identification.robot.admittance_robot import spread_of_parts
 from problems.arrays import FloatArray
 
 STEP_S, PART_S = 0.01, 10.0

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
-from identification.signals.frames import slerp, turn_vectors_rad, turned_rad
+from identification.signals.recording import slerp, turn_vectors_rad, turned_rad
 from problems.arrays import FloatArray
 
 

@@ -1,15 +1,28 @@
-"""What a user should know beside a design: sentences about the plant, the payload and the limits."""
+"""Where a controller comes from, what was chosen for it, and what a user should know beside it."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 from autotune.formats.controller_record import Controller
 from autotune.formats.identified import IN_MEMORY, IdentifiedFile
 from autotune.formats.plant import TAKEN_AS_EXACT, exact_message, exact_within
 from autotune.formats.problem import ProblemSpec
+from autotune.formats.records import rename_axis_keys
 from autotune.formats.units import ROTATIONAL_AXES, axis_units
+from autotune.prediction.before_after import BeforeAndAfter
+from autotune.prediction.law import PresentGains
+from autotune.validation.axis_proof import ProofOptions
+from autotune.version import __version__
+from identification.result import Identified
 from problems.design.problem import DesignProblem
+from problems.design.uncertainty import MASS, STIFFNESS
 
-from .plausible import doubtful_ranges, left_out_contacts
+from .compliance import Compliance, compliance_tree
+from .defaults import DefaultAdmittance
+from .optimality_report import OptimalityReport, optimality_tree
+from .plausible import doubtful_ranges, left_out_contacts, left_out_tree
 from .problems import is_identified_mass, payload_word
 
 
@@ -70,3 +83,62 @@ def residual_notes(controller: Controller, problems: Mapping[str, DesignProblem]
                 f"peak is {left.peak_contact_force_n:.1f} {unit}, above max_peak_force_n of {limit:g}; ask for "
                 f"{limit * worst / left.peak_contact_force_n:.3g} to hold it then too."
             )
+
+
+def make_provenance(
+    identified: IdentifiedFile,
+    problems: Mapping[str, DesignProblem],
+    spec: ProblemSpec,
+    seed: int,
+    problem_path: Path | None,
+    present: PresentGains | None,
+    proof: ProofOptions,
+) -> dict[str, Any]:
+    """Return where a controller comes from: the tool, the identified file, and what was asked."""
+    plant = identified.provenance.get("plant")
+    ranges = {MASS: spec.options.get("payload_mass"), STIFFNESS: spec.options.get("environment_stiffness")}
+    said = {name: None if each is None else list(each) for name, each in ranges.items()}
+    return {
+        "tool": f"autotune {__version__}",
+        "identified": {
+            "path": str(identified.path),
+            "sha256": identified.sha256,
+            # Of a plant that a person wrote, what was written and what of it was taken as exact.
+            **({} if plant is None else {"plant": plant, "exact": list(exact_names(identified, problems))}),
+        },
+        "options": {
+            "problem": None if problem_path is None else str(problem_path),
+            **said,
+            "seed": seed,
+            "slack": proof.slack,
+            "proof_budget_s": proof.further_s,
+            "compare": None if present is None else present.tree(),
+        },
+    }
+
+
+def result_trees(
+    problems: Mapping[str, DesignProblem],
+    identified: Identified,
+    optimality_reports: Mapping[str, OptimalityReport],
+    defaults: Mapping[str, DefaultAdmittance],
+    chosen: Mapping[str, Compliance],
+) -> dict[str, Any]:
+    """Return the optimality of the designs, what was asked by default where it followed the cell, and the surfaces.
+
+    The compliance that was chosen takes the place of the surfaces that the ranges leave out.
+    """
+    optimality = {
+        name: optimality_tree(each, rotational=name in ROTATIONAL_AXES) for name, each in optimality_reports.items()
+    }
+    asked = {name: rename_axis_keys(name, each.tree(), reading=False) for name, each in defaults.items()}
+    compliance = {name: compliance_tree(each) for name, each in chosen.items()}
+    surfaces = {"compliance": compliance} if chosen else dict(left_out_tree(problems, identified))
+    return {"optimality": optimality} | ({"defaults": asked} if asked else {}) | surfaces
+
+
+def with_notes(controller: Controller, notes: Sequence[str], before_after: Mapping[str, BeforeAndAfter]) -> Controller:
+    """Return the controller with what the user should know in its provenance, and what it changes."""
+    trees = {name: each.to_dict() for name, each in before_after.items() if not each.is_empty}
+    said: dict[str, Any] = ({"notes": list(notes)} if notes else {}) | ({"before_after": trees} if trees else {})
+    return replace(controller, provenance={**controller.provenance, **said})
