@@ -106,7 +106,8 @@ class Recorder:
         Parameters
         ----------
         time_s
-            When it was measured [s], of one clock for all channels, later than the last sample of each.
+            When it was measured, or the command sent [s], of one clock for all channels, later than the last sample
+            of each.
         wrench
             (6,) the raw sensor: force that the payload puts on the flange [N], torque about the sensor's origin [N·m],
             along its axes, with gravity and bias.

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from mcap.reader import make_reader
 from scipy.signal import cont2discrete, lfilter
 
 from autotune.recording import FirstLog, FirstLogCommand, PlainAdmittance
 from autotune.recording.motions import Three
+from identification.logs.read import read_recording
 from problems.errors import ParameterError
 
 H = 2e-3
@@ -251,7 +251,8 @@ class _Cell:
         return self.ticks * H
 
     def raw_wrench(self) -> tuple[float, ...]:
-        return wall(2e4, 0.01)(FirstLogCommand("", self.sent, (0.0, 0.0, 0.0)))
+        pressed = wall(2e4, 0.01)(FirstLogCommand("", self.sent, (0.0, 0.0, 0.0)))
+        return tuple(value + 1e-3 * math.sin(self.ticks * (i + 1)) for i, value in enumerate(pressed))
 
     def pose(self) -> tuple[float, ...]:
         return (*self.sent, 0.0, 0.0, 0.0, 1.0)
@@ -265,8 +266,9 @@ def test_the_example_of_the_page_records_a_whole_log(
     names: dict[str, Any] = {}
     exec(page.partition("```python\n")[2].partition("```")[0], names)
     names["record"](_Cell())
-    with Path("run7.mcap").open("rb") as stream:
-        summary = make_reader(stream).get_summary()
-    assert summary is not None
-    assert summary.statistics is not None
-    assert summary.statistics.message_count > 3 * 30.0 / H
+    log = read_recording(Path("run7.mcap"))
+    assert log.command is not None
+    assert len(log.pose.stamp_ns) == len(log.command.stamp_ns) > 30.0 / H
+    # The cell is at once where it is sent, and its pose is read a period later.
+    assert np.array_equal(log.pose.stamp_ns, log.command.stamp_ns + round(1e9 * H))
+    assert np.array_equal(log.pose.position_m, log.command.position_m)
