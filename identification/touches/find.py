@@ -1,7 +1,7 @@
 """Touches of a log: when something pressed, how fast it was met, how hard, and whether it was a wall or a hand."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -39,15 +39,17 @@ _AGAINST_SHARE = 0.25
 LONGEST_SWING_S = 0.1
 _SMALLEST_PEAK_SHARE = 1.5
 _LEFT_SHARE, _HELD_SHARE = 0.1, 0.5
+_FELT_SHARE, _USUAL_SHARE = 0.25, 0.75
 _BLOW_SHARE, _RETURN_SAMPLES = 0.2, 3
 
 
 @dataclass(frozen=True, kw_only=True)
 class FoundTouch:
-    """A touch, the samples that it takes, and which of them is the peak."""
+    """A touch, the samples above the axis' level, those in which it is felt, and which of them is the peak."""
 
     touch: Touch
     span: Span
+    felt: Span
     peak: int
 
 
@@ -125,17 +127,50 @@ def _on_axis(axis: AxisSignals, free: BoolArray, *, is_contact: bool) -> AxisTou
         pressing = -sign * axis.force_n
         longest = round(CONTACT.longest_bounce_s / axis.period_s)
         swing = max(1, round(LONGEST_SWING_S / axis.period_s))
-        for span in find_presses(pressing, axis.level_n, longest, swing):
+        presses = list(find_presses(pressing, axis.level_n, longest, swing))
+        felt = presses if is_contact else _felt(pressing, axis.level_n, presses, swing)
+        for span, around in zip(presses, felt, strict=True):
             judged = _judge(axis, sign, span, free, is_contact=is_contact)
             if judged is not None:
-                touches.append(_described(axis, sign, span, *judged))
+                left = span.stop if is_contact else _left_at(axis, sign, span)
+                touches.append(_described(axis, sign, Span(start=span.start, stop=left), around, judged))
+                if left < span.stop:
+                    led.append(Span(start=left, stop=span.stop))
                 continue
             for part, is_still in _parts(span, speed, axis.period_s):
                 if is_still:
-                    touches.append(_described(axis, sign, part, TouchCause.UNDETERMINED, None))
+                    touches.append(_described(axis, sign, part, around, (TouchCause.UNDETERMINED, None)))
                 elif len(part) >= swing:
                     led.append(part)
     return AxisTouches(signals=axis, touches=tuple(sorted(touches, key=lambda each: each.span.start)), led=tuple(led))
+
+
+def _left_at(axis: AxisSignals, sign: int, span: Span) -> int:
+    """Return when the flange is driven back for good from where it was met: no surface goes along with it."""
+    into = sign * (axis.travel_m[span.slice] - axis.travel_m[span.start])
+    near = np.flatnonzero(into >= -_SMALLEST_TRAVEL_M)
+    rest = Span(start=span.start + int(near[-1]) + 1, stop=span.stop) if near.size else span
+    is_held = not near.size or (len(rest) > 0 and find_hold(axis, -sign * axis.force_n, rest) is not None)
+    return span.stop if is_held else rest.start
+
+
+def _felt(pressing: FloatArray, level: float, presses: Sequence[Span], swing: int) -> list[Span]:
+    """Return each press from where the force leaves what is usual below the level until it is back there."""
+    small = np.abs(pressing[np.abs(pressing) <= level])
+    usual = max(_FELT_SHARE * level, float(np.quantile(small, _USUAL_SHARE)) if small.size else 0.0)
+    ends = [0, *(edge for span in presses for edge in (span.start, span.stop)), len(pressing)]
+    found = []
+    for i, span in enumerate(presses):
+        highest = float(np.max(pressing[span.slice]))
+        least = min(level, max(usual, _ENTERED_SHARE * highest))
+        outside = np.flatnonzero(~without_pauses(np.asarray(pressing > least), swing))
+        # What little there is before the first blow is not its beginning.
+        blow = span.start + int(np.argmax(pressing[span.slice] >= _BLOW_SHARE * highest))
+        before, after = outside[outside < blow], outside[outside >= span.stop]
+        start = int(before[-1]) + 1 if before.size else 0
+        stop = int(after[0]) if after.size else len(pressing)
+        found.append(Span(start=max(start, ends[2 * i]), stop=min(stop, ends[2 * i + 3])))
+    return found
 
 
 def _deeper_side(axis: AxisSignals) -> tuple[int, ...]:
@@ -257,9 +292,25 @@ def _turned_round(axis: AxisSignals, sign: int, high: int) -> tuple[float, float
     return step / max(float(axis.time_s[high] - axis.time_s[last]), axis.period_s), step
 
 
-def _described(axis: AxisSignals, sign: int, span: Span, cause: TouchCause, is_led: bool | None) -> FoundTouch:
+def _described(
+    axis: AxisSignals, sign: int, span: Span, around: Span, judged: tuple[TouchCause, bool | None]
+) -> FoundTouch:
+    """Return a press, from and until when it is felt: `around` a still part of it, that part alone."""
+    cause, is_led = judged
     hold = find_hold(axis, -sign * axis.force_n, span)
-    return describe_touch(axis, sign, span, hold=hold, cause=cause, is_led=is_led)
+    found = describe_touch(axis, sign, span, hold=hold, cause=cause, is_led=is_led)
+    presses = np.flatnonzero(-sign * axis.force_n[around.start : around.stop] > axis.level_n) + around.start
+    felt = Span(
+        start=around.start if span.start <= presses[0] else span.start,
+        stop=around.stop if span.stop > presses[-1] else span.stop,
+    )
+    ends = felt.stop >= len(axis.time_s) - 1
+    touch = replace(
+        found.touch,
+        onset_s=float(axis.time_s[felt.start]),
+        release_s=None if ends else float(axis.time_s[felt.stop]),
+    )
+    return replace(found, touch=touch, felt=felt)
 
 
 def describe_touch(
@@ -300,7 +351,7 @@ def describe_touch(
         else (),
         peak_interval=(low, high),
         rise_samples=rise,
-        approach_speed=approach_speed(axis, span.start, sign),
+        approach_speed=_stated_speed(approach_speed(axis, span.start, sign), cause),
         impulse=_impulse(axis, pressing, span),
         held_force=held,
         is_led=is_led,
@@ -310,7 +361,13 @@ def describe_touch(
         lead_s=axis.lead_s,
         desired_force=at(axis.desired_n),
     )
-    return FoundTouch(touch=touch, span=span, peak=peak)
+    return FoundTouch(touch=touch, span=span, felt=span, peak=peak)
+
+
+def _stated_speed(speed: float | None, cause: TouchCause) -> float | None:
+    """Return the speed of an approach, None where the flange does not go towards what presses."""
+    least = 0.0 if cause is TouchCause.WALL else SMALLEST_SPEED_M_S
+    return speed if speed is not None and speed > least else None
 
 
 def _later_blows(axis: AxisSignals, sign: int, span: Span, returns: Sequence[int], peak: int) -> Iterator[Blow]:

@@ -38,7 +38,7 @@ def build_phases(found: Sequence[AxisTouches], touches: Sequence[Touch]) -> tupl
         for span in each.led:
             number[span.slice] = hands
     labels.append((PhaseKind.HAND_LED_MOTION, None, None))
-    spans = {(each.signals.axis, one.touch.peak_s): one.span for each in found for one in each.touches}
+    spans = {(each.signals.axis, one.touch.peak_s): one.felt for each in found for one in each.touches}
     for touch in sorted(touches, key=lambda touch: touch.peak_force):
         if touch.cause is not TouchCause.HAND:
             number[spans[touch.axis, touch.peak_s].slice] = len(labels)

@@ -88,8 +88,9 @@ def identify_touches(recording: Recording, known: KnownMotion | None = None) -> 
         estimates = []
         for i, group in enumerate(_grouped(contacts)):
             name = f"{axis.signals.axis}{i + 1}"
-            estimates.append(_surface(name, group))
-            findings += _about(name, group)
+            surface = _surface(name, group)
+            estimates.append(surface)
+            findings += _about(surface, group)
             names |= {(axis.signals.axis, contact.touch.peak_s): name for contact in group}
         if estimates:
             surfaces[axis.signals.axis] = tuple(estimates)
@@ -127,7 +128,7 @@ def _contact(axis: AxisSignals, found: FoundTouch, *, is_trace: bool) -> _Contac
         try:
             trace = identify_trace(depth, pressing[used], axis.period_s, open_m)
         except EstimateError:
-            refused = f"{np.max(depth) * 1e3:.2f} mm of travel into it show no stiffness"
+            refused = f"{1e3 * np.max(depth):.2f} mm into it, logged at {axis.rate_hz:.0f} Hz, show no slope"
     return _Contact(
         touch=touch, place_m=touch.sign * origin, trace=trace, refused=refused, blow_n=_blow(axis, found, pressing)
     )
@@ -203,9 +204,9 @@ def _surface(name: str, contacts: Sequence[_Contact]) -> EnvironmentEstimate:
     refused = "; ".join(dict.fromkeys(contact.refused for contact in contacts if contact.refused))
     secant, relaxed, spread = unidentifiable(method=_LOADING, note=refused), None, None
     if traces:
-        loading = [trace.loading_n_per_m for trace in traces]
-        value, std, spread = pooled(loading, [trace.loading_std_n_per_m for trace in traces])
-        secant = judged(value, std, method=_LOADING, note=_spread_note(loading, spread), weak=_WEAK_SHARE)
+        value, std, spread = _loading_of(traces)
+        note = _spread_note([trace.loading_n_per_m for trace in traces], spread)
+        secant = judged(value, std, method=_LOADING, note=note, weak=_WEAK_SHARE)
         relaxed = _relaxed(traces)
     above = "" if secant.value is None else f"; above the secant, {secant.value:.4g} N/m"
     impulses = [trace.spike.impulse_n_s for trace in traces if trace.spike is not None]
@@ -225,6 +226,10 @@ def _surface(name: str, contacts: Sequence[_Contact]) -> EnvironmentEstimate:
         impact_n_s_per_m=_impact(contacts),
         contact_spread=spread,
     )
+
+
+def _loading_of(traces: Sequence[TraceContact]) -> tuple[float, float, float | None]:
+    return pooled([trace.loading_n_per_m for trace in traces], [trace.loading_std_n_per_m for trace in traces])
 
 
 def _spread_note(values: Sequence[float], spread: float | None) -> str:
@@ -259,9 +264,24 @@ def _impact(contacts: Sequence[_Contact]) -> Estimate | None:
     return judged(value, std, method=_BLOW, weak=_WEAK_SHARE)
 
 
-def _about(name: str, contacts: Sequence[_Contact]) -> list[Finding]:
-    """Return what is to be said of a surface: a blow first, and what is no spring."""
-    found = []
+def _without_stiffness(surface: EnvironmentEstimate, contacts: Sequence[_Contact]) -> Finding:
+    """Return why contacts with a surface show no stiffness."""
+    traces = [contact.trace for contact in contacts if contact.trace is not None]
+    whys = [contact.refused for contact in contacts if contact.refused]
+    if traces:
+        value, std, _ = _loading_of(traces)
+        whys.insert(0, f"of {value:.2g} ± {std:.2g} N/m more than half is open")
+    return Finding.warning(
+        "no-stiffness",
+        f"Surface {surface.name}: its stiffness cannot be determined: {'; '.join(dict.fromkeys(whys))}.",
+        "Record wrench and pose at 500 Hz or more, and press harder, under a desired force or a command alone.",
+    )
+
+
+def _about(surface: EnvironmentEstimate, contacts: Sequence[_Contact]) -> list[Finding]:
+    """Return what is to be said of a surface: why it has no stiffness, a blow first, and what is no spring."""
+    name, is_known = surface.name, surface.secant_stiffness_n_per_m.value is not None
+    found = [] if is_known else [_without_stiffness(surface, contacts)]
     for contact in contacts:
         trace = contact.trace
         if trace is None:
@@ -277,7 +297,7 @@ def _about(name: str, contacts: Sequence[_Contact]) -> list[Finding]:
                     "Record wrench, whole pose and command, to determine the masses of payload and surface.",
                 )
             )
-        if trace.fit_error > _NOT_A_SPRING:
+        if trace.fit_error > _NOT_A_SPRING and is_known:
             held = "no hold" if trace.hold_secant_n_per_m is None else f"{trace.hold_secant_n_per_m:.4g} N/m held"
             found.append(
                 Finding.warning(
