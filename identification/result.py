@@ -93,10 +93,11 @@ class Touch:
     towards +axis. `peak_force` is the largest sample, `peak_interval` what the peak of the sensor's force may be,
     without its noise and between the samples (without an upper end where it is too narrow for them), and
     `rise_samples` how many of them the force took from a tenth of the peak to the peak. `approach_speed` is that of the
-    flange right before the onset, towards what is touched (None where it does not go there), `impulse` ∫F dt of the first blow, `held_force` that of the
-    hold. `is_led` says that a hand led the payload into it, `is_withdrawn` that F^d
-    turned away before the peak, which is then that of no whole blow. `mass`, `damping`, `lead_s` and `desired_force`
-    are M_a, B_a, K_l and F^d at the onset. `surface` is the name of what was touched, None until it is known.
+    flange right before the onset, towards what is touched (None where it does not go there), `impulse` ∫F dt of the
+    first blow, `held_force` that of the hold. `is_led` says that a hand led the payload into it, `is_withdrawn` that
+    F^d turned away before the peak, which is then that of no whole blow. `mass`, `damping`, `lead_s` and
+    `desired_force` are M_a, B_a, K_l and F^d at the onset. `surface` is the name of what was touched, None
+    until it is known.
     """
 
     axis: AxisName
