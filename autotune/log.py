@@ -18,7 +18,7 @@ from autotune.pipeline import IdentifyOptions
 from autotune.results import finding_notes
 from autotune.shown import ResultTable, Shown, data_frame, plain_tree
 from identification.errors import EstimateError, LogError
-from identification.logs.span import Instant
+from identification.logs.read import Instant
 from identification.logs.summary import LogSummary
 from identification.signals.recording import Recording
 

@@ -17,10 +17,9 @@ from identification.given import Given, check_names
 from identification.identify import identify_with_evidence
 from identification.logs.containers.formats import sha256_of
 from identification.logs.opened import separate_runs
-from identification.logs.read import read_checked_recording
+from identification.logs.read import Instant, LogSpan, read_checked_recording
 from identification.logs.recording import build_frames
 from identification.logs.roles.cell import Cell
-from identification.logs.span import Instant, LogSpan
 from identification.merging.combine import NamedResult, combine_identified
 from identification.result import Finding
 from identification.signals.recording import Recording

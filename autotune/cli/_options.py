@@ -201,7 +201,7 @@ def span_options(function: Callable[..., Any]) -> Callable[..., Any]:
 def _check_instant(ctx: click.Context, param: click.Parameter, value: str | None) -> float | str | None:
     """Return seconds as a number and a stamp as it is; refuse others, and an end that is not after the beginning."""
     if value is not None:
-        from identification.logs.span import LogSpan
+        from identification.logs.read import LogSpan
         from problems.errors import ParameterError
 
         try:

@@ -64,8 +64,8 @@ def command(
     from identification.errors import LogError, UntimedError
     from identification.logs.guess import guess_cell
     from identification.logs.inspect import inspect_log
+    from identification.logs.read import LogSpan
     from identification.logs.roles.cell import Cell
-    from identification.logs.span import LogSpan
 
     span = LogSpan(start=start, stop=stop)
     if start_path is not None:

@@ -310,10 +310,9 @@ def compare_logs(
     from autotune.formats.cell import read_cell
     from autotune.validation.against_log import compare_with_log
     from autotune.validation.log_touches import compare_touches_of_log
-    from identification.logs.read import read_checked_recording
+    from identification.logs.read import LogSpan, read_checked_recording
     from identification.logs.recording import build_frames
     from identification.logs.roles.cell import Cell
-    from identification.logs.span import LogSpan
 
     cell = Cell() if options["cell_path"] is None else read_cell(options["cell_path"]).cell
     cell = cell.with_topics(wrench=None, pose=None, command=options["command_topic"])

@@ -12,7 +12,7 @@ from identification.errors import LogError
 from identification.evidence import AxisEvidence, Evidence
 from identification.fit_quality import FitQuality
 from identification.logs.inspect import inspect_log
-from identification.logs.span import LogSpan
+from identification.logs.read import LogSpan
 from identification.logs.summary import LogSummary
 from identification.result import AxisEstimate, Finding, Identified
 

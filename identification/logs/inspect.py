@@ -17,11 +17,10 @@ from .containers.channel import Channel, ChannelInfo
 from .messages.decode import Series, Wanted
 from .numbers import number_fields, number_findings
 from .opened import OpenedLogs, digests, open_logs
-from .read import read_checked_recording
+from .read import WHOLE, LogSpan, cut_series, read_checked_recording
 from .roles.cell import Cell, WrenchSource
 from .roles.choose import Choice, candidates_of, choose, open_questions, source_of, spelled_as_in
 from .roles.registry import ROLES, TRANSFORMS, Role, is_undeclared, layout_of, missing_sentence, roles_of
-from .span import WHOLE, LogSpan, cut_series
 from .summary import Candidate, ChannelSummary, LogSummary, RoleSummary
 from .tables.read import TIME_UNDECLARED
 

@@ -10,9 +10,8 @@ from hypothesis import strategies as st
 from autotune.pipeline import IdentifyOptions
 from identification.errors import LogError, UntimedError
 from identification.logs.inspect import inspect_log
-from identification.logs.read import read_recording
+from identification.logs.read import LogSpan, read_recording
 from identification.logs.roles.cell import Cell, PoseFields, PoseSource, WrenchFields, WrenchSource
-from identification.logs.span import LogSpan
 from identification.logs.tables.layout import TableLayout
 from problems.errors import ParameterError
 from tests.identification.logs.log_builder import START_NS, complete, pose_stream, wrench_stream, write_mcap
