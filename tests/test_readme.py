@@ -67,9 +67,22 @@ def test_every_link_to_a_file_leads_somewhere(repository: Path) -> None:
         f"{page.name}: {target}"
         for page in pages
         for target in re.findall(r"\]\(([^)#]+)[^)]*\)", page.read_text(encoding="utf-8"))
-        if "://" not in target and not (page.parent / target).exists()
+        if not _leads_somewhere(target, page, repository)
     ]
     assert missing == []
+
+
+def _leads_somewhere(target: str, page: Path, repository: Path) -> bool:
+    """Return whether a link's file is there; that of an absolute link into the repository too."""
+    own = re.match(r"https://[a-z.]+\.com/robot-autotune/robot-autotune/(?:blob/)?main/(.*)", target)
+    if own is not None:
+        return (repository / own[1]).exists()
+    return "://" in target or (page.parent / target).exists()
+
+
+def test_what_an_index_shows_of_the_readme_needs_no_folder_around_it(repository: Path) -> None:
+    text = (repository / "README.md").read_text(encoding="utf-8")
+    assert [target for target in re.findall(r"\]\(([^)]+)\)", text) if not target.startswith("https://")] == []
 
 
 def test_the_readme_shows_three_commands_for_an_own_log(repository: Path) -> None:

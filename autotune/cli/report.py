@@ -5,7 +5,7 @@ from pathlib import Path
 import click
 
 from ._common import Output, output_options
-from ._options import LOGS, SETTINGS, FilePath, GroupedCommand, output_option
+from ._options import LOGS, SETTINGS, FilePath, GroupedCommand, PresentType, output_option
 from ._report import check_report, report_refusal, write_report
 from ._terminal import print_message
 
@@ -13,6 +13,7 @@ _EPILOG = """\b
 Examples:
   autotune report controller.yaml
   autotune report controller.yaml --compare old.yaml -o controller.html
+  autotune report controller.yaml identified.yaml --compare mass=10,damping=1500
   autotune report identified.yaml run7.mcap
   autotune report identified.yaml run7.mcap controller.yaml pareto.yaml -o cell.html
 """
@@ -25,9 +26,10 @@ _SEARCH = b'-convergence"'
 @click.option(
     "--compare",
     "old",
-    type=FilePath(*SETTINGS, kinds=("controller",)),
-    metavar="CONTROLLER",
-    help="Compare with this controller.",
+    type=PresentType(*SETTINGS, kinds=("controller", "cell")),
+    metavar="GAINS|log|FILE",
+    help="What runs today, drawn beside: gains as in mass=10,damping=1500, those of the log (with its identified.yaml "
+    "among FILEs), a controller or cell.yaml.",
 )
 @click.option(
     "--samples",
@@ -37,7 +39,7 @@ _SEARCH = b'-convergence"'
     help="Plants of each certified set to simulate with all disturbances; 0: none.",
 )
 @output_options
-def command(output: Output, files: tuple[Path, ...], out: Path, old: Path | None, samples: int) -> None:
+def command(output: Output, files: tuple[Path, ...], out: Path, old: Path | str | None, samples: int) -> None:
     """Write one HTML page with figures of all FILEs, which needs no network.
 
     FILE is a result of identify, optimize, --pareto or --schedule. A log beside the identified.yaml that came from it,
@@ -48,7 +50,7 @@ def command(output: Output, files: tuple[Path, ...], out: Path, old: Path | None
     from autotune.report.from_files import report_files
     from autotune.report.refused_page import NOT_SHOWN, refuse
 
-    sources = [*files, *([] if old is None else [old])]
+    sources = [*files, *([old] if isinstance(old, Path) else [])]
     check_report(out, sources, option="-o")
     with (
         report_refusal(output, out, sources, lambda error: refuse(NOT_SHOWN, error)),

@@ -21,7 +21,7 @@ LOGGED = "log"
 Present = Mapping[str, Any] | ControllerFile | str | Path | None
 
 
-def present_gains(said: Present, file: IdentifiedFile, axes: Sequence[str] | None = None) -> PresentGains | None:
+def present_gains(said: Present, file: IdentifiedFile | None, axes: Sequence[str] | None = None) -> PresentGains | None:
     """Return the gains of today: numbers, those in the log or a cell.yaml, or a controller.
 
     Parameters
@@ -30,7 +30,7 @@ def present_gains(said: Present, file: IdentifiedFile, axes: Sequence[str] | Non
         Gains by name, or by axis and name; a text as in mass=10,damping=1500 or x.mass=10,x.damping=1500; "log"; a
         controller file or its path, or that of a cell.yaml; None for those in the log where it holds some.
     file
-        What was identified.
+        What was identified; None where that is not at hand, which gains in the log then need.
     axes
         The axes that are tuned; all of the file unless they are said.
 
@@ -47,13 +47,15 @@ def present_gains(said: Present, file: IdentifiedFile, axes: Sequence[str] | Non
         The controller file is altered.
 
     """
-    names = tuple(file.result.axes) if axes is None else tuple(axes)
+    names = tuple(axes if axes is not None else file.result.axes if file is not None else ())
     if said is None:
         try:
-            return PresentGains.of_log(file.result, names)
+            return None if file is None else PresentGains.of_log(file.result, names)
         except UsageError:
             return None
     if said == LOGGED:
+        if file is None:
+            raise UsageError("--compare log needs the identified.yaml that the controller is from; give it too.")
         return PresentGains.of_log(file.result, names)
     if isinstance(said, Mapping) or (isinstance(said, str) and "=" in said):
         return _said_gains(said, names)

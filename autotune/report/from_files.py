@@ -16,6 +16,7 @@ from autotune.formats.yaml12 import kind_of_file, load_document
 from autotune.pipeline import IdentifyOptions, identify_log
 from autotune.prediction.before_after import compare_before_after
 from autotune.prediction.law import PresentGains, law_of_gains
+from autotune.prediction.said_gains import present_gains
 from autotune.processes import count_processors
 from autotune.validation.report import ValidationReport
 from autotune.validation.verify import verify
@@ -66,14 +67,14 @@ def file_kind(path: Path) -> str:
 
 
 def report_files(
-    paths: Sequence[Path], *, old: Path | None = None, samples: int = 0, progress: Progress | None = None
+    paths: Sequence[Path], *, old: Path | str | None = None, samples: int = 0, progress: Progress | None = None
 ) -> FilesReport:
     """Build one page of the files, a part for each but the logs, which go with what was identified from them.
 
-    A controller is verified again, with `samples` simulated contacts; `old` is another one that is drawn beside it.
-    `progress` receives the share of the work done since the last call. An altered one of `paths` has its refusal as its
-    part of the page. Raises UsageError for a file that cannot be shown, LogError for a log that is not the one that was
-    identified, CertificateError for an altered `old`.
+    A controller is verified again, with `samples` simulated contacts; `old` says what is drawn beside it: gains, those
+    in the log, a controller or a cell.yaml. `progress` receives the share of the work done since the last call. An
+    altered one of `paths` has its refusal as its part of the page. Raises UsageError for a file that cannot be shown,
+    LogError for a log that is not the one that was identified, CertificateError for an altered `old`.
     """
     kinds = {str(path): file_kind(path) for path in paths}
     shown = [path for path in paths if kinds[str(path)] != _LOG]
@@ -84,7 +85,8 @@ def report_files(
             raise UsageError(f"{path} is of the format autotune/{kinds[str(path)]}; {must}.")
     plants = {path: read_identified(path) for path in shown if kinds[str(path)] == "identified"}
     given = _match(logs, plants)
-    before = None if old is None else PresentGains.of_file(read_controller(old))
+    # Read before the loop, in which an altered file is one of `paths`.
+    said = read_controller(old) if isinstance(old, Path) and kind_of_file(old) == "controller" else old
     report = progress or no_progress
     pages, reports, part = list[tuple[str, Page]](), list[ValidationReport](), 1.0 / max(len(shown), 1)
     refusals: list[CertificateError] = []
@@ -97,6 +99,7 @@ def report_files(
                 read = read_controller(path)
                 digest = read.controller.provenance.get("identified", {}).get("sha256")
                 source = next((each for each in plants.values() if each.sha256 == digest), None)
+                before = None if said is None else present_gains(said, source, tuple(read.controller.axes))
                 page, verified = _controller_page(read, before, source, samples, lambda done: report(part * done))
                 reports.append(verified)
             else:
@@ -193,9 +196,8 @@ def _controller_page(
         sections = (verdict_section(file.checksum, validated),)
         title = "A controller that does not keep what it promises"
         return Page(title=title, lead=lead(validated), tone="bad", sections=sections), checks
-    replayed = (
-        {} if plant is None else compare_before_after(plant, file.controller, present=_gains_before(file.controller))
-    )
+    present = _gains_before(file.controller) if old is None else old
+    replayed = {} if plant is None else compare_before_after(plant, file.controller, present=present)
     page = build_optimize_page(file.controller, file.checksum, old=old, before_after=replayed)
     first, *others = page.sections
     shown = [each for each in others if not each.is_folded]

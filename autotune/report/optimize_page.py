@@ -95,7 +95,7 @@ def build_optimize_page(
     ]
     return Page(
         title="The controller and what it changes",
-        lead=_lead(controller, designs),
+        lead=_lead(controller, designs, replayed),
         tone=_tone(controller),
         sections=tuple(section for section in sections if section.blocks),
         footer=footer(controller, checksum),
@@ -109,11 +109,12 @@ def own_law_sections(target: str, sections: Sequence[Section]) -> Iterator[Secti
         yield replace(each, title=title, is_folded=True) if target else each
 
 
-def _lead(controller: Controller, designs: Sequence[AxisDesign]) -> str:
+def _lead(controller: Controller, designs: Sequence[AxisDesign], replayed: Mapping[str, BeforeAndAfter]) -> str:
     """Return three sentences: what it changes, what is certified, and what holds it back."""
     many = len(designs) > 1
     recorded = controller.provenance.get("before_after", {})
     texts = {each.name: recorded[each.name]["text"] if each.name in recorded else NOTHING_BEFORE for each in designs}
+    texts |= {name: each.sentence() for name, each in replayed.items() if name in texts and not each.is_empty}
     changes = ((f"axis {name}: " if many else "") + text for name, text in texts.items())
     axes = ((f"axis {each.name} " if many else "") + _certified_text(controller, each) for each in designs)
     target = designed_for(controller)

@@ -107,6 +107,11 @@ def test_validate_and_report_show_a_controller_and_replace_their_own_page(
     assert main(arguments) == 0
     text = (folder / "r.html").read_text(encoding="utf-8")
     check_page(text)
+    arguments = ["report", "controller.yaml", "--samples", "0", "-o", "r.html", "--compare"]
+    assert main([*arguments, "mass=30,damping=2000"]) == 0
+    assert "mass=30,damping=2000" in (folder / "r.html").read_text(encoding="utf-8")
+    capsys.readouterr()
+    assert "--compare log needs the identified.yaml" in refused(capsys, [*arguments, "log"], 2)
     for reported in ('id="verdict"', 'id="x-band"', 'id="x-map"', 'id="x-nyquist"', "before"):
         assert reported in text
 
