@@ -15,7 +15,7 @@ PACKAGES = ("autotune", "identification", "problems")
 AROUND = ("pyproject.toml", "README.md", "LICENSE")
 TYPED = frozenset(f"{package}/py.typed" for package in PACKAGES)
 SCHEMAS = "autotune/formats/schemas/"
-PAGES = ("autotune/report/page.*", "autotune/explore/explore.*", "autotune/export/ros2/*.in")
+PAGES = ("autotune/report/page.*", "autotune/explore/explore.*", "autotune/export/*/*.in")
 
 
 def expected_files(root: Path) -> frozenset[str]:

@@ -1,9 +1,13 @@
-"""Render the runtime's step with the numbers of one controller as one C99 source and its header."""
+"""Render the runtime's step with the numbers of one controller as one C99 source and its header.
+
+The templates in `c/` are `autotune.runtime.step` and `guard` operation by operation, with `$words` to be filled in.
+"""
 
 import json
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from importlib.resources import files
 from string import Template
 from typing import Any
 
@@ -23,9 +27,6 @@ from autotune.runtime.guard import (
 )
 from autotune.runtime.law import AxisLaw
 from autotune.version import __version__
-
-from .c_header import HEADER
-from .c_text import SOURCE_CODE, SOURCE_DATA
 
 _RESPONSES = (CollisionResponse.NONE, CollisionResponse.RESET, CollisionResponse.STOP)
 
@@ -71,8 +72,7 @@ def render_c(
         "same": _number(SAME_SAMPLE_TIME),
         **_limits(controller),
     }
-    header, source = _fill(HEADER, words), _fill(SOURCE_DATA + SOURCE_CODE, words)
-    return CSource(header=header, source=source)
+    return CSource(header=_filled("controller.h.in", words), source=_filled("controller.c.in", words))
 
 
 def _limits(controller: RuntimeController) -> dict[str, object]:
@@ -103,7 +103,8 @@ def _limits(controller: RuntimeController) -> dict[str, object]:
     }
 
 
-def _fill(text: str, words: Mapping[str, object]) -> str:
+def _filled(template: str, words: Mapping[str, object]) -> str:
+    text = (files("autotune.export") / "c" / template).read_text("utf-8")
     # `$prefix_step` is `$prefix` and `_step`: a word ends where C's underscore goes on.
     return Template(re.sub(r"\$prefix(?=_)", "${prefix}", text)).substitute(words)
 
