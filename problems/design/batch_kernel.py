@@ -26,7 +26,7 @@ from ..model.difference import DAMPING
 from ..model.response import controller_gains
 from ..model.sampled import SampledPlant
 from ..stability import margin_kernel
-from ..stability.margin_kernel import MARGINS, MODULUS_ALONE, WITH_CROSSOVERS, find_loop_margins
+from ..stability.margin_kernel import MARGINS, MODULUS_ALONE, WITH_CROSSOVERS, PolynomialLoop, find_loop_margins
 from ..stability.margins import PreparedMargins, loop_polynomials
 from ..stability.polynomials import CONTROLLER_POWERS, STABLE, controller_polynomials, hurwitz, loop_polynomial
 
@@ -130,7 +130,8 @@ def evaluate_pairs(
             if verdict != STABLE:
                 continue
             if margins:
-                find_loop_margins(responses[j], grid_of(grids, j), controller, degree, (h, theta), MODULUS_ALONE, found)
+                loop = PolynomialLoop(responses[j], controller, degree, h, theta)
+                find_loop_margins(loop, grid_of(grids, j), MODULUS_ALONE, found)
                 out[i, j, PAIR_MODULUS] = found[_LOOP_MODULUS]
                 out[i, j, PAIR_MODULUS_RAD_PER_S] = found[_LOOP_MODULUS_RAD_PER_S]
             if peaks:
@@ -211,7 +212,8 @@ def evaluate_designs(
             if missed and not peaks_if_missed:
                 break
             for j in range(len(responses)):
-                find_loop_margins(responses[j], grid_of(grids, j), controller, degree, (h, theta), depth, found)
+                loop = PolynomialLoop(responses[j], controller, degree, h, theta)
+                find_loop_margins(loop, grid_of(grids, j), depth, found)
                 missed = _keep_margins(found, margins, by_plant[i, j]) or missed
         if missed and not peaks_if_missed:
             continue

@@ -27,6 +27,7 @@ from ..stability.margin_kernel import (
     MODULUS_ALONE,
     PHASE_RAD,
     Grid,
+    PolynomialLoop,
     find_loop_margins,
 )
 from ..stability.margins import LARGEST_GAIN_DB, prepare_margins
@@ -102,9 +103,8 @@ def margins_of_plant(
     for i in range(len(designs)):
         if wanted[i]:
             degree = controller_polynomials(designs[i], ideal, controller)
-            find_loop_margins(
-                polynomials, grid, controller, degree, (h, theta), EVERY_MARGIN if everything else MODULUS_ALONE, out[i]
-            )
+            loop = PolynomialLoop(polynomials, controller, degree, h, theta)
+            find_loop_margins(loop, grid, EVERY_MARGIN if everything else MODULUS_ALONE, out[i])
 
 
 @dataclass(frozen=True, kw_only=True)

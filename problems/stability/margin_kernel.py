@@ -3,6 +3,8 @@
 A grid finds where to look; every minimum of |1 + L| and every crossover near it is then searched on the loop itself.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from ..arrays import ComplexArray, FloatArray
@@ -11,6 +13,17 @@ from .polynomials import DELAY, DENOMINATOR, FED, FORCE, OWN, POSITION, SENSED
 
 # Increasing frequencies ω up to just short of the Nyquist frequency, tan(ωh/2), and the plant's F/x^d and x/x^d there.
 Grid = tuple[FloatArray, FloatArray, ComplexArray, ComplexArray]
+
+
+class PolynomialLoop(NamedTuple):
+    """A plant's polynomials (4, n), see `plant_at`, a controller's (3, m) and their degree, h [s] and θ of its rule."""
+
+    plant: FloatArray
+    controller: FloatArray
+    degree: int
+    h: float
+    theta: float
+
 
 # What `find_loop_margins` returns, the smaller of both break points.
 MODULUS, MODULUS_RAD_PER_S, DISK, GAIN_DB, PHASE_RAD, DELAY_S, MARGINS = 0, 1, 2, 3, 4, 5, 6
@@ -97,14 +110,12 @@ def _quotient(one: complex, two: complex) -> complex:
 
 
 @compiled
-def differences_at(
-    plant: FloatArray, controller: FloatArray, degree: int, h: float, theta: float, omega: float
-) -> tuple[complex, complex]:
+def differences_at(loop: PolynomialLoop, omega: float) -> tuple[complex, complex]:
     """Return 1 + L at both break points at one frequency [rad/s] below the Nyquist frequency."""
-    w = 1j * np.tan(0.5 * omega * h)
-    force, position = plant_at(plant, w)
-    s = (2.0 / h) * w / (1.0 + (2.0 * theta - 1.0) * w)
-    return differences(controller, degree, s, force, position)
+    w = 1j * np.tan(0.5 * omega * loop.h)
+    force, position = plant_at(loop.plant, w)
+    s = (2.0 / loop.h) * w / (1.0 + (2.0 * loop.theta - 1.0) * w)
+    return differences(loop.controller, loop.degree, s, force, position)
 
 
 @compiled
@@ -118,24 +129,16 @@ def squared_distance(difference: complex, disk: bool) -> float:
 
 
 @compiled
-def find_loop_margins(
-    plant: FloatArray,
-    grid: Grid,
-    controller: FloatArray,
-    degree: int,
-    sampling: tuple[float, float],
-    depth: int,
-    found: FloatArray,
-) -> None:
+def find_loop_margins(loop: PolynomialLoop, grid: Grid, depth: int, found: FloatArray) -> None:
     """Write the margins of a stable loop into `found` (6,), as far as `depth` says (the rest is infinite).
 
-    `sampling` is (h, θ). A response that is not a number makes all of them NaN: it must not pass for a large margin.
+    A response that is not a number makes all of them NaN: it must not pass for a large margin.
     """
     found[:] = np.inf
-    omega, points = _refined_response(plant, grid, controller, degree, sampling)
+    omega, points = _refined_response(loop, grid)
     for signal in range(len(points)):
         for disk in range(2 if depth == EVERY_MARGIN else 1):
-            value, where = _smallest(plant, controller, degree, sampling, omega, points[signal], signal, disk == 1)
+            value, where = _smallest(loop, omega, points[signal], signal, disk == 1)
             if np.isnan(value):
                 found[:] = np.nan
                 return
@@ -144,23 +147,17 @@ def find_loop_margins(
             elif value < found[MODULUS]:
                 found[MODULUS], found[MODULUS_RAD_PER_S] = value, where
         if depth != MODULUS_ALONE:
-            _crossovers(plant, controller, degree, sampling, omega, points[signal], signal, found)
+            _crossovers(loop, omega, points[signal], signal, found)
 
 
 @compiled
-def _refined_response(
-    plant: FloatArray,
-    grid: Grid,
-    controller: FloatArray,
-    degree: int,
-    sampling: tuple[float, float],
-) -> tuple[FloatArray, ComplexArray]:
+def _refined_response(loop: PolynomialLoop, grid: Grid) -> tuple[FloatArray, ComplexArray]:
     """Return frequencies and 1 + L there, (1 or 2, n), with points added where the curve turns fast.
 
     1 + L turns where a lightly damped mode of the loop is, and may dip between two points; L turns where an inner loop
     has one, and with a long delay everywhere. Without feedback of the position both break points see one loop.
     """
-    (omega, tangent, force, position), (h, theta) = grid, sampling
+    (omega, tangent, force, position), (_, controller, degree, h, theta) = grid, loop
     count = len(omega)
     signals = 1 if np.all(controller[FED] == 0.0) else 2
     room = count + _ADDED_POINTS
@@ -175,7 +172,7 @@ def _refined_response(
         if turns and used > 0:
             most = room - (count - k) - _DEEPEST
             target = (omega[k], (at_force, at_command))
-            used = _refine_segment(plant, controller, degree, sampling, target, (moments, points), used, most)
+            used = _refine_segment(loop, target, (moments, points), used, most)
         moments[used], points[AT_FORCE, used] = omega[k], at_force
         if signals == 2:
             points[AT_COMMAND, used] = at_command
@@ -185,10 +182,7 @@ def _refined_response(
 
 @compiled
 def _refine_segment(
-    plant: FloatArray,
-    controller: FloatArray,
-    degree: int,
-    sampling: tuple[float, float],
+    loop: PolynomialLoop,
     target: tuple[float, tuple[complex, complex]],
     trace: tuple[FloatArray, ComplexArray],
     used: int,
@@ -198,7 +192,7 @@ def _refine_segment(
 
     Halves are taken from the left; what is to the right of the one at hand waits.
     """
-    (moments, points), (h, theta) = trace, sampling
+    moments, points = trace
     signals = len(points)
     waiting, stack, depth = np.empty(_DEEPEST), np.empty((2, _DEEPEST), dtype=np.complex128), 1
     bottom = 0
@@ -210,9 +204,7 @@ def _refine_segment(
                 fast = fast or _turns_between(points[i, used - 1], stack[i, depth - 1])
         if fast:
             waiting[depth] = 0.5 * (moments[used - 1] + waiting[depth - 1])
-            stack[AT_FORCE, depth], stack[AT_COMMAND, depth] = differences_at(
-                plant, controller, degree, h, theta, waiting[depth]
-            )
+            stack[AT_FORCE, depth], stack[AT_COMMAND, depth] = differences_at(loop, waiting[depth])
             depth += 1
         else:
             depth -= 1
@@ -237,10 +229,7 @@ def _turns_between(one: complex, two: complex) -> bool:
 
 @compiled
 def _smallest(
-    plant: FloatArray,
-    controller: FloatArray,
-    degree: int,
-    sampling: tuple[float, float],
+    loop: PolynomialLoop,
     omega: FloatArray,
     points: ComplexArray,
     signal: int,
@@ -261,7 +250,7 @@ def _smallest(
         if values[k] <= limit and values[k] <= values[k - 1] and values[k] <= values[k + 1]:
             bracket = (omega[k - 1], omega[k], omega[k + 1])
             around = (values[k - 1], values[k], values[k + 1])
-            value, at = _descend(plant, controller, degree, sampling, bracket, around, signal, disk)
+            value, at = _descend(loop, bracket, around, signal, disk)
             if value < best:
                 best, where = value, at
     return np.sqrt(best), where
@@ -277,10 +266,7 @@ def _turns(one: complex, two: complex) -> bool:
 
 @compiled
 def _descend(
-    plant: FloatArray,
-    controller: FloatArray,
-    degree: int,
-    sampling: tuple[float, float],
+    loop: PolynomialLoop,
     bracket: tuple[float, float, float],
     values: tuple[float, float, float],
     signal: int,
@@ -301,7 +287,7 @@ def _descend(
             trial = 0.5 * (middle + (high if high - middle > middle - low else low))
         if abs(trial - middle) <= 1e-7 * middle:
             break
-        value = squared_distance(differences_at(plant, controller, degree, *sampling, trial)[signal], disk)
+        value = squared_distance(differences_at(loop, trial)[signal], disk)
         if value < at_middle:
             if trial > middle:
                 low, at_low = middle, at_middle
@@ -317,10 +303,7 @@ def _descend(
 
 @compiled
 def _crossovers(
-    plant: FloatArray,
-    controller: FloatArray,
-    degree: int,
-    sampling: tuple[float, float],
+    loop: PolynomialLoop,
     omega: FloatArray,
     points: ComplexArray,
     signal: int,
@@ -339,16 +322,16 @@ def _crossovers(
             low, high = omega[k], omega[k + 1]
             one, two = _level(points[k], of_phase), _level(points[k + 1], of_phase)
             if (one > 0.0) != (two > 0.0):
-                _cross(plant, controller, degree, sampling, (low, high), signal, of_phase, found)
+                _cross(loop, (low, high), signal, of_phase, found)
             elif k > 0 and abs(one) <= abs(two) and one * _level(points[k - 1], of_phase) >= one * one:
                 # It comes closest here; between the points it may cross and come back.
                 before = _level(points[k - 1], of_phase)
                 bracket = (omega[k - 1], low, high)
                 middle = _vertex(bracket, (before, one, two))
-                closest = differences_at(plant, controller, degree, *sampling, middle)[signal]
+                closest = differences_at(loop, middle)[signal]
                 if (_level(closest, of_phase) > 0.0) != (one > 0.0):
-                    _cross(plant, controller, degree, sampling, (omega[k - 1], middle), signal, of_phase, found)
-                    _cross(plant, controller, degree, sampling, (middle, high), signal, of_phase, found)
+                    _cross(loop, (omega[k - 1], middle), signal, of_phase, found)
+                    _cross(loop, (middle, high), signal, of_phase, found)
 
 
 @compiled
@@ -372,43 +355,37 @@ def _vertex(at: tuple[float, float, float], values: tuple[float, float, float]) 
 
 @compiled
 def _cross(
-    plant: FloatArray,
-    controller: FloatArray,
-    degree: int,
-    sampling: tuple[float, float],
+    loop: PolynomialLoop,
     bracket: tuple[float, float],
     signal: int,
     of_phase: bool,
     found: FloatArray,
 ) -> None:
     """Update the margins with the crossover in a bracket."""
-    at = _root(plant, controller, degree, sampling, bracket, signal, of_phase)
-    loop = differences_at(plant, controller, degree, *sampling, at)[signal] - 1.0
+    at = _root(loop, bracket, signal, of_phase)
+    gain = differences_at(loop, at)[signal] - 1.0
     if of_phase:
-        if loop.real < 0.0:
-            found[GAIN_DB] = min(found[GAIN_DB], abs(20.0 * np.log10(-loop.real)))
+        if gain.real < 0.0:
+            found[GAIN_DB] = min(found[GAIN_DB], abs(20.0 * np.log10(-gain.real)))
     else:
-        angle = np.angle(-loop)
+        angle = np.angle(-gain)
         found[PHASE_RAD] = min(found[PHASE_RAD], abs(angle))
         found[DELAY_S] = min(found[DELAY_S], (angle if angle > 0.0 else angle + 2.0 * np.pi) / at)
 
 
 @compiled
 def _root(
-    plant: FloatArray,
-    controller: FloatArray,
-    degree: int,
-    sampling: tuple[float, float],
+    loop: PolynomialLoop,
     bracket: tuple[float, float],
     signal: int,
     of_phase: bool,
 ) -> float:
     """Return where L crosses the real axis, or the unit circle, in a bracket with a change of sign."""
     low, high = bracket
-    side = _level(differences_at(plant, controller, degree, *sampling, low)[signal], of_phase) > 0.0
+    side = _level(differences_at(loop, low)[signal], of_phase) > 0.0
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
-        level = _level(differences_at(plant, controller, degree, *sampling, middle)[signal], of_phase)
+        level = _level(differences_at(loop, middle)[signal], of_phase)
         if (level > 0.0) == side:
             low = middle
         else:

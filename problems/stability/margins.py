@@ -21,6 +21,7 @@ from .margin_kernel import (
     MODULUS_RAD_PER_S,
     PHASE_RAD,
     Grid,
+    PolynomialLoop,
     find_loop_margins,
 )
 from .polynomials import CONTROLLER_POWERS, controller_polynomials, plant_polynomials
@@ -145,8 +146,8 @@ class PreparedMargins:
         check_wrench_delay(self.sampled.plant, controller)
         factors, found = np.zeros((3, CONTROLLER_POWERS)), np.empty(MARGINS)
         degree = controller_polynomials(controller.parameters(), controller.is_ideal, factors)
-        sampling = (self.sampled.sample_time_s, controller.theta)
-        find_loop_margins(self.polynomials, self.grid, factors, degree, sampling, EVERY_MARGIN, found)
+        loop = PolynomialLoop(self.polynomials, factors, degree, self.sampled.sample_time_s, controller.theta)
+        find_loop_margins(loop, self.grid, EVERY_MARGIN, found)
         if np.any(np.isnan(found)):
             raise ParameterError("loop", self.sampled.plant, "one with a finite response at every frequency")
         return Margins(

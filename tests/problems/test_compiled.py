@@ -24,6 +24,7 @@ from problems.model.sampled import controller_matrices, squarings_for
 from problems.stability.margin_kernel import (
     EVERY_MARGIN,
     MARGINS,
+    PolynomialLoop,
     differences_at,
     find_loop_margins,
     plant_at,
@@ -347,15 +348,14 @@ def test_kernels_that_fill_arrays_are_their_python() -> None:
         first = 0 if sampled.plant.environment.is_anchored else 1
         assert hurwitz(other[:-1], total, first) == hurwitz.py_func(other[:-1], total, first)  # type: ignore[attr-defined]
         response = response_polynomials(sampled)
-        np.testing.assert_allclose(*both(differences_at, response, factors, degree, PERIOD_S, theta, 100.0), rtol=1e-10)
+        np.testing.assert_allclose(
+            *both(differences_at, PolynomialLoop(response, factors, degree, PERIOD_S, theta), 100.0), rtol=1e-10
+        )
         margins = written(
             find_loop_margins,
             (MARGINS,),
-            response,
+            PolynomialLoop(response, factors, degree, PERIOD_S, theta),
             margin_grid(sampled),
-            factors,
-            degree,
-            (PERIOD_S, theta),
             EVERY_MARGIN,
         )
         np.testing.assert_allclose(*margins, rtol=1e-9)

@@ -17,7 +17,7 @@ from problems.model.plant import Coupling, Environment, PayloadDynamics, Plant
 from problems.model.response import loop_response
 from problems.model.robot import RobotModel
 from problems.model.sampled import SampledPlant, build_cut_loop, build_sampled_plant
-from problems.stability.margin_kernel import _refined_response
+from problems.stability.margin_kernel import PolynomialLoop, _refined_response
 from problems.stability.margins import Margins, find_margins, prepare_margins
 from problems.stability.polynomials import CONTROLLER_POWERS, controller_polynomials
 from tests.problems.axes import PERIOD_S, admittance, one_pole, paper_plant
@@ -424,7 +424,8 @@ def test_neighbours_of_the_refined_response_are_within_35_degrees(name: str) -> 
     law = admittance(damping=9000.0, lead=0.02, feedback=0.01)
     prepared, factors = prepare_margins(sampled), np.zeros((3, CONTROLLER_POWERS))
     degree = controller_polynomials(law.parameters(), law.is_ideal, factors)
-    omega, points = _refined_response(prepared.polynomials, prepared.grid, factors, degree, (PERIOD_S, law.theta))
+    polynomials = PolynomialLoop(prepared.polynomials, factors, degree, PERIOD_S, law.theta)
+    omega, points = _refined_response(polynomials, prepared.grid)
     assert len(points) == 2
     assert len(omega) > len(prepared.grid[0])
     wide = np.diff(omega) > 2e-8 * omega[1:]
