@@ -28,6 +28,7 @@ MOST_SHARE, MOST_RATIO, _LOWEST_HZ, _HIGHEST_SHARE = 0.3, 0.15, 3.0, 0.45
 _HALVINGS, _CONVERGED, _EASIEST, _DAMPING_STEP = 8, 0.05, 1e-6, 10.0
 _STEPS_AGAIN, _ROUNDS = 8, 2
 _LEAST_EXPLAINED, _PATH_TIMES = 0.25, 2.0
+_BEYOND_DEVIATIONS = 3.0
 _MOST_SAMPLES = 20_000
 LATENCY_SAMPLES = 0.5
 
@@ -338,12 +339,16 @@ def without(of: ExtendedProblem, more: PayloadFit, kind: PayloadKind) -> Payload
 def explains_misfit(of: ExtendedProblem, more: PayloadFit, less: PayloadFit) -> bool:
     """Whether `more` explains a quarter at least of what `less` leaves beyond the noise, and more than its path may.
 
-    Without a held command the path is not known within a sample, and a force on its mean there is off by h² F''/24.
+    Nothing is left beyond the noise that is not three deviations of a mean of squares above it. Without a held command
+    the path is not known within a sample, and a force on its mean there is off by h² F''/24.
     """
     signals, errors = of.problem.signals, of.errors(less.theta, less.own, less.kind)
-    left = float(np.mean(np.concatenate(errors) ** 2))
+    squares = np.concatenate(errors) ** 2
+    left = float(np.mean(squares))
+    beyond = left - of.quiet_rms_n**2
     explained = left - float(np.mean(np.concatenate(of.errors(more.theta, more.own, more.kind)) ** 2))
-    if explained <= _LEAST_EXPLAINED * max(left - of.quiet_rms_n**2, 0.0):
+    # At rest and in motion n samples each show a mean of squares, each with a deviation of √(2/n) of it.
+    if beyond <= _BEYOND_DEVIATIONS * 2.0 * left / np.sqrt(len(squares)) or explained <= _LEAST_EXPLAINED * beyond:
         return False
     if of.is_held:
         return True

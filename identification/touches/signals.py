@@ -5,11 +5,20 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from problems.arrays import FloatArray
+from problems.arrays import BoolArray, FloatArray
 
 from ..signals.aligned import longest_whole
 from ..signals.contact_rule import CONTACT
-from ..signals.recording import AXES, GainsSignal, PoseSignal, Recording, StampArray, WrenchSignal, sampling_rate_hz
+from ..signals.recording import (
+    AXES,
+    GainsSignal,
+    PoseSignal,
+    Recording,
+    StampArray,
+    WrenchSignal,
+    sampling_rate_hz,
+    turn_vectors_rad,
+)
 
 _NEAR_ZERO_SHARE = 0.05
 _NOISES = 6.0
@@ -69,7 +78,7 @@ def axis_signals(recording: Recording) -> tuple[AxisSignals, ...]:
     """
     recording = longest_whole(recording)
     wrench, pose = recording.wrench, recording.pose
-    inside = (wrench.stamp_ns >= pose.stamp_ns[0]) & (wrench.stamp_ns <= pose.stamp_ns[-1])
+    inside = _is_shared(recording)
     stamps = wrench.stamp_ns[inside]
     if len(stamps) < _FEWEST or len(pose.stamp_ns) < _FEWEST:
         return ()
@@ -102,6 +111,28 @@ def axis_signals(recording: Recording) -> tuple[AxisSignals, ...]:
             )
         )
     return tuple(found)
+
+
+def turn_rates(recording: Recording) -> FloatArray | None:
+    """Return how fast the flange turns [rad/s] about the axes of S, (n, 3), at the times of `axis_signals`.
+
+    None where the log has no orientation, or one too short.
+    """
+    recording = longest_whole(recording)
+    pose, stamps = recording.pose, recording.wrench.stamp_ns[_is_shared(recording)]
+    if "rx" not in pose.measured_axes or min(len(stamps), len(pose.stamp_ns)) < _FEWEST:
+        return None
+    time = (pose.stamp_ns - pose.stamp_ns[0]) * 1e-9
+    turned = turn_vectors_rad(np.array(pose.quaternion_xyzw[:-1]), np.array(pose.quaternion_xyzw[1:]))
+    between = turned / np.diff(time)[:, None]
+    at, middle = (stamps - pose.stamp_ns[0]) * 1e-9, 0.5 * (time[1:] + time[:-1])
+    return np.column_stack([np.interp(at, middle, column) for column in between.T])
+
+
+def _is_shared(recording: Recording) -> BoolArray:
+    """Return which samples of the wrench lie where there are poses too."""
+    wrench, pose = recording.wrench, recording.pose
+    return np.asarray((wrench.stamp_ns >= pose.stamp_ns[0]) & (wrench.stamp_ns <= pose.stamp_ns[-1]))
 
 
 def sample_noise(force: FloatArray) -> float:

@@ -15,7 +15,7 @@ from ..verdicts import judged, missing, unidentifiable
 from .find import AxisTouches, FoundTouch, find_touches, first_fall, touch_peak
 from .inertia import KnownMotion, without_known
 from .phases import build_phases
-from .signals import AxisSignals, axis_signals
+from .signals import AxisSignals, axis_signals, turn_rates
 from .signs import check_desired_force, check_force_sign
 from .trace import TraceContact, identify_trace
 
@@ -77,7 +77,8 @@ def identify_touches(recording: Recording, known: KnownMotion | None = None) -> 
     signals = axis_signals(recording)
     if not recording.pose.is_displacement:
         check_force_sign(signals)
-    found, about_payload = without_known(find_touches(signals, is_contact=recording.pose.is_displacement), known)
+    touching = find_touches(signals, is_contact=recording.pose.is_displacement)
+    found, about_payload = without_known(touching, known, turn_rates(recording) if signals else None)
     check_desired_force(found)
     surfaces: dict[str, tuple[EnvironmentEstimate, ...]] = {}
     names: dict[tuple[str, float], str] = {}

@@ -1,12 +1,15 @@
 """A part that swings on the payload, and dry friction of the coupling: another simulation within what is stated."""
 
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
 from identification.axis_findings import latency_findings, payload_findings
 from identification.joint_fit.data import JointData, usual_coupling
+from identification.joint_fit.extended_fit import explains_misfit
 from identification.joint_fit.extended_payload import Extension, extended_force
 from identification.joint_fit.extension import Extended, with_extension
 from identification.joint_fit.fit import identify_joint
@@ -163,3 +166,28 @@ def test_a_latency_of_zero_within_two_deviations_is_not_reported() -> None:
     for seconds, codes in ((-1.8e-5, []), (-2.9e-4, ["wrench-lag"])):
         late = WrenchLatency(seconds=seconds, std_s=3.5e-5, applied_s=seconds)
         assert [each.code for each in latency_findings("z", replace(fit, latency=late))] == codes
+
+
+@dataclass(frozen=True, kw_only=True)
+class Misfit:
+    """What two candidates leave: noise, and a swing of some size that the larger one explains."""
+
+    swing_n: float
+    quiet_rms_n: float = 1.0
+    is_held: bool = True
+
+    @property
+    def problem(self) -> SimpleNamespace:
+        return SimpleNamespace(signals=None)
+
+    def errors(self, theta: FloatArray, _own: object, _kind: object) -> tuple[FloatArray, ...]:
+        at = np.arange(4000)
+        noise = np.sqrt(2.0) * np.cos(2.1 * at)  # RMS 1
+        return (noise + theta[0] * self.swing_n * np.sin(0.3 * at),)
+
+
+@pytest.mark.parametrize(("swing_n", "explains"), [(0.0, False), (0.05, False), (0.2, False), (0.6, True)])
+def test_a_misfit_that_is_no_more_than_noise_may_make_shows_no_part(swing_n: float, explains: bool) -> None:
+    """Of 4000 samples a mean of squares is known to 2 %, so that of 1 N rms three deviations are 0.1 N²."""
+    more, less = (SimpleNamespace(theta=np.array([left]), own=(), kind=None) for left in (0.0, 1.0))
+    assert explains_misfit(cast(Any, Misfit(swing_n=swing_n)), cast(Any, more), cast(Any, less)) is explains

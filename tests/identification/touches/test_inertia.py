@@ -1,7 +1,10 @@
 """A payload that is shaken by its own motion, with and without something in its way, by Newton's law."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from identification.result import TouchCause
 from identification.touches.surfaces import identify_touches
@@ -58,3 +61,40 @@ def test_a_hand_that_shakes_an_admittance_is_not_its_inertia() -> None:
     travel, force = shaken(time)
     found = identify_touches(logged(travel, -force, 4e-3, 0.0))
     assert "payload-inertia" not in {finding.code for finding in found.findings}
+
+
+def turned(time: FloatArray) -> tuple[Rotation, FloatArray]:
+    """Return a tool that turns about two axes at one place, and the force (n, 3) of what hangs off its origin."""
+    edge = np.clip(np.minimum(time - 0.5, 8.0 - time), 0.0, 1.0)
+    edge = edge**3 * (10.0 - 15.0 * edge + 6.0 * edge**2)
+    turn = Rotation.from_euler("XY", edge[:, None] * np.sin(np.outer(time, [4.0, 3.1])) * [0.5, 0.4])
+    period = time[1] - time[0]
+    between = (turn[:-1].inv() * turn[1:]).as_rotvec() / period
+    rate = np.vstack([between[:1], 0.5 * (between[1:] + between[:-1]), between[-1:]])
+    change = np.gradient(rate, period, axis=0)
+    arm = np.array([0.01, -0.02, 0.15])
+    return turn, -PAYLOAD_KG * (np.cross(change, arm) + np.cross(rate, np.cross(rate, arm)))
+
+
+@pytest.mark.parametrize("pressed_n", [0.0, 20.0])
+def test_the_inertia_of_a_payload_in_a_tool_that_turns_is_no_touch(pressed_n: float) -> None:
+    """What pushes meanwhile, once, stays a touch, with what the tool's turning makes at that time."""
+    time = np.arange(0.0, 9.0, 4e-3)
+    turn, force = turned(time)
+    assert np.max(np.abs(force)) > 8.0
+    now = (time >= 4.0) & (time < 4.3)
+    force[now, 2] -= pressed_n * np.sin(np.pi * (time[now] - 4.0) / 0.3) ** 2
+    log = logged(np.zeros(len(time)), force[:, 2], 4e-3, 0.0)
+    log = replace(
+        log,
+        wrench=replace(log.wrench, force_n=force),
+        pose=replace(log.pose, quaternion_xyzw=turn.as_quat(canonical=False)),
+        gains=None,
+        desired_force=None,
+    )
+    found = identify_touches(log)
+    touches = found.timeline.touches
+    assert all(abs(touch.peak_s - 4.15) < 0.25 for touch in touches)
+    assert max((touch.peak_force for touch in touches), default=0.0) == pytest.approx(pressed_n, rel=0.25)
+    (about,) = (finding.message for finding in found.findings if finding.code == "payload-inertia")
+    assert "While the tool turned" in about
