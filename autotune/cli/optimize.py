@@ -19,6 +19,7 @@ from ._optimized import (
     compare_tree,
     contact_spark,
     default_lines,
+    led_lines,
     limit_lines,
     print_before_after,
     print_compliance,
@@ -316,7 +317,7 @@ def print_optimized(
         _print_spark(found, name, units)
         for line in (*default_lines(found, name), *active_lines(found, name)):
             print_message(f"  {line}")
-    for line in (*response_lines(controller), *limit_lines(controller)):
+    for line in (*response_lines(controller), *led_lines(controller), *limit_lines(controller)):
         print_message(line)
     for check in found.report.checks:
         axis = f"{check.axis}: " if len(controller.axes) > 1 else ""

@@ -1,5 +1,6 @@
 """`autotune validate`: verify a controller file from the file alone."""
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +12,7 @@ from autotune.formats.kinds import LOG
 from autotune.formats.units import ROTATIONAL_AXES, axis_units
 
 from ._common import Output, output_options
-from ._optimized import limit_lines
+from ._optimized import led_lines, limit_lines
 from ._options import KEYS, LOGS, SETTINGS, FilePath, GroupedCommand, cell_option, span_options, urdf_options
 from ._report import check_report, print_report_path, report_option, report_refusal, write_report
 from ._schedule import validate_schedule
@@ -58,6 +59,24 @@ def _pair(ctx: click.Context, param: click.Parameter, value: str | None) -> tupl
     return numbers[0], (numbers[1] if len(numbers) == 2 else None)
 
 
+def _force_limit(ctx: click.Context, param: click.Parameter, value: str | None) -> tuple[float, str] | None:
+    """Read a force, or the name of a part of the body."""
+    from autotune.quantities import parse_quantity
+    from problems.design.requirements import BODY_REGIONS
+
+    if value is None:
+        return None
+    if value in BODY_REGIONS:
+        return BODY_REGIONS[value], f"ISO/TS 15066, clamped {value.replace('_', ' ')}"
+    try:
+        force = parse_quantity(value, "force").value
+    except ValueError as error:
+        raise click.BadParameter(f"{error} Or name one of {', '.join(BODY_REGIONS)}.", ctx, param) from None
+    if not 0.0 < force < math.inf:
+        raise click.BadParameter(f"{value!r} must be greater than 0.", ctx, param)
+    return force, "--force-limit"
+
+
 @click.command("validate", cls=GroupedCommand, groups=_GROUPS, epilog=_EPILOG)
 @click.argument("controller", type=FilePath(*SETTINGS, kinds=("controller", "schedule")))
 @click.option(
@@ -90,6 +109,13 @@ def _pair(ctx: click.Context, param: click.Parameter, value: str | None) -> tupl
 @click.option("--sensor-range", callback=_pair, help="Range of the sensor, N[,N·m].  [default: unlimited]")
 @click.option("--speed-limit", callback=_pair, help="Speed limit of the command, m/s[,rad/s].  [default: 0.25 m/s]")
 @click.option("--late", type=click.FloatRange(0, 1, max_open=True), help="Share of late commands.  [default: 0.01]")
+@click.option(
+    "--force-limit",
+    callback=_force_limit,
+    metavar="N|REGION",
+    help="Say up to which speed of a led payload no contact exceeds this force, or that of ISO/TS 15066 for a part of "
+    "the body: 140, chest, face.  [default: contact_at_speed of the file, else hand]",
+)
 @click.option("--public-key", type=_KEY, help="Require the signature CONTROLLER.sig by this public key.")
 @click.option("--sign", type=_KEY, help="Write CONTROLLER.sig with this private key, if every check passes.")
 @report_option
@@ -130,7 +156,7 @@ def _validate(output: Output, path: Path, identified_path: Path | None, options:
 
     sources = [path, *options["logs"], *([] if identified_path is None else [identified_path])]
     check_report(options["report"], sources)
-    seen = _Seen(path=path)
+    seen = _Seen(path=path, force_limit=options["force_limit"])
     with report_refusal(output, options["report"], sources, seen.refused_page):
         private, public = _keys(path, options)
         read = read_controller(path)
@@ -187,6 +213,7 @@ class _Seen:
     """What a run shows, on its page also where it is refused midway; `report` is None until the checks are done."""
 
     path: Path
+    force_limit: tuple[float, str] | None = None
     read: "ControllerFile | None" = None
     report: "ValidationReport | None" = None
     simulated: "tuple[AxisMonteCarlo, ...]" = ()
@@ -219,7 +246,7 @@ class _Seen:
 
         if self.read is None or self.report is None:
             raise ValueError("nothing was verified yet")
-        for line in limit_lines(self.read.controller):
+        for line in (*led_lines(self.read.controller, self.force_limit), *limit_lines(self.read.controller)):
             print_message(line)
         _print(self.report, self.path, short(self.read.checksum), self.compared, self.signed_by)
         print_report_path(page)

@@ -9,7 +9,13 @@ from typing import Annotated, Any
 import numpy as np
 
 from problems.contact.transient import Approach
-from problems.design.requirements import AdmittanceTarget, MultiplicativeError, NoiseLimit, PassivityTarget
+from problems.design.requirements import (
+    AdmittanceTarget,
+    ContactAtSpeed,
+    MultiplicativeError,
+    NoiseLimit,
+    PassivityTarget,
+)
 from problems.design.uncertainty import ALWAYS_UNCERTAIN, FURTHER_UNCERTAIN, Ellipsoid, PlantSet
 from problems.errors import ParameterError
 from problems.frozen import FrozenDict, Rule, freeze
@@ -283,15 +289,16 @@ _Target = (
     ]
     | Annotated[PassivityTarget, Rule(properties={"passive_below_hz": _ABOVE_ZERO})]
     | Annotated[MultiplicativeError, Rule(properties={"min_modulus": _ABOVE_ZERO})]
+    | Annotated[ContactAtSpeed, Rule(properties={"max_force_n": _ABOVE_ZERO, "speed_m_s": _ABOVE_ZERO})]
 )
 Requirement = Annotated[
     float | bool | _Target,
     Rule(
         description="a number, true or false, {min_m_s_per_n, band_hz}, {max_speed_rms_m_s, force_noise_rms_n}, "
-        "{passive_below_hz} or {min_modulus, points}",
+        "{passive_below_hz}, {min_modulus, points} or {max_force_n, speed_m_s, hand}",
         turning=Rule(
             description="a number, true or false, {min_rad_s_per_n_m, band_hz}, {max_speed_rms_rad_s, "
-            "torque_noise_rms_n_m}, {passive_below_hz} or {min_modulus, points}"
+            "torque_noise_rms_n_m}, {passive_below_hz}, {min_modulus, points} or {max_torque_n_m, speed_rad_s, hand}"
         ),
     ),
 ]

@@ -7,6 +7,7 @@ from enum import StrEnum
 from typing import Annotated, Any, Literal
 
 from problems.contact.nonlinearities import Deadband, DeadbandType
+from problems.design.requirements import Hand
 from problems.design.uncertainty import Scenario
 from problems.errors import ParameterError
 from problems.frozen import Rule, freeze
@@ -151,11 +152,33 @@ class FreeSpaceAdmittance:
 
 
 @dataclass(frozen=True, kw_only=True)
+class PeakPerSpeed:
+    """The largest peak contact force per speed of the touch (N·s/m) over the certified plants, the same at any speed.
+
+    A contact is linear while it lasts and one-sided, so that its forces scale with the speed. Under `pushes_on` what
+    drives the payload, a hand or F^d, goes on after the impact; under `lets_go` the hand that led it does not.
+    """
+
+    pushes_on: Annotated[float, Rule(exclusiveMinimum=0)]
+    lets_go: Annotated[float, Rule(exclusiveMinimum=0)]
+
+    def __post_init__(self) -> None:
+        for name in ("pushes_on", "lets_go"):
+            if not 0.0 < getattr(self, name) < math.inf:
+                raise ParameterError(f"peak_per_speed.{name}", getattr(self, name), "greater than 0")
+
+    def largest_speed(self, force: float, hand: Hand) -> float:
+        """Return the speed of the touch (m/s) up to which no contact exceeds `force` (N)."""
+        return force / float(getattr(self, hand))
+
+
+@dataclass(frozen=True, kw_only=True)
 class AxisPrediction:
     """What the model predicts for one axis; `scenarios` are contacts without a collision response.
 
     `with_collision_response` holds all of these with it, and the worst one where that is another; empty without one.
-    `with_residual_weight` holds the worst peaks of all under the residual that the start check of the runtime allows.
+    `with_residual_weight` holds the worst peaks of all under the residual that the start check of the runtime allows,
+    `peak_per_speed` those of a payload that is led by hand; None in files of an earlier release.
     """
 
     scenarios: Annotated[tuple[ScenarioPrediction, ...], Rule(description="without a collision response", minItems=1)]
@@ -167,6 +190,7 @@ class AxisPrediction:
         ),
     ] = ()
     with_residual_weight: ResidualPeaks | None = None
+    peak_per_speed: PeakPerSpeed | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -281,7 +281,7 @@ def problem_schema(tree: Mapping[str, Any]) -> dict[str, Any]:
         if isinstance(said, Mapping) and set(said) - {*straight, *turning, *BUILT_IN}:
             found = (find_requirement(str(name)) for name in said if name not in {*straight, *turning})
             further += [each for each in found if each is not None]
-        known |= {each.name: _entry_schema(each, price) for each in further}
+        known |= {each.name: _entry_schema(each, price) for each in further if each.asked_as is None}
     return schema
 
 

@@ -14,7 +14,7 @@ from autotune.plugins import find_requirement
 from autotune.prediction.as_run_by import as_run_by, designed_for
 from autotune.prediction.law import PresentGains
 from autotune.text import scenario_text, stiffness_text, value_text
-from problems.design.requirements import BUILT_IN, AdmittanceRequirement, Margin, PeakForceLimit
+from problems.design.requirements import BODY_REGIONS, BUILT_IN, HANDS, AdmittanceRequirement, Margin, PeakForceLimit
 from problems.design.uncertainty import SYMBOLS, UNCERTAIN
 from problems.model.axis_kind import AxisKind
 from problems.model.controller import AdmittanceController
@@ -102,6 +102,29 @@ def target_facts(controller: Controller) -> Iterator[Facts | Table]:
     if found:
         yield Facts(facts=tuple(facts))
         yield build_table(f"What {designed_for(controller)} is given", ("axis", "parameters"), rows)
+
+
+def led_table(designs: Sequence[AxisDesign]) -> Table | None:
+    """Return up to which speed of a payload led by hand no certified contact exceeds a limit of ISO/TS 15066."""
+    straight = [each for each in designs if each.name not in ROTATIONAL_AXES and each.predicted.peak_per_speed]
+    if not straight:
+        return None
+    columns = [(each.name, each.predicted.peak_per_speed, hand) for each in straight for hand in HANDS]
+    heads = (f"{name}, hand {hand.replace('_', ' ')} [m/s]" for name, _, hand in columns)
+    return build_table(
+        "Speed up to which no certified contact exceeds the force on a clamped part of the body "
+        "(ISO/TS 15066:2016, Table A.2, quasi-static)",
+        ("part of the body", "force [N]", *heads),
+        (
+            (
+                region.replace("_", " "),
+                f"{force:g}",
+                *(f"{peaks.largest_speed(force, hand):.2g}" for _, peaks, hand in columns if peaks is not None),
+            )
+            for region, force in BODY_REGIONS.items()
+        ),
+        numbers=range(1, 2 + len(columns)),
+    )
 
 
 def gains_table(controller: Controller) -> Table:

@@ -27,6 +27,7 @@ from .controller_tables import (
     domain_table,
     gains_table,
     law_before,
+    led_table,
     number,
     prices_of,
     proof_table,
@@ -82,6 +83,12 @@ def build_optimize_page(
                     for design in designs
                 ),
                 *([] if fronts is None else [front_section(fronts)]),
+                Section(
+                    key="led",
+                    title="Led by hand",
+                    blocks=tuple(each for each in (led_table(designs),) if each is not None),
+                    is_folded=True,
+                ),
                 replace(search_section(controller, steps or {}), is_folded=True),
                 replace(certificate_section(controller, designs), is_folded=True),
             ],

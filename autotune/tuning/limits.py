@@ -14,8 +14,10 @@ from autotune.formats.problem import ProblemSpec
 from autotune.formats.units import ROTATIONAL_AXES, axis_units
 from autotune.runtime.law import STANDARD_GRAVITY_M_S2
 from autotune.runtime.load import LEVER_M, REDUCED_SPEED_M_S
+from autotune.validation.certified_requirements import asked_of
 from autotune.validation.contacts import commanded_motion, with_residual
 from identification.result import Identified
+from problems.design.requirements import ContactAtSpeed
 from problems.model.controller import controller_blocks
 
 from .first_contacts import FirstContacts, contacts_of
@@ -130,8 +132,17 @@ def _axis(controller: Controller, name: str, settings: LimitsSettings, reasons: 
     reasons[f"axes.{name}.acceleration"] = (
         f"{said}, {acceleration:.3g} {units.speed}², and {noise}, {noisy_acceleration:.2g}"
     )
+    largest = _rounded_up(max(_ROOM * speed + noisy_speed, least))
+    asked, per_speed = asked_of(controller, name).get("contact_at_speed"), controller.predicted[name].peak_per_speed
+    if isinstance(asked, ContactAtSpeed) and per_speed is not None:
+        safe, reached = per_speed.largest_speed(asked.max_force_n, asked.hand), speed + noisy_speed
+        largest = min(largest, max(_rounded_down(safe), _rounded_up(reached)))
+        reasons[f"axes.{name}.speed"] = (
+            f"up to {safe:.3g} {units.speed} no contact exceeds {asked.max_force_n:g} {units.force} "
+            f"(contact_at_speed); certified contacts command {speed:.3g}, and {noise}, {noisy_speed:.2g}"
+        )
     return AxisLimits(
-        speed=_rounded_up(max(_ROOM * speed + noisy_speed, least)),
+        speed=largest,
         acceleration=_rounded_up(_ROOM * acceleration + noisy_acceleration),
     )
 
@@ -255,3 +266,9 @@ def _rounded_up(value: float) -> float:
     """Return a number of two digits that is not below `value`."""
     scale = 10.0 ** (math.floor(math.log10(value)) - 1)
     return float(f"{math.ceil(value / scale * (1.0 - 1e-9)) * scale:.2g}")
+
+
+def _rounded_down(value: float) -> float:
+    """Return a number of two digits that is not above `value`."""
+    scale = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return float(f"{math.floor(value / scale * (1.0 + 1e-9)) * scale:.2g}")

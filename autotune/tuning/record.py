@@ -1,6 +1,6 @@
 """Write a search result down as a controller with everything that the certificate claims."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from operator import attrgetter
 from typing import Any
 
@@ -21,6 +21,7 @@ from autotune.formats.controller_record import (
     ControllerStatus,
     Filters,
     FreeSpaceAdmittance,
+    PeakPerSpeed,
     RuntimePayload,
     ScenarioPrediction,
 )
@@ -31,9 +32,10 @@ from identification.axes.turning import LEVER_M
 from identification.errors import EstimateError
 from identification.result import Identified, Status
 from problems.contact.nonlinearities import DeadbandType
+from problems.contact.transient import transient_from
 from problems.design.evaluation import PlantMargins, build_scenarios
 from problems.design.problem import DesignProblem, Requirements
-from problems.design.requirements import smallest_admittance
+from problems.design.requirements import HANDS, hand_approach, smallest_admittance
 from problems.design.uncertainty import Scenario
 from problems.model.controller import AdmittanceController
 from problems.model.response import hand_force_per_speed
@@ -44,6 +46,8 @@ from .search import SearchResult
 _DEFAULT_DEADBAND_N = 5.0
 _DEFAULT_BAND_HZ = (0.1, 2.0)
 _PREDICTED_STIFFNESS, _PREDICTED_MASS = 5, 2
+# Any speed gives the same ratio.
+_LED_M_S = 0.1
 _NAMES = ("modulus", "gain_db", "phase_deg", "delay_s")
 
 
@@ -189,7 +193,21 @@ def _prediction(name: str, result: SearchResult, controller: AdmittanceControlle
             min_m_s_per_n=smallest_admittance(prepared.free[0], controller, band),
             hand_force_n_per_m_s=hand_force_per_speed(problem.plants.nominal, controller),
         ),
+        peak_per_speed=_peak_per_speed(result, [peak.scenario for peak in peaks], controller),
     )
+
+
+def _peak_per_speed(
+    result: SearchResult, scenarios: Sequence[Scenario], controller: AdmittanceController
+) -> PeakPerSpeed:
+    """Return the worst peaks of a payload led by hand, over these contacts and those that the search ended with."""
+    found = (peak.scenario for peak in result.evaluation.peaks)
+    pairs = build_scenarios(result.problem, tuple(dict.fromkeys((*scenarios, *found)))).pairs
+    worst = {
+        hand: max(transient_from(pair, controller, approach).peak_contact_force_n for pair in pairs) / _LED_M_S
+        for hand, approach in ((hand, hand_approach(_LED_M_S, hand)) for hand in HANDS)
+    }
+    return PeakPerSpeed(**worst)
 
 
 def build_domain(problem: DesignProblem) -> AxisDomain:

@@ -156,7 +156,13 @@ def relaxation_message(problem: DesignProblem, found: Sequence[Relaxation]) -> s
         listed = " or ".join(filter(None, (", ".join(others[:-1]), *others[-1:])))
         useless = f" No easing of {listed} alone was found to be enough." if others else ""
         said = f"Enough by itself would be: {enough}.{useless}"
-    return f"{said} Or narrow the ranges of stiffness and payload, or widen the bounds."
+    asked = problem.requirements.asked()
+    notes = "".join(
+        problem.requirements.kind(each.name).easing_note(asked[each.name], each.possible)
+        for each in found
+        if each.name in asked
+    )
+    return f"{said}{notes} Or narrow the ranges of stiffness and payload, or widen the bounds."
 
 
 def asked_numbers(problem: DesignProblem) -> dict[str, float]:

@@ -12,17 +12,21 @@ from autotune.formats.limits import CollisionResponse
 from autotune.formats.units import ROTATIONAL_AXES, axis_units
 from autotune.runtime.law import STANDARD_GRAVITY_M_S2
 from problems.arrays import FloatArray
+from problems.contact.nonlinear_simulation import needed_substeps, simulate_nonlinear
+from problems.design.requirements import HANDS, Hand, hand_approach
 from problems.design.uncertainty import Scenario
+from problems.errors import ParameterError
 from problems.model.axis_kind import AxisKind
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Plant
 
-from .replay import Replay, replay_contact
+from .replay import Replay, replay_contact, settling_samples
 from .validation_samples import ValidationSamples
 
 # Replayed contacts begin anywhere between two samples, predicted ones on a sample (measured: up to 0.5 %).
 _SAME_PEAK = 0.02
 _SAME_NUMBER = 1e-6
+_SHORTEST_AFTER_S = 1.6
 
 
 def verify_peaks(
@@ -210,6 +214,58 @@ def _differences(said: ScenarioPrediction, seen: Mapping[str, float], replays: R
                 f"{said.name}: with the response the peak {what} force is predicted as {predicted:.2f} {unit}, "
                 f"replayed {found:.2f} {unit}"
             )
+
+
+_LED_M_S = 0.05
+
+
+def verify_led(
+    controller: Controller, name: str, others: ValidationSamples, law: AdmittanceController
+) -> tuple[str, list[str]]:
+    """Return what was confirmed of the peaks per speed of a payload that is led by hand, and what is wrong.
+
+    The contacts are those of the file and samples of the domain, integrated by Runge-Kutta steps with the hand's force
+    on the payload; none of them may be above what the file says.
+    """
+    stated, domain = controller.predicted[name].peak_per_speed, controller.certificate.domain[name]
+    if stated is None:
+        return "", []
+    listed = (each.scenario() for each in controller.predicted[name].scenarios)
+    scenarios = tuple(dict.fromkeys((*listed, *_corners(domain), *others.replayed)))
+    plants, h, units = (
+        [each.plant(domain.plants.nominal) for each in scenarios],
+        controller.sample_time_s,
+        axis_units(name),
+    )
+    try:
+        found = {hand: max(_led_peak(plant, law, hand, h) for plant in plants) for hand in HANDS}
+    except ParameterError as refusal:
+        return f"not confirmed by a second method, which takes no such plant: {refusal}", []
+    wrong = [
+        f"the peak per speed of a hand that {hand.replace('_', ' ')} is stated as {getattr(stated, hand):.4g} "
+        f"{units.damping}, found {largest:.4g}"
+        for hand, largest in found.items()
+        if largest > getattr(stated, hand) * (1.0 + _SAME_PEAK)
+    ]
+    pushing, released = (f"{_LED_M_S * getattr(stated, hand):.4g} {units.force}" for hand in HANDS)
+    return (
+        f"{len(scenarios)} contacts at {_LED_M_S:g} {units.speed} peak at most {pushing} while the hand pushes on, "
+        f"{released} when it lets go"
+    ), wrong
+
+
+def _led_peak(plant: Plant, law: AdmittanceController, hand: Hand, h: float) -> float:
+    """Return the peak contact force per speed of one contact of a payload that is led by hand."""
+    run = simulate_nonlinear(
+        plant,
+        law,
+        hand_approach(_LED_M_S, hand),
+        sample_time_s=h,
+        duration_s=h * settling_samples(plant, law, h, _SHORTEST_AFTER_S),
+        substeps=needed_substeps(plant, h),
+    )
+    rest = run.driving_force_n if hand == "pushes_on" else 0.0
+    return max(run.peak_contact_force_n, rest) / _LED_M_S
 
 
 # As of a replayed contact: the peaks are products of those in the file.

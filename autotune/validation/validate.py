@@ -16,7 +16,7 @@ from problems.model.controller import AdmittanceController
 from .axis_proof import Answers, Prover
 from .bouncing import search_bouncing
 from .certified_requirements import limit_n
-from .contacts import verify_limits, verify_peaks, verify_response
+from .contacts import verify_led, verify_limits, verify_peaks, verify_response
 from .margins import SweptMargins, sweep_margins
 from .proof_checks import check_continuous, check_stability, check_statements
 from .report import Check, ValidationReport
@@ -225,6 +225,12 @@ def _peaks(case: AxisCase) -> Iterator[Check]:
     yield case.check("peak force", "; ".join(wrong), message)
 
 
+def _led(case: AxisCase) -> Iterator[Check]:
+    message, wrong = verify_led(case.controller, case.name, case.others, case.law)
+    if message or wrong:
+        yield case.check("led by hand", "; ".join(wrong), message)
+
+
 def _bouncing(case: AxisCase) -> Iterator[Check]:
     found = search_bouncing(case.name, case.domain, case.law, case.controller.sample_time_s)
     yield case.check("bouncing", "" if found.passed else found.message(), found.message())
@@ -264,6 +270,7 @@ _TABLE = (
     _Row(_admittance, is_short=False),
     _Row(_command, is_short=False),
     _Row(_peaks, is_short=False),
+    _Row(_led, is_short=False),
     _Row(_bouncing, is_short=False),
     _Row(_limits),
     _Row(_response, is_short=False),

@@ -3,6 +3,7 @@
 from .admittance import AdmittanceRequirement, AdmittanceTarget, band_frequencies, smallest_admittance, target_response
 from .base import LoopRequirement, Requirement
 from .command_noise import NoiseLimit, NoiseRequirement
+from .contact_at_speed import BODY_REGIONS, HANDS, ContactAtSpeed, Hand, hand_approach
 from .margins import DecayRate, Margin
 from .multiplicative_error import ErrorRequirement, MultiplicativeError
 from .passivity import PassivityRequirement, PassivityTarget
@@ -11,14 +12,18 @@ from .registry import BUILT_IN
 from .requirements import FIELDS, LARGEST_PRICE_N, LARGEST_SHARE, Requirements, RequirementValue
 
 __all__ = [
+    "BODY_REGIONS",
     "BUILT_IN",
     "FIELDS",
+    "HANDS",
     "LARGEST_PRICE_N",
     "LARGEST_SHARE",
     "AdmittanceRequirement",
     "AdmittanceTarget",
+    "ContactAtSpeed",
     "DecayRate",
     "ErrorRequirement",
+    "Hand",
     "LoopRequirement",
     "Margin",
     "MultiplicativeError",
@@ -31,6 +36,7 @@ __all__ = [
     "RequirementValue",
     "Requirements",
     "band_frequencies",
+    "hand_approach",
     "smallest_admittance",
     "target_response",
 ]

@@ -105,6 +105,11 @@ class Requirement(ABC, Generic[Value]):
         words = f"{self.shown_scale * self.threshold(asked):g} {self.unit_on(turning=turning)}".strip()
         return f"at most {words}" if self.is_upper_limit else words
 
+    def easing_note(self, asked: Value, possible: float) -> str:
+        """Return a sentence on what else than the threshold could be eased, `possible` being what would be met."""
+        del asked, possible
+        return ""
+
     @abstractmethod
     def count(self, prepared: PreparedPlants) -> int:
         """Return the number of rows."""

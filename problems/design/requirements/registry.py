@@ -7,6 +7,7 @@ from ...frozen import FrozenDict
 from .admittance import AdmittanceRequirement
 from .base import Requirement
 from .command_noise import NoiseRequirement
+from .contact_at_speed import ContactAtSpeedLimit
 from .damping_ratio import DampingRatio
 from .margins import DecayRate, DelayMargin, GainMargin, ModulusMargin, PhaseMargin
 from .multiplicative_error import ErrorRequirement
@@ -23,6 +24,7 @@ BUILT_IN: Mapping[str, Requirement[Any]] = FrozenDict(
             DelayMargin(),
             DecayRate(),
             PeakForceLimit(),
+            ContactAtSpeedLimit(),
             AdmittanceRequirement(),
             NoiseRequirement(),
             PassivityRequirement(),

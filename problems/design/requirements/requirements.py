@@ -11,6 +11,7 @@ from ...frozen import FrozenDict, freeze, short_repr
 from .admittance import AdmittanceTarget
 from .base import Requirement
 from .command_noise import NoiseLimit
+from .contact_at_speed import ContactAtSpeed
 from .multiplicative_error import MultiplicativeError
 from .passivity import PassivityTarget
 from .registry import BUILT_IN
@@ -21,7 +22,7 @@ LARGEST_PRICE_N = 1e6
 _DEFAULT_ADMITTANCE = AdmittanceTarget(is_default=True)
 _NOTHING: Mapping[str, float] = FrozenDict()
 
-RequirementValue = float | AdmittanceTarget | MultiplicativeError | NoiseLimit | PassivityTarget
+RequirementValue = float | AdmittanceTarget | ContactAtSpeed | MultiplicativeError | NoiseLimit | PassivityTarget
 """The threshold of a requirement, with what belongs to it."""
 
 
@@ -47,7 +48,7 @@ class Requirements:
     command_noise: NoiseLimit | None = None
     passivity: PassivityTarget | None = None
     multiplicative_error: MultiplicativeError | None = None
-    further: Mapping[str, float] = field(default_factory=dict)
+    further: Mapping[str, RequirementValue] = field(default_factory=dict)
     plugins: tuple[Requirement[Any], ...] = ()
     soft_n: Mapping[str, float] = field(default_factory=dict)
 
@@ -64,10 +65,10 @@ class Requirements:
         command_noise: NoiseLimit | None = None,
         passivity: PassivityTarget | None = None,
         multiplicative_error: MultiplicativeError | None = None,
-        further: Mapping[str, float] = _NOTHING,
+        further: Mapping[str, RequirementValue] = _NOTHING,
         plugins: tuple[Requirement[Any], ...] = (),
         soft_n: Mapping[str, float] = _NOTHING,
-        **registered: float | None,
+        **registered: RequirementValue | None,
     ) -> None:
         """Ask for the fields, and of `registered` for any other requirement by its name."""
         said = dict(locals())
@@ -126,7 +127,7 @@ class Requirements:
             change: dict[str, Any] = {name: value}
             return replace(self, **change)
         kept = {key: each for key, each in self.further.items() if key != name}
-        return replace(self, further=kept if not isinstance(value, float) else {**kept, name: value})
+        return replace(self, further=kept if value is None else {**kept, name: value})
 
     def relaxed(self, name: str, share: float) -> "Requirements":
         """Return the requirements with one of them asked for less by a share."""

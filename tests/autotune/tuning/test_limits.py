@@ -11,6 +11,7 @@ from autotune.formats.limits import LimitsSpec, ResidualPeaks
 from autotune.tuning.limits import LimitsSettings, largest_motion, limits_settings, with_limits
 from autotune.validation.replay import replay_contact
 from autotune.validation.validate import validate_controller
+from problems.design.requirements import HANDS, ContactAtSpeed, Hand
 from tests.autotune.tuning.cases import FAST_SPEC, identified_plant, known, small_controller
 
 
@@ -107,6 +108,33 @@ def test_validation_finds_limits_that_are_too_low_and_peaks_without_the_residual
     for without in (None, plain):
         bare = replace(whole, predicted={"x": replace(predicted, with_residual_weight=without)})
         assert "with_residual_weight" in messages(bare)
+
+
+def test_a_limit_of_the_force_at_a_speed_sets_the_speed_of_the_command() -> None:
+    """Contacts scale with their speed, so the stated peaks per speed say how fast a limit of the force allows."""
+    whole = small_controller()
+    per_speed, usual = whole.predicted["x"].peak_per_speed, whole.limits
+    assert per_speed is not None
+    assert usual is not None
+    fast = 0.9 * usual.axes["x"].speed
+    asked = ContactAtSpeed(speed_m_s=0.01, max_force_n=fast * per_speed.lets_go, hand="lets_go")
+    certificate = replace(whole.certificate, requirements={**whole.certificate.requirements, "contact_at_speed": asked})
+    limits = with_limits(replace(whole, certificate=certificate), LimitsSettings()).limits
+    assert limits is not None
+    assert 0.9 * fast < limits.axes["x"].speed <= fast
+    assert "contact_at_speed" in limits.reasons["axes.x.speed"]
+
+
+@pytest.mark.parametrize("hand", HANDS)
+def test_validation_finds_peaks_per_speed_that_are_too_low(hand: Hand) -> None:
+    whole = small_controller()
+    predicted = whole.predicted["x"]
+    assert predicted.peak_per_speed is not None
+    lower = replace(predicted.peak_per_speed, **{hand: 0.95 * getattr(predicted.peak_per_speed, hand)})
+    tampered = replace(whole, predicted={"x": replace(predicted, peak_per_speed=lower)})
+    failed = [check for check in validate_controller(tampered).checks if not check.passed]
+    assert [check.name for check in failed] == ["led by hand"]
+    assert hand.replace("_", " ") in failed[0].message
 
 
 def test_a_file_without_limits_is_noted_and_passes() -> None:

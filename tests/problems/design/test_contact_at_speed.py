@@ -1,0 +1,75 @@
+"""Contacts of a payload led by hand: they scale with the speed, and what drives it does not matter until it lets go."""
+
+from typing import Any
+
+import pytest
+
+from problems.contact.transient import Approach, build_sampled_contact, simulate_contact
+from problems.design.requirements import BODY_REGIONS, ContactAtSpeed, Hand, hand_approach
+from problems.design.requirements.contact_at_speed import ContactAtSpeedLimit
+from problems.errors import ParameterError
+from problems.model.controller import AdmittanceController
+from problems.model.plant import Coupling, Environment, PayloadDynamics, Plant
+from problems.model.robot import RobotModel
+from problems.model.sampled import build_sampled_plant
+
+LAW = AdmittanceController(mass_kg=10.0, damping_n_s_per_m=1500.0, lead_s=0.02)
+PLANT = Plant(
+    robot=RobotModel.from_bandwidth(bandwidth_rad_per_s=20.0, delay_s=2.4e-3),
+    coupling=Coupling(stiffness_n_per_m=3e5, damping_n_s_per_m=100.0),
+    payload=PayloadDynamics(mass_kg=16.0, drag_n_s_per_m=630.0),
+    environment=Environment(stiffness_n_per_m=5e4, damping_n_s_per_m=20.0),
+)
+
+
+def peak(approach: Approach) -> float:
+    pair = build_sampled_contact(build_sampled_plant(PLANT, 8e-4))
+    return simulate_contact(pair, LAW, approach).peak_contact_force_n
+
+
+@pytest.mark.parametrize("hand", ["pushes_on", "lets_go"])
+def test_the_force_of_a_contact_scales_with_its_speed(hand: Hand) -> None:
+    assert peak(hand_approach(0.1, hand)) == pytest.approx(5.0 * peak(hand_approach(0.02, hand)), rel=1e-6)
+
+
+def test_a_hand_that_pushes_on_presses_as_a_desired_force_of_the_same_speed() -> None:
+    """After the impact the loop differs from its steady state by the same amount, whatever holds that state up."""
+    assert peak(hand_approach(0.03, "pushes_on")) == pytest.approx(peak(Approach(speed_m_s=0.03)), rel=1e-6)
+
+
+def test_a_hand_that_lets_go_presses_less_and_at_least_what_stops_the_payload() -> None:
+    """The impulse of the contact force takes the momentum of the payload, at the least."""
+    released = peak(hand_approach(0.03, "lets_go"))
+    assert 0.0 < released < peak(hand_approach(0.03, "pushes_on"))
+
+
+def test_a_part_of_the_body_stands_for_its_force() -> None:
+    asked = ContactAtSpeed(speed_m_s=0.1, body_region="chest")
+    assert asked == ContactAtSpeed(speed_m_s=0.1, max_force_n=140.0)
+    assert min(BODY_REGIONS, key=lambda region: BODY_REGIONS[region]) == "face"
+
+
+def test_about_a_turning_axis_force_and_speed_are_those_at_the_lever() -> None:
+    turned = ContactAtSpeedLimit().turned(ContactAtSpeed(speed_m_s=0.1, max_force_n=140.0, hand="lets_go"), 0.2)
+    assert turned == ContactAtSpeed(speed_m_s=0.5, max_force_n=28.0, hand="lets_go")
+
+
+@pytest.mark.parametrize(
+    ("said", "message"),
+    [
+        ({"speed_m_s": 0.1}, "exactly one of max_force_n and body_region"),
+        ({"speed_m_s": 0.1, "max_force_n": 140.0, "body_region": "chest"}, "exactly one of"),
+        ({"speed_m_s": 0.1, "body_region": "nose"}, "one of skull, face"),
+        ({"speed_m_s": 0.0, "max_force_n": 140.0}, "speed_m_s"),
+        ({"speed_m_s": 0.1, "max_force_n": -1.0}, "max_force_n"),
+        ({"speed_m_s": 0.1, "max_force_n": 140.0, "hand": "waves"}, "pushes_on or lets_go"),
+    ],
+)
+def test_what_cannot_be_asked_is_refused(said: dict[str, Any], message: str) -> None:
+    with pytest.raises(ParameterError, match=message):
+        ContactAtSpeed(**said)
+
+
+def test_an_unmet_limit_names_the_speed_at_which_it_would_hold() -> None:
+    note = ContactAtSpeedLimit().easing_note(ContactAtSpeed(speed_m_s=0.1, max_force_n=140.0), 280.0)
+    assert "140 would hold at 0.05" in note
