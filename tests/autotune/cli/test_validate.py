@@ -63,11 +63,24 @@ def test_a_true_file_passes_and_every_check_is_reported(run_cli: RunCli, good: P
     assert done.returncode == 0
     assert is_next_alone(done.stderr)
     lines = done.stdout.splitlines()
-    assert lines[0].startswith("limits of the runtime: ")
-    reported = [re.match(r"ok +axis x, ([^:]+): \S", line)[1] for line in lines[2:-1]]  # type: ignore[index]
+    assert lines[0].startswith("axis x, led by hand: ")
+    assert lines[1].startswith("limits of the runtime: ")
+    reported = [re.match(r"ok +axis x, ([^:]+): \S", line)[1] for line in lines[3:-1]]  # type: ignore[index]
     assert reported == [*EVERY_CHECK, *SIMULATED]
     assert lines[-1] == f"controller.yaml: valid, checksum {short(read_controller(good).checksum)}"
     assert [path.name for path in good.parent.iterdir()] == ["controller.yaml"]
+
+
+def test_a_limit_of_the_force_says_which_speed_is_safe(run_cli: RunCli, good: Path) -> None:
+    """Twice the force, twice the speed; a part of the body stands for its force, another word for none."""
+    per_speed = small_controller().predicted["x"].peak_per_speed
+    assert per_speed is not None
+    line = run_cli("validate", str(good), "--force-limit", "65", *FEW).stdout.splitlines()[0]
+    slow, fast = 65.0 / per_speed.pushes_on, 65.0 / per_speed.lets_go
+    assert line.endswith(f"at most 65 N (--force-limit) up to {slow:.2g} and {fast:.2g} m/s")
+    refused = run_cli("validate", str(good), "--force-limit", "nose")
+    assert refused.returncode == 2
+    assert "Or name one of skull, face" in refused.stderr
 
 
 def test_a_log_without_weight_and_command_is_compared_by_its_peaks(run_cli: RunCli, good: Path) -> None:

@@ -35,6 +35,7 @@ EVERY_CHECK = [
     "requirements",
     "free-space admittance",
     "peak force",
+    "led by hand",
     "bouncing",
     "limits",
 ]
