@@ -185,7 +185,11 @@ def test_null_asks_for_nothing_and_absence_for_the_default(path: Path) -> None:
         ("rotational:\n  payload_inertia_kg_m2: [2, 1]\n", 2, "rotational.payload_inertia_kg_m2 must be [low, high]"),
         ("rotational:\n  bounds:\n    mass: [2, 1]\n", 3, "rotational.bounds.mass must be [low, high]"),
         ("rotational: {approach: {force_n: 3}}\n", 1, "rotational.approach.force_n must be one of torque_n_m"),
-        ("rotational: {requirements: {modulus_margin: 0.4}}\n", 1, "one of max_peak_torque_n_m, contact_at_speed, free_space_admittance"),
+        (
+            "rotational: {requirements: {modulus_margin: 0.4}}\n",
+            1,
+            "one of max_peak_torque_n_m, contact_at_speed, free_space_admittance",
+        ),
         (
             "rotational:\n  requirements:\n    free_space_admittance: {min_rad_s_per_n_m: 1, band_hz: [2, 1]}\n",
             3,
