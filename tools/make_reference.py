@@ -5,6 +5,7 @@ The page lists every entry of every file; `--check` only says whether both are u
 
 import argparse
 import json
+import re
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -13,13 +14,14 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
 SCHEMAS, PAGE = ROOT / "autotune" / "formats" / "schemas", ROOT / "docs" / "reference.md"
+MEANINGS = ROOT / "tools" / "entries.md"
 ORDER = ("controller", "identified", "plant", "problem", "cell", "plan", "pareto", "schedule")
 HEAD = """# Every entry of every file
 
 Made by `python tools/make_reference.py` from the JSON Schemas in `autotune/formats/schemas`, against which every
 file is
-checked when it is read and when it is written. [files.md](files.md) says what the entries mean. A name in angle
-brackets means any of those that are listed, or for a name of yours; `[ ]` is an entry of a list. Entries marked •
+checked when it is read and when it is written. [files.md](files.md) has what a person writes, and the rules. A name in
+angle brackets means any of those that are listed, or for a name of yours; `[ ]` is an entry of a list. Entries marked •
 must be there where their mapping is. An entry that is not listed is refused, but for mappings of which none is listed.
 """
 AXES, TURNING = ("x", "y", "z"), ("rx", "ry", "rz")
@@ -177,13 +179,20 @@ def page() -> str:
     from autotune.formats.problem import problem_schema
     from autotune.formats.schema import load_schema
 
-    parts = [HEAD]
+    parts, meanings = [HEAD], entry_meanings()
     for name in ORDER:
         tree = problem_schema({}) if name == "problem" else load_schema(name)
         rows = dict.fromkeys(row.text() for row in Schema(tree).rows())
         table = ["| | entry | is | unit | must be |", "|---|---|---|---|---|", *rows]
-        parts.append(f"## {name}.yaml\n\n{tree['title']}.\n\n" + "\n".join(table) + "\n")
+        said = f"{meanings[name]}\n\n" if name in meanings else ""
+        parts.append(f"## {name}.yaml\n\n{tree['title']}.\n\n{said}" + "\n".join(table) + "\n")
     return "\n".join(parts)
+
+
+def entry_meanings() -> dict[str, str]:
+    """Return what entries hold, by the name of the file."""
+    sections = re.split(r"^## (\w+)\.yaml\n", MEANINGS.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    return {name: text.strip() for name, text in zip(sections[1::2], sections[2::2], strict=True)}
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -1,5 +1,10 @@
 """`autotune demo`: the whole chain on the log of a simulated cell."""
 
+import contextlib
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -7,9 +12,9 @@ import click
 
 from problems.errors import MissingExtraError, require_extra
 
-from ._common import Output, output_options
+from ._common import COMPILING, Output, output_options
 from ._options import GroupedCommand
-from ._terminal import print_message, print_table
+from ._terminal import detect_terminal, print_message, print_table
 
 if TYPE_CHECKING:
     from autotune.demo import Comparison, DemoResult
@@ -21,6 +26,19 @@ Examples:
   autotune demo first-try --seed 7
   autotune demo --cell low-drag
   autotune demo --json --quiet
+"""
+
+
+# Any plant will do for what its design compiles.
+_PLANT = """format: autotune/plant
+version: 1
+mass: 16.2
+coupling_stiffness: 3.1e5
+coupling_damping: 150
+drag: {value: 330, std: 1}
+robot: {bandwidth: 3.2, delay: 2.4e-3}
+environment_stiffness: [9.6e4, 1.45e5]
+sample_time: 8e-4
 """
 
 
@@ -52,7 +70,7 @@ def command(output: Output, directory: Path, seed: int, cell: str) -> None:
     except MissingExtraError as error:
         output.note(f"{error} The demo goes on without it.")
         has_page = False
-    with output.progress("demo", 1.0) as advance:
+    with output.progress("demo", 1.0) as advance, _compiling_beside(output):
         found = run_demo(
             directory, cell=cell, seed=seed, step=lambda name: output.note(f"{name} ..."), progress=advance
         )
@@ -64,6 +82,39 @@ def command(output: Output, directory: Path, seed: int, cell: str) -> None:
         output.note(f"replaced {path}, of an earlier demo")
     output.result({**_tree(found), **written}, lambda: _print(found, page))
     output.next_command("explore", found.files.controller)
+
+
+@contextlib.contextmanager
+def _compiling_beside(output: Output) -> Iterator[None]:
+    """Compile what a design needs in a process of its own while the block runs, where kernels have to be compiled.
+
+    What that has not compiled at the end of the block is given up.
+    """
+    from autotune.processes import count_processors
+    from problems.compiling import on_compilation
+
+    running: list[subprocess.Popen[bytes]] = []
+    with tempfile.TemporaryDirectory(prefix="autotune-demo-") as folder:
+
+        def start() -> None:
+            if detect_terminal(sys.stderr).is_terminal:
+                output.note(COMPILING)
+            if count_processors() == 1:
+                return
+            plant = Path(folder) / "plant.yaml"
+            plant.write_text(_PLANT, encoding="utf-8")
+            command = [sys.executable, "-m", "autotune", "optimize", str(plant), "-o", f"{folder}/controller.yaml"]
+            command += ["--compare", "mass=10,damping=1500", "--quiet"]
+            nothing = subprocess.DEVNULL
+            running.append(subprocess.Popen(command, stdin=nothing, stdout=nothing, stderr=nothing))
+
+        on_compilation(start)
+        try:
+            yield
+        finally:
+            for process in running:
+                process.terminate()
+                process.wait()
 
 
 def _page(found: "DemoResult") -> "Page":

@@ -221,9 +221,11 @@ def main(arguments: list[str]) -> int:
             for seed in pool.imap_unordered(run_cell, jobs):
                 print(f"cell {seed}: {'contacts' if with_contacts else 'log'} done", file=sys.stderr)
     if options.page is not None:
-        from examples.mujoco.page import page
+        from examples.mujoco.page import page, tables
 
         options.page.write_text(page(folders), encoding="utf-8")
+        for name, text in tables(folders).items():
+            options.page.with_name(f"{options.page.stem}_{name}.csv").write_text(text, encoding="utf-8")
     return 0
 
 

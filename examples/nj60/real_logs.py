@@ -7,9 +7,11 @@ out is written down.
 """
 
 import argparse
+import csv
+import io
 import math
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -77,12 +79,13 @@ Robot bandwidth and surfaces over robot travel, value ± standard deviation and 
 At the measured speed of the approach, with gains and F^d of the contact (traces: M_a 13 kg, B_a 1000 N·s/m, K_l 0.02 s,
 30 N). A trace `_coll` ran with a collision response: it gives a stiffness and is no contact to predict. What a log
 predicts of itself with the stiffness of another is "in part"; "held out" is what took part on neither side. "and more":
-on some of the plants inside the uncertainty the loop is unstable. The bags do not say K_l, so the robot of a bag holds
+on some of the plants inside the uncertainty the loop is unstable; "unstable": on the most likely one, so there is no
+peak; "no r(s)": neither command nor gains identify the robot. The bags do not say K_l, so the robot of a bag holds
 what lead it had, and the robot of a trace does not: for a contact of a bag that loop lacks the lead and may be
-unstable.
+unstable. [Every prediction](real_logs_peaks.csv); what was held out:
 
-| robot from | surface from | contact of | measured [N] | {between} | predicted [N] | error [%] | {interval} | in |
-|---|---|---|---|---|---|---|---|---|
+| robot from | surface from | contact of | measured [N] | predicted [N] | error [%] | {interval} |
+|---|---|---|---|---|---|---|
 {rows}
 
 {summary}
@@ -178,7 +181,15 @@ def compared(
         return str(error)
 
 
-def pair_rows(found: dict[str, Identification | str], contacts: list[tuple[str, ComparedTouch]]) -> Iterator[str]:
+HEAD = (
+    *("robot from", "surface from", "contact of", "measured [N]", "between samples [N]", "predicted [N]"),
+    *("error [%]", "95 % interval [N]", "inside", "part"),
+)
+
+
+def pair_rows(
+    found: dict[str, Identification | str], contacts: list[tuple[str, ComparedTouch]]
+) -> Iterator[tuple[str, ...]]:
     """Yield a row for each contact of each pair, and collect those that took no part on either side."""
     pairs = [
         (robot, f"{test}_imco.csv", f"{test}_{kind}.csv")
@@ -189,20 +200,34 @@ def pair_rows(found: dict[str, Identification | str], contacts: list[tuple[str, 
     ]
     pairs += [(robot, "soft_low_1.bag", "soft_low_1.bag") for robot in ROBOTS]
     for training, test, surface in [*pairs, *((a, b, None) for a, b in REPEATS)]:
-        head = f"| `{training}` | `{surface or training}` | `{test}` |"
+        head = training, surface or training, test
         result = compared(found, training, test, surface)
         if isinstance(result, str):
-            yield f"{head} {result} | | | | | |"
+            yield (*head, *[""] * (len(HEAD) - len(head) - 1), why_not(result))
             continue
         for each in result:
             _, _, _, _, measured, between, predicted, error, interval, inside = compared_row(each)
-            yield f"{head} {measured} | {between} | {predicted} | {error} | {interval} | {inside} |"
-            held_out = test not in (training, surface)
-            contacts.append(("held out" if held_out else "in part", each))
+            part = "in part" if test in (training, surface) else "held out"
+            yield (*head, measured, between, predicted, error, interval, inside, part)
+            contacts.append((part, each))
 
 
-def page(folder: Path) -> str:
-    """Return the page."""
+def why_not(refusal: str) -> str:
+    """Return in a word or two why a contact has no prediction."""
+    words = {"loop is unstable": "unstable", "r(s) on axis": "no r(s)"}
+    return next((short for part, short in words.items() if part in refusal), refusal)
+
+
+def held_out_rows(rows: Sequence[tuple[str, ...]]) -> Iterator[str]:
+    """Yield the lines of the page's table: what took part on neither side, without what is only in the file."""
+    for *head, measured, _between, predicted, error, interval, _inside, part in rows:
+        if part == "held out":
+            names = " | ".join(f"`{name}`" for name in head)
+            yield f"| {names} | {measured} | {predicted} | {error} | {interval} |"
+
+
+def page(folder: Path) -> tuple[str, str]:
+    """Return the page, and every prediction as CSV."""
     names = sorted(path.name for path in folder.iterdir() if path.suffix in {".bag", ".csv"})
     with tempfile.TemporaryDirectory() as scratch:
         found = {name: identified(folder, name, Path(scratch)) for name in names}
@@ -222,7 +247,9 @@ def page(folder: Path) -> str:
                 f"{100.0 * np.max(np.abs(errors)):.0f} %; {inside} of {len(mine)} inside their 95 % interval, of which "
                 f"{open_ended} have no upper end."
             )
-    return frame([*estimate_rows(found)], rows, summary, [*variant_rows(found)])
+    stream = io.StringIO()
+    csv.writer(stream, lineterminator="\n").writerows([HEAD, *rows])
+    return frame([*estimate_rows(found)], [*held_out_rows(rows)], summary, [*variant_rows(found)]), stream.getvalue()
 
 
 def variant_rows(found: dict[str, Identification | str]) -> Iterator[str]:
@@ -269,7 +296,6 @@ def frame(estimates: list[str], rows: list[str], summary: list[str], variants: l
     """Return the page of its rows."""
     parts = {"estimates": estimates, "rows": rows, "summary": summary, "variants": variants}
     return PAGE.format(
-        between="between samples [N]",
         interval="95 % interval [N]",
         **{name: "\n".join(lines) for name, lines in parts.items()},
     )
@@ -281,7 +307,9 @@ def main() -> None:
     parser.add_argument("folder", nargs="?", type=Path, default=ROOT.parent / "shared" / "data" / "nj60")
     parser.add_argument("-o", "--output", type=Path, default=ROOT / "docs" / "real_logs.md")
     asked = parser.parse_args()
-    write_atomic(asked.output, page(asked.folder))
+    text, peaks = page(asked.folder)
+    write_atomic(asked.output, text)
+    write_atomic(asked.output.with_name(f"{asked.output.stem}_peaks.csv"), peaks)
     print(f"written: {asked.output}")
 
 
