@@ -17,7 +17,7 @@ pytest.importorskip("mujoco", reason="the extra mujoco is not installed")
 
 from examples.mujoco.cell import P_0, R_0, Hand, MujocoCell, Running, Wall
 from examples.mujoco.chain import estimates, record, truths
-from examples.mujoco.page import page
+from examples.mujoco.page import page, tables
 from examples.mujoco.study import Drawn, contacts, draw, kept
 
 GRAVITY = 9.81
@@ -177,7 +177,10 @@ def test_the_page_counts_what_the_intervals_hold_and_what_was_refused(tmp_path: 
     assert "Cell 2 (B_p 38, joints 39 N) refused: no sweep" in text
     assert "| wall of the log | 1 | +10.0 | +10.0 | +10.0 | 1 | 0 |" in text
     assert "| half as stiff | 1 | – | – | – | 0 | 1 |" in text
-    assert "| 0 | 52.0 | 50.0 → **55.0** | 50.0 → SPEED |" in text
+    found = tables(folders)
+    assert found["peaks"].splitlines()[1].startswith("0,52.0,50.0 → 55.0,50.0 → SPEED")
+    assert found["deviations"].splitlines()[0].startswith("cell,what it has,mass,com z,K_s")
+    assert ",-4.0," in found["deviations"].splitlines()[2]
 
 
 def test_a_study_goes_on_where_it_was(tmp_path: Path) -> None:
