@@ -245,8 +245,11 @@ class Running:
     def approach_at(self, touch: Touch) -> Approach:
         """Return how a touch began: at its measured speed under F^d, or where one of both is not known by the other.
 
-        Raises UsageError where neither is known, and where F^d of the log points away from what is touched.
+        Raises UsageError where neither is known, where F^d of the log points away from what is touched, and where a
+        hand led into it.
         """
+        if touch.is_led:
+            raise UsageError("a hand led the payload into it, and with which force it pushed on is not known.")
         force = self.desired_force
         if force is None and touch.desired_force is not None:
             force = touch.sign * touch.desired_force

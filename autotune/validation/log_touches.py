@@ -38,7 +38,7 @@ def compare_touches_of_log(
     compared = []
     for touch in touches:
         # A force without an approach is also what the payload's mass shows where a motion begins.
-        is_whole = touch.cause is TouchCause.WALL and not touch.is_withdrawn
+        is_whole = touch.cause is TouchCause.WALL and not touch.is_withdrawn and not touch.is_led
         compared += list(_compared(controller, touch)) if is_whole else []
         if progress is not None:
             progress(1.0 / len(touches))

@@ -93,6 +93,8 @@ def test_a_touch_from_which_the_desired_force_points_away_is_not_predicted(sign:
     # What a person says is along the approach.
     said = replace(running, desired_force=20.0)
     assert said.approach_at(replace(met, desired_force=-30.0 * sign)).after_impact_n == 20.0
+    with pytest.raises(at.UsageError, match="a hand led the payload into it"):
+        said.approach_at(replace(met, is_led=True))
 
 
 @pytest.mark.parametrize(("stiffness", "period_s"), [(2.6e3, 1e-3), (1.75e4, 1e-3), (1.75e4, 1e-2)])
