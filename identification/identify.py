@@ -21,7 +21,6 @@ from .payload.gravity import GravityFit, identify_gravity
 from .payload.gravity_verdicts import com_estimate, gravity_findings, mass_estimate
 from .payload.inertia import InertiaFit, identify_inertia
 from .rebuilt_command import rebuilt_command
-from .rests import at_rest_only, identify_from_rows
 from .result import (
     Estimate,
     Finding,
@@ -33,7 +32,7 @@ from .result import (
 )
 from .robot.admittance_estimates import AdmittanceRobots, identify_admittance_robots
 from .robot.admittance_motion import with_compensated_force
-from .sensor import describe_sensor
+from .sensor import at_rest_only, describe_sensor, identify_from_rows
 from .signals.aligned import AlignedLog, align, check_regular, find_gaps
 from .signals.recording import Frames, PoseSignal, Recording
 from .signals.repairs import restore_commands, without_spikes

@@ -44,10 +44,10 @@ from .view import (
     build_window,
     compute_map,
     compute_view,
+    find_way_back,
     map_pairs,
     prepare_view,
 )
-from .way_back import find_way_back
 
 _COLUMNS, _ROWS = 10, 8
 # How many times as fine the map becomes, and how long the hand rests before that.

@@ -26,9 +26,8 @@ from problems.model.plant import WrenchFilter
 from problems.model.robot import RobotModel
 
 from .defaults import follow_robot
-from .measured_error import with_measured_error
 from .plausible import check_plausible, unexplained_contacts
-from .uncertain import with_uncertainty
+from .uncertain import with_measured_error, with_uncertainty
 from .wrench import LAG, LATE, build_wrench, check_wrench, without_position
 
 # The default range of a parameter: what the log allows, and not less than a cell changes from day to day.

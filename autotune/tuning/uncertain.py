@@ -5,20 +5,25 @@ and B_e takes everything from none to the upper end of what was identified.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from autotune.formats.problem import Interval, Uncertain
-from autotune.formats.units import axis_key
+from autotune.formats.units import ROTATIONAL_AXES, axis_key
 from identification.errors import EstimateError
-from identification.result import AxisEstimate, Covariance, Estimate, Status
-from problems.arrays import FloatArray
+from identification.measured_response import MeasuredResponse
+from identification.result import RESPONSE_DIFFERS, AxisEstimate, Covariance, Estimate, Identified, Status
+from problems.arrays import ComplexArray, FloatArray
 from problems.design.problem import DesignProblem
+from problems.design.requirements import MultiplicativeError
 from problems.design.uncertainty import FURTHER_UNCERTAIN, SYMBOLS, Ellipsoid
+from problems.model.plant import FREE_SPACE
 from problems.model.plant_parameters import PARAMETERS, with_values
+from problems.model.response import plant_response
 from problems.model.robot import bandwidth_share, has_damping_ratio
+from problems.model.sampled import build_sampled_plant
 
 LEVEL = 0.95
 # The symbols of identification's covariance: a robot's are those of its poles.
@@ -36,6 +41,11 @@ _DIGITS = 5
 # Of a deviation: what was written and read again is the same number.
 _SAME = 0.01
 _STEP = 1e-6
+
+_NAME = "multiplicative_error"
+# Of the circles of 95 %, and of the response: what lies within is the parameters' own uncertainty.
+_CIRCLES, _SMALL_SHARE = 1.54, 0.03
+_ERROR_DIGITS = 3
 
 
 def with_uncertainty(problem: DesignProblem, axis: AxisEstimate, name: str, said: Uncertain) -> DesignProblem:
@@ -228,3 +238,58 @@ def _digits(value: float, *, down: bool) -> float:
     exponent = math.floor(math.log10(value)) - _DIGITS + 1
     whole = value / 10.0**exponent
     return float(f"{math.floor(whole) if down else math.ceil(whole)}e{exponent}")
+
+
+def with_measured_error(identified: Identified, problems: Mapping[str, DesignProblem]) -> dict[str, DesignProblem]:
+    """Return the problems with the modulus margin asked beside the measured error of the straight axes.
+
+    Only where identification found that model and measurement differ, nobody says a `multiplicative_error` and a
+    modulus margin is asked. Straight axes share their requirements, so each is asked for the error of all of them. One
+    without points asks for nothing: so it is declined.
+    """
+    straight = {name: each for name, each in problems.items() if name not in ROTATIONAL_AXES}
+    points = _joined([row for name, each in straight.items() for row in _error(identified, name, each)])
+    changed = dict(problems)
+    for name, each in straight.items():
+        said, modulus = each.requirements.multiplicative_error, each.requirements.modulus_margin
+        error = said
+        if said is None and points and modulus is not None:
+            error = MultiplicativeError(min_modulus=modulus, points=points)
+        elif said is not None and not said.points:
+            error = None
+        if error != said:
+            changed[name] = replace(each, requirements=each.requirements.with_asked(_NAME, error))
+    return changed
+
+
+def _error(identified: Identified, name: str, problem: DesignProblem) -> Iterator[tuple[float, float]]:
+    """Yield frequency [Hz] and (|F_measured − F| + radius)/|F| where that is beyond the circle; F is of free space."""
+    response = identified.axes[name].frequency_response
+    measured = None if response is None else response.command_to_force
+    if measured is None or not any(f.code == RESPONSE_DIFFERS and f.axis == name for f in identified.findings):
+        return
+    h = problem.sample_time_s
+    below = measured.frequency_hz < 0.5 / h
+    frequency, size = measured.frequency_hz[below], _modelled(problem, measured)[below]
+    apart, radius = np.abs(measured.values[below] - size), measured.radius_95[below]
+    for f, modelled, difference, circle in zip(frequency, np.abs(size), apart, radius, strict=True):
+        if difference > _CIRCLES * circle + _SMALL_SHARE * modelled:
+            yield float(f), float(f"{(difference + circle) / modelled:.{_ERROR_DIGITS}g}")
+
+
+def _modelled(problem: DesignProblem, measured: MeasuredResponse) -> ComplexArray:
+    """Return command → force (k,) of the identified plant, without hold and filter as it was measured."""
+    plant, h = problem.plants.nominal.in_contact_with(FREE_SPACE), problem.sample_time_s
+    omega = 2.0 * np.pi * measured.frequency_hz
+    hold = -np.expm1(-1j * omega * h) / (1j * omega * h)
+    return np.asarray(
+        plant_response(build_sampled_plant(plant, h), omega).force / (plant.wrench_filter.response(omega) * hold)
+    )
+
+
+def _joined(points: list[tuple[float, float]]) -> tuple[tuple[float, float], ...]:
+    """Return the largest error of each frequency, by frequency."""
+    largest: dict[float, float] = {}
+    for frequency, share in points:
+        largest[frequency] = max(share, largest.get(frequency, 0.0))
+    return tuple(sorted(largest.items()))

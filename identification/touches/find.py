@@ -11,9 +11,8 @@ from ..result import Blow, Touch, TouchCause
 from ..signals.aligned import Span, spans_of
 from ..signals.contact_rule import CONTACT
 from ..signals.segments import without_pauses, without_short
-from .peak import bound_peak
+from .peak import bound_peak, is_withdrawn
 from .signals import AxisSignals
-from .withdrawn import is_withdrawn
 
 _APPROACH_S, _SHORTEST_APPROACH_S = 0.1, 0.02
 SMALLEST_SPEED_M_S = 2e-3

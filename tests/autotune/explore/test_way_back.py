@@ -3,8 +3,7 @@
 import numpy as np
 
 from autotune.explore.sliders import nominal_values, scenario_at
-from autotune.explore.view import build_window, compute_map, prepare_view
-from autotune.explore.way_back import find_way_back
+from autotune.explore.view import build_window, compute_map, find_way_back, prepare_view
 from autotune.tuning.bounds import Box
 from problems.design.evaluation import build_scenarios
 from tests.autotune.explore.start import DESIGN, small_exploration

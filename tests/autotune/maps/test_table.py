@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from autotune.maps.make import table_text
 from autotune.maps.setup import MapSetup
-from autotune.maps.table import table_text
 from problems.maps.search import IntervalRequest, IntervalResult, find_stable_intervals
 from tests.autotune.maps.map_cases import plan_of, small_map
 
