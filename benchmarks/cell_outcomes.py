@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from autotune.simulation.truth import AXES
+from autotune.formats.units import AXES
 from benchmarks.cell_logs import TURN
 from benchmarks.cells import DrawnCell
 from identification.result import AxisEstimate, EnvironmentEstimate, Estimate, Identified

@@ -5,9 +5,10 @@ from typing import Literal
 
 import numpy as np
 
+from autotune.formats.units import AXES
 from autotune.simulation.phases import Program
 from autotune.simulation.simulate import WORKING_ORIENTATION, simulate_cell
-from autotune.simulation.truth import AXES, SimulatedCell
+from autotune.simulation.truth import SimulatedCell
 from identification.signals.recording import PoseSignal, Recording, WrenchSignal
 from problems.arrays import FloatArray
 from problems.model.controller import AdmittanceController

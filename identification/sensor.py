@@ -7,7 +7,7 @@ import numpy as np
 from .conventions.choice import ReadLog
 from .conventions.search import rank_conventions
 from .payload.gravity import GravityFit, identify_gravity
-from .payload.gravity_verdicts import WITHOUT_TORQUE, com_estimate, gravity_findings, mass_estimate
+from .payload.gravity_verdicts import METHOD, WITHOUT_TORQUE, com_estimate, gravity_findings, mass_estimate
 from .payload.mounting import identify_mounting
 from .payload.static_poses import rows_as_poses
 from .result import Estimate, Finding, Identified, PayloadEstimate, SensorEstimate, Status, VectorEstimate
@@ -15,7 +15,6 @@ from .signals.recording import Frames, PoseSignal, Recording
 from .signals.sensor_noise import SensorNoise, identify_sensor_noise
 from .verdicts import missing, unidentifiable, unidentifiable_vector, vector
 
-_METHOD = "least squares over static poses"
 _FEWEST_DIFFERENCES = 100
 
 
@@ -28,7 +27,7 @@ def describe_sensor(
     rms = gravity.noise_rms_n
     within = Estimate(value=rms, std=0.02 * rms, status=Status.IDENTIFIED, method="spread within rests")
     sensor = SensorEstimate(
-        force_bias_n=vector(gravity.force_bias_S_n, gravity.force_bias_std_n, method=_METHOD),
+        force_bias_n=vector(gravity.force_bias_S_n, gravity.force_bias_std_n, method=METHOD),
         torque_bias_n_m=torque_bias(gravity),
         force_noise_rms_n=within if noise is None else noise.force_rms(),
         gravity_residual_rms_n=residual_estimate(gravity),
@@ -119,7 +118,7 @@ def identify_from_rows(recording: Recording, frames: Frames | None = None) -> Id
     mounting = identify_mounting(poses, gravity, None if frames is None else frames.R_FS)
     averaged = unidentifiable(note="each row is a mean, so it shows nothing of single samples")
     sensor = SensorEstimate(
-        force_bias_n=vector(gravity.force_bias_S_n, gravity.force_bias_std_n, method=_METHOD),
+        force_bias_n=vector(gravity.force_bias_S_n, gravity.force_bias_std_n, method=METHOD),
         torque_bias_n_m=torque_bias(gravity),
         force_noise_rms_n=averaged,
         gravity_residual_rms_n=residual_estimate(gravity),
@@ -157,7 +156,7 @@ def torque_bias(gravity: GravityFit) -> VectorEstimate:
     """Return the sensor's torque bias, unidentifiable without torques."""
     if not gravity.has_torque:
         return unidentifiable_vector(WITHOUT_TORQUE)
-    return vector(gravity.torque_bias_S_n_m, gravity.torque_bias_std_n_m, method=_METHOD)
+    return vector(gravity.torque_bias_S_n_m, gravity.torque_bias_std_n_m, method=METHOD)
 
 
 def residual_estimate(gravity: GravityFit) -> Estimate:
@@ -166,5 +165,5 @@ def residual_estimate(gravity: GravityFit) -> Estimate:
         value=gravity.residual_rms_n,
         std=gravity.residual_rms_n / np.sqrt(6.0 * max(gravity.pose_count, 1)),
         status=Status.IDENTIFIED,
-        method=_METHOD,
+        method=METHOD,
     )

@@ -12,11 +12,9 @@ from .ros_yaml import (
     NAME_OPTIONS,
     ORIENTATION,
     UPRIGHT,
-    InstallationNames,
-    Quaternion,
+    OrientedNames,
     Tree,
     check_keys,
-    check_orientation,
     spawner,
     update_rate_hz,
 )
@@ -57,20 +55,10 @@ _LINK_MASS = 1e-4
 
 
 @dataclass(frozen=True, kw_only=True)
-class FziOptions(InstallationNames):
-    """The names that the file needs beyond the controller, and the sensor's orientation in the base where it is used.
-
-    `orientation` is a quaternion (x, y, z, w) that takes vectors from the sensor's axes, those that were tuned, to the
-    base's. Raises UsageError for a name or a quaternion that is none.
-    """
+class FziOptions(OrientedNames):
+    """What the file needs beyond the controller; the axes of `orientation` are those that were tuned."""
 
     controller_name: str = "cartesian_force_controller"
-    orientation: Quaternion | None = None
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.orientation is not None:
-            check_orientation(self.orientation)
 
 
 def notes() -> Iterator[str]:

@@ -13,7 +13,6 @@ if TYPE_CHECKING:
 _MARK = "MATLAB 5.0 MAT-file, written by autotune export --target mat"
 _TEXT_BYTES = 116
 """The text at the head of a MATLAB file, in which scipy writes the time of day."""
-_BLOCKS = ("robot", "coupling", "payload", "environment", "wrench", "forward", "feedback", "acceleration")
 _SAMPLED = ("at_force", "at_command", "closed_loop")
 
 
@@ -61,12 +60,12 @@ def _axis(controller: "Controller", name: str) -> dict[str, Any]:
 
 def _loop(plant: Any, law: Any, sample_time_s: float) -> dict[str, Any]:
     """Return the continuous blocks as `num` and `den`, the sampled loops as matrices, by the names of `to_control`."""
-    from problems.model.python_control import to_control  # noqa: PLC0415 - python-control takes seconds to import
+    from problems.model.python_control import BLOCKS, to_control  # noqa: PLC0415 - python-control takes seconds to import
     from problems.model.sampled import build_sampled_plant  # noqa: PLC0415
 
     objects = to_control(build_sampled_plant(plant, sample_time_s), law)
     blocks = {}
-    for name in _BLOCKS:
+    for name in BLOCKS:
         system = getattr(objects, name)
         blocks[name] = {"num": system.num[0][0], "den": system.den[0][0]}
     sampled = {}

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from problems.progress import Progress
 
-from .ros_yaml import UPRIGHT, InstallationNames, Quaternion, Tree, check_orientation, spawner, update_rate_hz
+from .ros_yaml import UPRIGHT, OrientedNames, Tree, spawner, update_rate_hz
 from .target import ExportRequest, ExportTarget, TargetOption, begins_with, render_translation
 
 if TYPE_CHECKING:
@@ -26,22 +26,12 @@ _SPAWNER = spawner("admittance_controller")
 
 
 @dataclass(frozen=True, kw_only=True)
-class MdkOptions(InstallationNames):
-    """The names of an installation, and the sensor's orientation in the base where it is used.
-
-    `orientation` is a quaternion (x, y, z, w) that takes vectors from the sensor's axes to the base's. Raises
-    UsageError for a name or a quaternion that is none.
-    """
+class MdkOptions(OrientedNames):
+    """What a program with such a law needs beyond the controller; raises UsageError for what is none."""
 
     sensor_name: str = "ft_sensor"
     control_frame: str | None = None
     robot_name: str = "lbr"
-    orientation: Quaternion | None = None
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.orientation is not None:
-            check_orientation(self.orientation)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from autotune.errors import UsageError
+from autotune.formats.units import AXES
 from problems.frozen import FrozenDict
 
 from .ros_yaml import (
@@ -33,7 +34,6 @@ if TYPE_CHECKING:
     from .retune import ControllerStructure
     from .third_party import ParameterFile, TranslatedAxis, Translation
 
-AXES = ("x", "y", "z", "rx", "ry", "rz")
 STANDARD_GRAVITY = 9.80665
 RELEASES: Mapping[str, tuple[int, int, int]] = FrozenDict(
     {

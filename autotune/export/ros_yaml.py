@@ -110,6 +110,21 @@ class InstallationNames:
                 check_names(f"--{name.replace('_', '-')}", (getattr(self, name),))
 
 
+@dataclass(frozen=True, kw_only=True)
+class OrientedNames(InstallationNames):
+    """The names, and the sensor's orientation in the base where it is used; raises UsageError for what is none.
+
+    `orientation` is a quaternion (x, y, z, w) that takes vectors from the sensor's axes to the base's.
+    """
+
+    orientation: Quaternion | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.orientation is not None:
+            check_orientation(self.orientation)
+
+
 def check_joint_count(joints: tuple[str, ...], axes: int) -> None:
     """Raise UsageError for fewer joints than controlled axes: they cannot move each by itself."""
     if len(joints) < axes:

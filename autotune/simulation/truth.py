@@ -5,12 +5,11 @@ from typing import Any, Literal
 
 import numpy as np
 
+from autotune.formats.units import AXES
 from problems.errors import ParameterError
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Coupling, Environment, PayloadDynamics, Plant
 from problems.model.robot import RobotModel
-
-AXES = ("x", "y", "z", "rx", "ry", "rz")
 
 
 @dataclass(frozen=True, kw_only=True)

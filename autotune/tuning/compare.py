@@ -18,12 +18,11 @@ from problems.model.response import hand_force_per_speed
 from problems.stability.margins import UnstableLoopError
 
 from .bounds import bounds_of
-from .record import admittance_band_hz
+from .record import MARGIN_NAMES, admittance_band_hz
 from .scenario_exchange import WholeSet
 from .search import SearchResult, presentable
 
 _SAME_PERIOD = 1e-6
-_MARGINS = ("modulus", "gain_db", "phase_deg", "delay_s")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,7 +137,7 @@ def evaluate_controller(prepared: PreparedScenarios, law: AdmittanceController) 
     performance = Performance(
         peak_sensor_force_n=max(peak.peak_sensor_force_n for peak in peaks),
         peak_contact_force_n=max(peak.peak_contact_force_n for peak in peaks),
-        margins={name: min(float(getattr(each.margins, name)) for each in exact.margins) for name in _MARGINS},
+        margins={name: min(float(getattr(each.margins, name)) for each in exact.margins) for name in MARGIN_NAMES},
         min_m_s_per_n=smallest_admittance(prepared.free[0], law, band),
         hand_force_n_per_m_s=hand_force_per_speed(problem.plants.nominal, law),
         missed={name: value for name, value in exact.evaluation.requirements.items() if value > 1.0},

@@ -48,7 +48,7 @@ _DEFAULT_BAND_HZ = (0.1, 2.0)
 _PREDICTED_STIFFNESS, _PREDICTED_MASS = 5, 2
 # Any speed gives the same ratio.
 _LED_M_S = 0.1
-_NAMES = ("modulus", "gain_db", "phase_deg", "delay_s")
+MARGIN_NAMES = ("modulus", "gain_db", "phase_deg", "delay_s")
 
 
 def build_controller(
@@ -236,7 +236,7 @@ def _soft(result: SearchResult) -> dict[str, SoftRequirement]:
 
 def _margins(found: tuple[PlantMargins, ...]) -> AxisMargins:
     """Return the smallest margins over the dense grid of the domain and free space, each with its plant."""
-    worst = {name: min(found, key=lambda f: float(getattr(f.margins, name))) for name in _NAMES}
+    worst = {name: min(found, key=lambda f: float(getattr(f.margins, name))) for name in MARGIN_NAMES}
     return AxisMargins(
         **{name: float(getattr(plant.margins, name)) for name, plant in worst.items()},
         worst={

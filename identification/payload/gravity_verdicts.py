@@ -12,7 +12,7 @@ from .static_poses import GRAVITY_B_M_S2
 
 WITHOUT_TORQUE = "the log has no three torques: force and orientation show mass and force bias only"
 
-_METHOD = "least squares over static poses"
+METHOD = "least squares over static poses"
 _COM_IDENTIFIED_M = 5e-3
 _COM_WEAK_M = 25e-3
 _LARGE_SHARE = 0.02
@@ -28,7 +28,7 @@ _ADVICE = {
 
 def mass_estimate(fit: GravityFit) -> Estimate:
     """Return the mass with its verdict: identified within 5 %, weak within 25 %."""
-    return judged(fit.mass_kg, fit.mass_std_kg, method=_METHOD, note="includes the unknown local gravity")
+    return judged(fit.mass_kg, fit.mass_std_kg, method=METHOD, note="includes the unknown local gravity")
 
 
 def com_estimate(fit: GravityFit) -> VectorEstimate:
@@ -47,7 +47,7 @@ def com_estimate(fit: GravityFit) -> VectorEstimate:
         value=tuple(float(v) for v in fit.com_S_m),
         std=tuple(float(s) for s in fit.com_std_m),
         status=Status.IDENTIFIED if worst <= _COM_IDENTIFIED_M else Status.WEAK,
-        method=_METHOD,
+        method=METHOD,
     )
 
 

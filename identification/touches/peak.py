@@ -5,7 +5,7 @@ from scipy.integrate import cumulative_trapezoid
 
 from problems.arrays import FloatArray
 
-from .signals import AxisSignals
+from .signals import TO_DEVIATION, AxisSignals
 
 _ENTERED_SHARE = 0.1
 # Of half sines, triangles, bells and exponentials at any phase, the bounds hold where three samples reach half of the
@@ -19,7 +19,6 @@ _DEVIATIONS = 3.0
 _FEWEST_QUIET = 12
 # Steps between neighbours do not show noise that changes slowly; those between longer means do.
 _WIDER = 2 ** np.arange(6)
-_TO_DEVIATION = float(1.4826 / np.sqrt(2.0))
 
 _BEFORE_S, _AFTER_S, _LONGEST_S = 0.15, 0.3, 2.0
 _FEWEST, _MOST_TRIED = 12, 100
@@ -93,7 +92,7 @@ def _deviation(quiet: FloatArray | None, block: int, crest: int) -> float:
         return 0.0
     wider = [each for each in block * _WIDER if each == block or (each <= crest and 4 * each <= len(quiet))]
     steps = [np.abs((means := block_means(quiet, int(each)))[each:] - means[:-each]) for each in wider]
-    return _TO_DEVIATION * max(float(np.median(step)) for step in steps)
+    return TO_DEVIATION * max(float(np.median(step)) for step in steps)
 
 
 def _largest(means: FloatArray, top: int, block: int, low: float) -> float:

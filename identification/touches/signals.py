@@ -25,7 +25,7 @@ _NOISES = 6.0
 _SPEED_S = 0.1
 _MOVING_M_S, _CONSTANT_N = 2e-3, 1.0
 _DRAG_FACTOR, _DRAG_SCATTER = 1.25, 0.2
-_TO_DEVIATION = float(1.4826 / np.sqrt(2.0))
+TO_DEVIATION = float(1.4826 / np.sqrt(2.0))
 _FEWEST, _FEWEST_FOR_NOISE = 4, 100
 
 
@@ -137,7 +137,7 @@ def _is_shared(recording: Recording) -> BoolArray:
 
 def sample_noise(force: FloatArray) -> float:
     """Return the deviation of one sample, from the usual step between two; a log of a blow alone shows none."""
-    return _TO_DEVIATION * float(np.median(np.abs(np.diff(force)))) if len(force) >= _FEWEST_FOR_NOISE else 0.0
+    return TO_DEVIATION * float(np.median(np.abs(np.diff(force)))) if len(force) >= _FEWEST_FOR_NOISE else 0.0
 
 
 def _level(recording: Recording, force: FloatArray, noise: float, drag: float) -> float:

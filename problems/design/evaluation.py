@@ -326,12 +326,6 @@ class CustomRequirement(EvaluationFunction, Requirement[float]):
             raise ParameterError(self._described(), ratio, "required/achieved, 0 or above, for a stable loop")
         return ratio
 
-    def __init_subclass__(cls, **options: Any) -> None:
-        """Give a subclass that says its name only a title."""
-        super().__init_subclass__(**options)
-        if "name" in cls.__dict__ and "title" not in cls.__dict__:
-            cls.title = cls.name.replace("_", " ")
-
     def worst_scenario(self, asked: float, design: StableDesign) -> Scenario:
         """Return the scenario that is worst by itself."""
         del asked

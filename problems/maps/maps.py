@@ -1,7 +1,7 @@
 """Maps: any two parameters of the loop against stability, a margin or the peak of a contact."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal, TypeVar
 
@@ -15,12 +15,12 @@ from ..errors import ParameterError
 from ..frozen import freeze
 from ..model.controller import AdmittanceController, check_feedback_damping
 from ..model.plant import Plant
+from ..progress import Progress
 from .loops import Designs, Where, build_chunk, check_delay, designs_around, peaks_of
 from .parameters import MapParameter, MapQuantity, Part, check_together, controller_at, find_parameter, plant_at
 
 _Kind = TypeVar("_Kind", np.bool_, np.float64)
 Spacing = Literal["linear", "log"]
-Progress = Callable[[float], None]
 
 MOST_VALUES = 2000
 MOST_POINTS = 1_000_000

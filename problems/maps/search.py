@@ -12,8 +12,9 @@ from ..errors import ParameterError
 from ..frozen import FrozenDict, freeze
 from ..model.controller import AdmittanceController
 from ..model.plant import Plant
+from ..progress import Progress
 from .loops import Designs, PlantChunk, Where, build_chunk, check_delay, designs_around
-from .maps import PLANTS_PER_CHUNK, MapAxis, Progress, check_varied
+from .maps import PLANTS_PER_CHUNK, MapAxis, check_varied
 from .parameters import controller_at, plant_at
 
 DEFAULT_TOLERANCE = 1e-5

@@ -56,7 +56,7 @@ class ControlObjects:
 
     def __repr__(self) -> str:
         return (
-            f"<ControlObjects: continuous {', '.join(_BLOCKS)}; sampled every {1e3 * self.sample_time_s:g} ms "
+            f"<ControlObjects: continuous {', '.join(BLOCKS)}; sampled every {1e3 * self.sample_time_s:g} ms "
             "at_force, at_command, closed_loop>"
         )
 
@@ -65,7 +65,7 @@ class ControlObjects:
         return _built, (self.plant, self.sample_time_s, self.controller)
 
 
-_BLOCKS = ("robot", "coupling", "payload", "environment", "wrench", "forward", "feedback", "acceleration")
+BLOCKS = ("robot", "coupling", "payload", "environment", "wrench", "forward", "feedback", "acceleration")
 
 
 def _built(plant: Plant, sample_time_s: float, controller: AdmittanceController) -> ControlObjects:

@@ -8,6 +8,7 @@ import numpy as np
 from ...arrays import FloatArray
 from ...errors import ParameterError
 from ..requirements import Requirement, Requirements
+from ..requirements.base import Titled
 from ..stable_design import Gradient, PreparedPlants, StableDesign
 from ..uncertainty import Scenario
 
@@ -16,7 +17,7 @@ BatchColumn = Literal["contact_peak", "sensor_peak", "modulus", "admittance"]
 """What the compiled evaluation of many designs computes by itself (`design.batch_evaluation`)."""
 
 
-class Objective(ABC):
+class Objective(Titled, ABC):
     """One number of a controller that should be small, or large.
 
     A subclass says its `name`, `unit` and `direction`; `title` is the name in words, `rotational_unit` the unit on rx,
@@ -27,18 +28,10 @@ class Objective(ABC):
     minimises is the largest `cost`; costs are compared by their ratio, so that the number must be above 0.
     """
 
-    name: ClassVar[str]
     unit: ClassVar[str]
     direction: ClassVar[Direction]
-    title: ClassVar[str]
     rotational_unit: ClassVar[str | None] = None
     batch_column: ClassVar[BatchColumn | None] = None
-
-    def __init_subclass__(cls, **options: Any) -> None:
-        """Give a subclass that says its name only a title."""
-        super().__init_subclass__(**options)
-        if "name" in cls.__dict__ and "title" not in cls.__dict__:
-            cls.title = cls.name.replace("_", " ")
 
     def __eq__(self, other: object) -> bool:
         return type(self) is type(other)

@@ -19,8 +19,21 @@ Value = TypeVar("Value")
 """What is asked: a number, or a frozen value that holds one (`Requirement.threshold`) and what else must be said."""
 
 
+class Titled:
+    """What has a `name`, and a `title` in words, which is the name where a subclass says no other."""
+
+    name: ClassVar[str]
+    title: ClassVar[str]
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        """Give a subclass that says its name only a title."""
+        super().__init_subclass__(**options)
+        if "name" in cls.__dict__ and "title" not in cls.__dict__:
+            cls.title = cls.name.replace("_", " ")
+
+
 @dataclass(frozen=True)
-class Requirement(ABC, Generic[Value]):
+class Requirement(Titled, ABC, Generic[Value]):
     """One kind of requirement: what it is called, how it is computed, and how what is asked is relaxed and shown.
 
     `name` is the key in `problem.yaml` and `controller.yaml`; `unit` that of the threshold, `turning_unit` on rx, ry,
@@ -33,8 +46,6 @@ class Requirement(ABC, Generic[Value]):
     the controller, the worst of them is not.
     """
 
-    name: ClassVar[str]
-    title: ClassVar[str]
     depends_on: ClassVar[Literal["loop", "robot", "contact"]]
     unit: ClassVar[str] = ""
     turning_unit: ClassVar[str | None] = None
