@@ -14,7 +14,7 @@ from numba.core import config as numba_config
 from numba.core import event as numba_event
 from numba.extending import register_jitable
 
-from .compiling import many_compilations
+from .compiling import compilation_began, many_compilations
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
@@ -35,6 +35,7 @@ class _Compilations(numba_event.Listener):
         """Count a compilation that begins."""
         del event
         self.count += 1
+        compilation_began()
         if self.count == _NOTICED:
             many_compilations()
 

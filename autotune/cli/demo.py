@@ -4,7 +4,7 @@ import contextlib
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from autotune.demo import Comparison, DemoResult
     from autotune.report.page import Page
 
+    from ._common import Advance
+
 _EPILOG = """\b
 Examples:
   autotune demo
@@ -29,6 +31,8 @@ Examples:
 """
 
 
+# Of a cold start: the kernels that are compiled here, and the share of the time that they take.
+_KERNELS, _COLD_SHARE = 300, 0.75
 # Any plant will do for what its design compiles.
 _PLANT = """format: autotune/plant
 version: 1
@@ -70,10 +74,8 @@ def command(output: Output, directory: Path, seed: int, cell: str) -> None:
     except MissingExtraError as error:
         output.note(f"{error} The demo goes on without it.")
         has_page = False
-    with output.progress("demo", 1.0) as advance, _compiling_beside(output):
-        found = run_demo(
-            directory, cell=cell, seed=seed, step=lambda name: output.note(f"{name} ..."), progress=advance
-        )
+    with output.progress("demo", 1.0) as advance, _compiling_beside(output), _counting_kernels(advance) as work:
+        found = run_demo(directory, cell=cell, seed=seed, step=lambda name: output.note(f"{name} ..."), progress=work)
     page = found.files.log.parent / PAGE if has_page else None
     written = write_report(output, page, lambda: _page(found))
     if page is not None:
@@ -82,6 +84,26 @@ def command(output: Output, directory: Path, seed: int, cell: str) -> None:
         output.note(f"replaced {path}, of an earlier demo")
     output.result({**_tree(found), **written}, lambda: _print(found, page))
     output.next_command("explore", found.files.controller)
+
+
+@contextlib.contextmanager
+def _counting_kernels(advance: "Advance") -> Iterator[Callable[[float], None]]:
+    """Yield what takes shares of the work, while the bar also moves with every kernel that is compiled.
+
+    A cold start spends most of its time on them; then they have most of the bar, else the work has all of it.
+    """
+    from problems.compiling import each_compilation
+
+    compiled = 0
+
+    def count() -> None:
+        nonlocal compiled
+        compiled += 1
+        if compiled <= _KERNELS:
+            advance(_COLD_SHARE / _KERNELS)
+
+    with each_compilation(count):
+        yield lambda share: advance((1.0 - _COLD_SHARE if compiled else 1.0) * share)
 
 
 @contextlib.contextmanager
