@@ -6,7 +6,7 @@ from pathlib import Path
 import click
 import pytest
 
-from autotune.cli import _common, warm
+from autotune.cli import _common, demo, warm
 from autotune.cli.main import main
 from problems.compiled import _Compilations
 from problems.compiling import many_compilations, on_compilation
@@ -83,3 +83,25 @@ def test_a_cold_command_says_once_at_a_terminal_that_it_compiles(
     printed = capsys.readouterr()
     assert json.loads(printed.out) == {"done": True}
     assert printed.err.count("Compiling once") == times
+
+
+def test_the_bar_of_a_cold_demo_moves_with_its_kernels_and_that_of_a_warm_one_with_the_work_alone() -> None:
+    moved: list[float] = []
+
+    def advance(share: float, doing: str | None = None, /) -> None:
+        assert doing is None
+        moved.append(share)
+
+    with demo._counting_kernels(advance) as work:
+        work(0.5)
+        assert moved == [0.5]
+        compilations = _Compilations()
+        for _ in range(2 * demo._KERNELS):
+            compilations.on_start(None)
+        kernels = moved[1:]
+        assert len(kernels) == demo._KERNELS
+        work(1.0)
+        # All of the bar, and no more.
+        assert sum(kernels) + moved[-1] == pytest.approx(1.0)
+    compilations.on_start(None)
+    assert len(moved) == 2 + demo._KERNELS
