@@ -111,8 +111,8 @@ class JointEstimates:
     def environments(self) -> tuple[EnvironmentEstimate, ...]:
         """Return the surfaces, softest first on each side.
 
-        Their stiffness is weak at best where no command was logged: the payload's path then rests on a pose that is
-        smooth between the ticks by assumption. K_e alone has no value where K_s has none.
+        What is known of them is weak at best where no command took part: the payload's path then rests on a pose that
+        is smooth between the ticks by assumption. K_e alone has no value where K_s has none.
         """
         return tuple(self._environment(i, surface) for i, surface in enumerate(self.fit.surfaces))
 
@@ -126,18 +126,22 @@ class JointEstimates:
         secant = judged(
             surface.secant_n_per_m, surface.secant_std_n_per_m, method="K_s and K_e in series, out of the same fit"
         )
+        mass_kg, _ = self.fit.value("mass_kg")
+        damping = self._judged_damping(f"{prefix}damping_n_s_per_m", f"{prefix}stiffness_n_per_m")
+        mass = self._judged(f"{prefix}mass_kg", floor=MASS_FLOOR * mass_kg)
         if self.fit.robot is None:
-            stiffness, secant = (weak_at_best(e, self.without_command) for e in (stiffness, secant))
+            stiffness, secant, damping, mass = (
+                weak_at_best(each, self.without_command) for each in (stiffness, secant, damping, mass)
+            )
         if self.coupling.stiffness_n_per_m.status is Status.UNIDENTIFIABLE:
             why = "K_s is not identified, and contacts show only K_s and K_e in series"
             stiffness = unidentifiable(method=self.method, note=why)
-        mass, _ = self.fit.value("mass_kg")
         return EnvironmentEstimate(
             name=self.surface_name(index),
             stiffness_n_per_m=stiffness,
             secant_stiffness_n_per_m=secant,
-            damping_n_s_per_m=self._judged_damping(f"{prefix}damping_n_s_per_m", f"{prefix}stiffness_n_per_m"),
-            mass_kg=self._judged(f"{prefix}mass_kg", floor=MASS_FLOOR * mass),
+            damping_n_s_per_m=damping,
+            mass_kg=mass,
             contacts=len(surface.onsets),
             peak_force_n=surface.peak_force_n,
         )

@@ -150,6 +150,8 @@ def test_without_a_command_there_is_no_robot_and_less_certainty(demo_recording: 
     assert np.max(np.abs(scores(fit, SimulatedCell()))) < 4.4
     for name in ("stiffness_n_per_m", "mass_kg"):
         assert fit.value(name)[1] > demo_fit.value(name)[1]
+    (surface,) = JointEstimates(name="x", fit=fit, period_s=8e-4).environments
+    assert surface.stiffness_n_per_m.status is surface.damping_n_s_per_m.status is Status.WEAK
 
 
 @pytest.mark.parametrize("moving_kg", [0.0, 4.0])
