@@ -63,8 +63,20 @@ def command(output: Output, files: tuple[Path, ...], out: Path, old: Path | str 
     if is_richer and _SEARCH not in out.read_bytes():
         output.note(f"{out} was a page of optimize; how the search converged is in no file, and no longer on it.")
     found.require()
-    for kind, command in (("controller", "explore"), ("identified", "optimize"), ("schedule", "validate")):
+    for kind, command in (("controller", "explore"), ("identified", ""), ("schedule", "validate")):
         first = next((path for path, of in found.kinds.items() if of == kind), None)
         if first is not None:
-            output.next_command(command, first)
+            following = command or _after_identify(Path(first))
+            if following:
+                output.next_command(following, first)
             break
+
+
+def _after_identify(path: Path) -> str:
+    """Return the command for a plant that is whole, for one that lacks something, "" for one without an axis."""
+    from autotune.formats.identified import read_identified
+
+    found = read_identified(path).result
+    if all(finding.severity != "error" for finding in found.findings):
+        return "optimize"
+    return "plan" if found.axes else ""

@@ -2,11 +2,15 @@
 
 import shlex
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from autotune.cli.main import main
+from autotune.formats.identified import write_identified
+from identification.result import Finding
+from tests.autotune.tuning.cases import identified_plant
 
 PLANT_TEXT = """format: autotune/plant
 version: 1
@@ -54,6 +58,16 @@ def test_a_prediction_names_the_search_with_its_gains_beside_it(
     gains = ("--gains", "mass=13,damping=1000,lead=20ms", "--surface", "40N/mm", "--approach", "force=30")
     words = following(capsys, "predict", "plant.yaml", *gains)
     assert words == ["optimize", "plant.yaml", "--compare", "x.mass=13,x.damping=1000,x.lead=20ms"]
+
+
+@pytest.mark.parametrize(("severity", "named"), [("warning", "optimize"), ("error", "plan")])
+def test_the_report_of_a_plant_that_lacks_something_names_the_plan(
+    severity: str, named: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    found = Finding(code="weak", severity=severity, message="Axis x: K_s: weak.", advice="")
+    write_identified(Path("identified.yaml"), replace(identified_plant(), findings=(found,)), {"tool": "by hand"})
+    assert following(capsys, "report", "identified.yaml") == [named, "identified.yaml"]
 
 
 @pytest.mark.parametrize("option", ["--json", "--quiet"])
