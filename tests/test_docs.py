@@ -27,7 +27,8 @@ from autotune.simulation.write_bags import write_ros1_bag
 from identification.signals.recording import Recording
 from problems.model.controller import AdmittanceController
 from tests.autotune.cli.test_help import examples_in
-from tests.autotune.tuning.cases import shorten_proofs
+from tests.autotune.simulation.runs import shorten_logs
+from tests.autotune.tuning.cases import share_results, shorten_proofs, small_controller
 from tests.conftest import RunCli
 
 SHORT = Program(pose_count=6, pose_hold_s=0.7, pose_move_s=0.6, jogging_s=0.0, sweep_s=5.0, contact_count=3)
@@ -56,6 +57,8 @@ def test_every_command_of_the_pages_runs(
     pages: dict[str, str], run_cli: RunCli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shorten_proofs(monkeypatch)
+    share_results(monkeypatch)
+    monkeypatch.setattr("autotune.studies.front._SEED_POINTS", 2)
     lines = list(dict.fromkeys(_commands(pages)))
     assert len(lines) > 30
     _make_logs(tmp_path)
@@ -143,6 +146,8 @@ def test_the_tutorial_runs_and_shows_what_it_shows(
     assert all(output.get("name") != "stderr" for cell in cells for output in cell["outputs"])
     assert kinds.count("display_data") >= 5  # its figures
     shorten_proofs(monkeypatch)
+    share_results(monkeypatch)
+    shorten_logs(monkeypatch)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(mpl.rcParams, "backend", "agg")
     names: dict[str, object] = {}
@@ -164,8 +169,6 @@ def test_the_tutorial_runs_and_shows_what_it_shows(
 def test_the_c_loop_of_the_page_compiles_and_stops_without_a_payload(
     pages: dict[str, str], run_cli: RunCli, tmp_path: Path
 ) -> None:
-    from tests.autotune.tuning.cases import small_controller
-
     write_controller(tmp_path / "controller.yaml", small_controller())
     assert run_cli("export", "controller.yaml", "--target", "c", "-o", "cell.c").returncode == 0
     (block,) = re.findall(r"```c\n(.*?)```", pages["your_robot.md"], re.DOTALL)

@@ -10,7 +10,8 @@ import matplotlib as mpl
 import pytest
 
 import autotune as at
-from tests.autotune.tuning.cases import shorten_proofs
+from tests.autotune.simulation.runs import shorten_logs
+from tests.autotune.tuning.cases import share_results, shorten_proofs
 
 
 def _python_blocks(page: Path) -> list[str]:
@@ -45,6 +46,8 @@ def test_the_examples_of_the_python_page_run(
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(mpl.rcParams, "backend", "agg")
     shorten_proofs(monkeypatch)
+    share_results(monkeypatch)
+    shorten_logs(monkeypatch)
 
     def printed(code: str) -> str:
         exec(code, {})

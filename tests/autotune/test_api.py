@@ -22,6 +22,8 @@ from autotune.runtime.law import Payload
 from autotune.runtime.load import load_controller
 from problems.contact.transient import build_sampled_contact, simulate_contact
 from problems.model.sampled import build_sampled_plant
+from tests.autotune.simulation.runs import shorten_logs
+from tests.autotune.tuning.cases import shorten_proofs
 
 RunCli = Callable[..., "subprocess.CompletedProcess[str]"]
 PUBLIC = (
@@ -89,6 +91,8 @@ def test_what_types_see_is_what_there_is() -> None:
 )
 def test_the_examples_of_docstrings_run(module: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
+    shorten_proofs(monkeypatch)
+    shorten_logs(monkeypatch)
     found = doctest.testmod(importlib.import_module(module))
     assert found.attempted > 0
     assert found.failed == 0
@@ -289,8 +293,11 @@ def test_what_is_no_plant_or_file_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", ["log", "plant", "controller"])
-def test_save_replaces_no_file_of_another_kind(design: at.Design, tmp_path: Path, kind: str) -> None:
+def test_save_replaces_no_file_of_another_kind(
+    design: at.Design, tmp_path: Path, kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The rule of the command line (docs/files.md, "What is replaced"), and again of the same kind it replaces."""
+    shorten_logs(monkeypatch)
     path = tmp_path / "run7.mcap"
     if kind == "log":
         path.write_bytes(b"\x89MCAP0\r\n" + bytes(100))

@@ -13,6 +13,7 @@ from autotune.arguments import count, in_arguments, priors
 from autotune.text import si_parameters
 from identification.given import Given
 from tests.autotune.formats.test_plant import WHOLE, plant
+from tests.autotune.simulation.runs import shorten_logs
 
 WRONG: dict[str, Callable[[], Any]] = {
     "axes must be names": lambda: at.optimize(plant(), axes=[]),
@@ -105,7 +106,8 @@ def test_parameters_are_si_numbers_with_their_units() -> None:
     assert rows["sensor.deadband_n"].unit == "N"
 
 
-def test_a_log_is_simulated_again_and_replaces_nothing_unasked(tmp_path: Path) -> None:
+def test_a_log_is_simulated_again_and_replaces_nothing_unasked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shorten_logs(monkeypatch)
     path = tmp_path / "run.mcap"
     assert at.simulate_log(path) == path
     first = path.read_bytes()

@@ -16,6 +16,9 @@ from identification.identify import identify_cell
 from identification.result import Estimate, Finding, Identified, Status, TouchCause, VectorEstimate
 from identification.signals.recording import PoseSignal, Recording, WrenchSignal
 from problems.arrays import BoolArray, ComplexArray, FloatArray
+from tests.autotune.simulation.runs import demo_run
+
+PROGRAM = Program(pose_count=6, jogging_s=0.0, sweep_s=7.0, contact_count=3)
 
 
 def simulated(program: Program) -> Recording:
@@ -68,6 +71,12 @@ def sliced(signal: PoseSignal | WrenchSignal, keep: BoolArray | slice) -> Any:
 
 
 @pytest.fixture(scope="module")
+def demo_recording() -> Recording:
+    """The demo cell through a shorter program."""
+    return simulated(PROGRAM)
+
+
+@pytest.fixture(scope="module")
 def complete(demo_recording: Recording) -> Identified:
     return identify_cell(demo_recording)
 
@@ -77,8 +86,8 @@ def test_a_complete_log_has_no_error_and_no_empty_number(complete: Identified) -
     assert [f for f in complete.findings if f.severity == "error"] == []
 
 
-def test_measured_responses_are_those_of_the_cell(complete: Identified) -> None:
-    truth, measured = SimulatedCell(), complete.axes["x"].frequency_response
+def test_measured_responses_are_those_of_the_cell() -> None:
+    truth, measured = SimulatedCell(), identify_cell(demo_run().recording).axes["x"].frequency_response
     assert measured is not None
     pose, force, felt = measured.command_to_pose, measured.command_to_force, measured.pose_to_force
     assert pose is not None
@@ -131,7 +140,7 @@ def test_contacts_are_reported_as_left_out_of_gravity(complete: Identified) -> N
 
 
 def test_a_log_without_contact_says_so_and_has_no_environment() -> None:
-    found = identify_cell(simulated(Program(contact_count=0)))
+    found = identify_cell(simulated(dataclasses.replace(PROGRAM, contact_count=0)))
     check_honesty(found)
     reported = finding(found, "no-contact")
     assert reported.severity == "error"
@@ -165,7 +174,7 @@ def test_a_log_without_free_motion_has_no_coupling() -> None:
 
 
 def test_contacts_alone_do_not_show_the_coupling() -> None:
-    found = identify_cell(simulated(Program(jogging_s=0.0, sweep_s=0.0)))
+    found = identify_cell(simulated(dataclasses.replace(PROGRAM, sweep_s=0.0)))
     check_honesty(found)
     reported = finding(found, "coupling")
     assert reported.severity == "error"
@@ -316,7 +325,7 @@ def test_an_axis_of_rotation_is_reported_in_its_own_units_beside_the_tensor() ->
 def test_the_time_line_names_the_surface_of_each_contact(complete: Identified) -> None:
     (line,) = complete.timelines
     contacts = [phase.contact for phase in line.phases if phase.contact is not None]
-    assert [contact.surface for contact in contacts] == ["x1"] * Program().contact_count
+    assert [contact.surface for contact in contacts] == ["x1"] * PROGRAM.contact_count
     assert not any(contact.hand_suspected for contact in contacts)
     assert "hand-in-contact" not in {finding.code for finding in complete.findings}
     assert [touch.surface for touch in line.touches] == [contact.surface for contact in contacts]
@@ -326,5 +335,5 @@ def test_the_time_line_names_the_surface_of_each_contact(complete: Identified) -
         assert touch.peak_force == contact.peak_force_n
         # F^d is held until the speed is steady: F^d/(B_a + B_p).
         cell = SimulatedCell()
-        speed = Program().contact_force_n / (cell.controller.damping_n_s_per_m + cell.drag_n_s_per_m)
+        speed = PROGRAM.contact_force_n / (cell.controller.damping_n_s_per_m + cell.drag_n_s_per_m)
         assert touch.approach_speed == pytest.approx(speed, rel=0.05)

@@ -3,6 +3,7 @@
 from functools import cache
 
 import numpy as np
+import pytest
 
 from autotune.simulation.phases import Program
 from autotune.simulation.simulate import CellRun, simulate_cell
@@ -66,3 +67,9 @@ def heavy_run() -> CellRun:
 def silent_short_run(axis: str) -> CellRun:
     """The default cell with perfect sensors on `axis`, through a short program."""
     return simulate_cell(silent(SimulatedCell(**{**SimulatedCell().__dict__, "approach_axis": axis})), SHORT, seed=3)
+
+
+def shorten_logs(patch: pytest.MonkeyPatch) -> None:
+    """Leave the program of `simulate_log` 20 s: enough to identify all that the usual one shows."""
+    program = Program(pose_count=6, pose_hold_s=0.7, pose_move_s=0.6, jogging_s=0.0, sweep_s=5.0, contact_count=3)
+    patch.setattr("autotune.simulation.phases.Program", lambda: program)

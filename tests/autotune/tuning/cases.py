@@ -1,9 +1,13 @@
 """A cell, its design problems and their solutions that several tests share, each solved once."""
 
-from collections.abc import Mapping
+import hashlib
+import importlib
+import pickle
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -193,6 +197,35 @@ def shorten_proofs(patch: pytest.MonkeyPatch) -> None:
     defaults = ProofOptions.__init__.__kwdefaults__
     assert defaults is not None
     patch.setitem(defaults, "further_s", 1.0)
+
+
+_PURE = (
+    *("autotune.pipeline.identify_with_evidence", "autotune.tuning.optimize.solve_design"),
+    *("autotune.tuning.optimize.settle", "autotune.studies.front.trace_front"),
+    *("autotune.validation.contacts.replay_contact", "autotune.validation.requirements.sampled_admittance"),
+    "autotune.validation.validate.sweep_margins",
+)
+
+
+def share_results(patch: pytest.MonkeyPatch) -> None:
+    """Compute what takes long once for the same arguments, where many commands follow each other on the same files."""
+    for name in _PURE:
+        module, _, function = name.rpartition(".")
+        patch.setattr(name, _remembered(getattr(importlib.import_module(module), function)))
+
+
+def _remembered(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a pure function that keeps its results by the content of its arguments; functions hear of progress."""
+    kept: dict[bytes, Any] = {}
+
+    def call(*arguments: Any, **options: Any) -> Any:
+        named = {name: value for name, value in sorted(options.items()) if not callable(value)}
+        key = hashlib.sha256(pickle.dumps(([each for each in arguments if not callable(each)], named))).digest()
+        if key not in kept:
+            kept[key] = function(*arguments, **options)
+        return kept[key]
+
+    return call
 
 
 def relaxed(problem: DesignProblem, requirement: str, share: float) -> DesignProblem:

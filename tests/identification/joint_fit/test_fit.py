@@ -75,6 +75,12 @@ def scores(fit: JointFit, cell: SimulatedCell) -> FloatArray:
 
 
 @pytest.fixture(scope="module")
+def demo_recording() -> Recording:
+    """The demo cell through a shorter program."""
+    return simulate_cell(SimulatedCell(), dataclasses.replace(SHORT, contact_count=3), seed=1).recording
+
+
+@pytest.fixture(scope="module")
 def demo_data(demo_recording: Recording) -> JointData:
     return gathered(demo_recording)
 
