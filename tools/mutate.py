@@ -1,22 +1,28 @@
 """Change random places of the code, one at a time, and see whether the tests notice.
 
-Each change goes into a copy of the checkout. The tests that import the changed module run first, then those of its
-room. Functions are changed in their source, not wrapped at run time as mutation libraries do: the compiler of the
-kernels would not take a wrapped one.
+Each change goes into a copy of the checkout. The tests of the changed module run first, then those that import it, then
+those of its room, without the slow ones, up to the first that fails. What none has noticed within the time for one
+change counts as survived; a test that does not end has noticed it. Functions are changed in their source, not wrapped
+at run time as mutation libraries do: the compiler of the kernels would not take a wrapped one.
 """
 
 import argparse
 import ast
 import os
 import random
+import re
+import select
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from queue import SimpleQueue
 
 ROOT = Path(__file__).resolve().parent.parent
 FLOORS = ("problems", "identification", "autotune")
@@ -25,6 +31,7 @@ _SWAPS: dict[type[ast.AST], type[ast.AST]] = {
     ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.In: ast.NotIn, ast.NotIn: ast.In,
     ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.And: ast.Or, ast.Or: ast.And,
 }  # fmt: skip
+_NOTHING_COLLECTED = 5  # pytest's exit code
 _NAMES = {"min": "max", "max": "min", "any": "all", "all": "any"}
 
 
@@ -103,37 +110,75 @@ def _text(node: ast.expr) -> str:
     return f"({ast.unparse(ast.fix_missing_locations(node))})"
 
 
-def files_of_tests(path: Path, root: Path) -> list[list[Path]]:
-    """Return the files of tests to run, nearest first: those that import the module, then those of its room."""
+def files_of_tests(path: Path, root: Path) -> list[Path]:
+    """Return the files of tests to run, nearest first: the module's own, those that import it, those of its room."""
     name = ".".join(path.with_suffix("").parts)
     package, _, last = name.rpartition(".")
-    marks = (f"from {name} import", f"import {name}", f"from {package} import {last}")
+    # As `from package.module import …`, `import package.module` and `from package import (…, module, …)`.
+    imports = re.compile(
+        rf"(from|import) {re.escape(name)}\b|from {re.escape(package)} import (\([^)]*|[^\n]*)\b{re.escape(last)}\b"
+    )
+    room = root / "tests" / path.parent
     every = sorted((root / "tests").rglob("test_*.py"))
-    near = [test for test in every if any(mark in test.read_text(encoding="utf-8") for mark in marks)]
-    room = [test for test in every if test.is_relative_to(root / "tests" / path.parent) and test not in near]
-    return [group for group in (near, room) if group]
+
+    def distance(test: Path) -> int:
+        if test == room / f"test_{last}.py":
+            return 0
+        is_importer = imports.search(test.read_text(encoding="utf-8")) is not None
+        return {(True, True): 1, (True, False): 2, (False, True): 3}.get((is_importer, test.is_relative_to(room)), 4)
+
+    ranked = sorted((distance(test), test) for test in every)
+    return [test for rank, test in ranked if rank < 4]
 
 
-def survives(mutant: Mutant, root: Path, limit_s: float) -> bool:
-    """Run the tests on the changed copy `root`; a run that takes longer than the limit counts as noticed."""
+def survives(mutant: Mutant, root: Path, limit_s: float, silence_s: float) -> bool:
+    """Run the tests on the changed copy `root`; what takes longer than the limit survives, silence is a hang."""
     target = root / mutant.path
     source = target.read_bytes()
-    environment = {**os.environ, "PYTHONPATH": str(root)}
+    files = [str(file.relative_to(root)) for file in files_of_tests(mutant.path, root)]
+    options = ("-q", "-x", "-m", "not slow", "-n", "0", "--no-header", "--tb=no", "-p", "no:cacheprovider")
+    command = [sys.executable, "-m", "pytest", *options, *files]
     target.write_bytes(mutant.applied(source))
     try:
-        for group in files_of_tests(mutant.path, root):
-            command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *map(str, group)]
+        with subprocess.Popen(
+            command,
+            cwd=root,
+            env={**os.environ, "PYTHONPATH": str(root)},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+        ) as run:
             try:
-                run = subprocess.run(
-                    command, cwd=root, env=environment, capture_output=True, timeout=limit_s, check=False
-                )
-            except subprocess.TimeoutExpired:
-                return False
-            if run.returncode != 0:
-                return False
-        return True
+                return _is_unnoticed(run, limit_s, silence_s)
+            finally:
+                if run.poll() is None:
+                    os.killpg(run.pid, signal.SIGKILL)
     finally:
         target.write_bytes(source)
+
+
+def _is_unnoticed(run: "subprocess.Popen[bytes]", limit_s: float, silence_s: float) -> bool:
+    """Follow the dots of pytest, one for each test that passed."""
+    assert run.stdout is not None
+    ends, shown = time.monotonic() + limit_s, run.stdout.fileno()
+    while True:
+        left = ends - time.monotonic()
+        if left <= 0.0:
+            return True
+        if not select.select([shown], [], [], min(left, silence_s))[0]:
+            return left <= silence_s
+        if not os.read(shown, 4096):
+            return run.wait() in (0, _NOTHING_COLLECTED)
+
+
+def _copied(folder: Path) -> Path:
+    """Return a copy of the checkout, with the recorded logs beside it where there are any."""
+    ignored = shutil.ignore_patterns(".git", ".venv", "*.egg-info", ".mypy_cache", "autotune-demo", "site")
+    copy = folder / "checkout"
+    shutil.copytree(ROOT, copy, ignore=ignored)
+    if (ROOT.parent / "shared").is_dir():
+        (folder / "shared").symlink_to((ROOT.parent / "shared").resolve())
+    return copy
 
 
 def main() -> int:
@@ -143,7 +188,9 @@ def main() -> int:
     )
     parser.add_argument("--count", type=int, default=60)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--limit", type=float, default=900.0, help="seconds for the tests of one change")
+    parser.add_argument("--jobs", type=int, default=2, help="how many changes at a time, each in a copy of its own")
+    parser.add_argument("--limit", type=float, default=150.0, help="seconds for the tests of one change")
+    parser.add_argument("--silence", type=float, default=90.0, help="seconds after which a test does not end")
     options = parser.parse_args()
     draw = random.Random(options.seed)
     modules = options.modules or [
@@ -154,21 +201,23 @@ def main() -> int:
     ]
     pool = {path: find_mutants(path, (ROOT / path).read_bytes()) for path in modules}
     pool = {path: mutants for path, mutants in pool.items() if mutants}
-    alive = []
-    with tempfile.TemporaryDirectory() as folder:
-        copy = Path(folder) / "checkout"
-        ignored = shutil.ignore_patterns(".git", ".venv", "*.egg-info", ".mypy_cache", "autotune-demo")
-        shutil.copytree(ROOT, copy, ignore=ignored)
-        if (ROOT.parent / "shared").is_dir():
-            (Path(folder) / "shared").symlink_to(ROOT.parent / "shared")
-        for i in range(options.count):
-            mutant = draw.choice(pool[draw.choice(list(pool))])
-            begun = time.monotonic()
-            lives = survives(mutant, copy, options.limit)
-            alive += [mutant] * lives
-            verdict = "SURVIVED" if lives else "caught  "
-            print(f"{i + 1:3d} {verdict} {time.monotonic() - begun:5.0f} s  {mutant}", flush=True)
-    caught = options.count - len(alive)
+    mutants = [draw.choice(pool[draw.choice(list(pool))]) for _ in range(options.count)]
+    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(options.jobs) as threads:
+        copies: SimpleQueue[Path] = SimpleQueue()
+        for job in range(options.jobs):
+            copies.put(_copied(Path(folder) / str(job)))
+
+        def judged(mutant: Mutant) -> tuple[bool, float]:
+            begun, root = time.monotonic(), copies.get()
+            try:
+                return survives(mutant, root, options.limit, options.silence), time.monotonic() - begun
+            finally:
+                copies.put(root)
+
+        caught = 0
+        for i, (mutant, (lives, lasted_s)) in enumerate(zip(mutants, threads.map(judged, mutants), strict=True)):
+            caught += not lives
+            print(f"{i + 1:3d} {'SURVIVED' if lives else 'caught  '} {lasted_s:5.0f} s  {mutant}", flush=True)
     print(f"{caught} of {options.count} caught ({100.0 * caught / options.count:.0f} %)")
     return 0
 

@@ -1,10 +1,12 @@
 """What a mutation run changes, and which tests it asks."""
 
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
-from tools.mutate import ROOT, files_of_tests, find_mutants
+from tools.mutate import ROOT, _is_unnoticed, files_of_tests, find_mutants
 
 SOURCE = b'''"""Text with 1 + 2."""
 from typing import TYPE_CHECKING
@@ -32,9 +34,30 @@ def test_each_change_is_another_program_and_none_touches_types_or_messages() -> 
 
 
 def test_the_nearest_tests_come_first() -> None:
-    near, room = files_of_tests(Path("problems/stability/margins.py"), ROOT)
-    assert any(path.name == "test_margins.py" for path in near)
-    assert not set(near) & set(room)
+    files = files_of_tests(Path("problems/stability/margins.py"), ROOT)
+    assert files[0] == ROOT / "tests/problems/stability/test_margins.py"
+    assert len(set(files)) == len(files)
+    # Then those that import it, by whatever form of import, and last what only lives in the same room.
+    assert ROOT / "tests/autotune/validation/test_margins.py" in files
+    room = ROOT / "tests/problems/stability"
+    last = next(i for i in reversed(range(len(files))) if not files[i].is_relative_to(room))
+    assert all(file.is_relative_to(room) for file in files[last + 1 :])
+
+
+@pytest.mark.parametrize(
+    ("code", "limit_s", "expected"),
+    [
+        ("raise SystemExit(1)", 30.0, False),
+        ("pass", 30.0, True),
+        ("import time; time.sleep(30)", 30.0, False),
+        ("import time; [(print('.', flush=True), time.sleep(0.1)) for _ in range(300)]", 1.0, True),
+    ],
+    ids=["noticed", "unnoticed", "a hang", "out of time"],
+)
+def test_what_pytest_answers_is_what_became_of_a_change(code: str, limit_s: float, expected: bool) -> None:
+    with subprocess.Popen([sys.executable, "-S", "-c", code], stdout=subprocess.PIPE) as run:
+        assert _is_unnoticed(run, limit_s, 2.0) is expected
+        run.kill()
 
 
 @pytest.mark.parametrize("name", ["problems/progress.py", "identification/result.py"])
