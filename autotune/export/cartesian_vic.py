@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from .mdk import MdkExport, MdkProgram, mdk_target
-from .ros_yaml import CONTROL_FRAME, NAME_OPTIONS, SENSOR_NAME, Tree, check_keys
+from .ros_yaml import CONTROL_FRAME, NAME_OPTIONS, SENSOR_NAME, Tree, managed_parameters
 
 if TYPE_CHECKING:
     from .mdk_axis import MdkForm
@@ -87,13 +87,13 @@ def parameter_tree(made: MdkExport) -> Tree:
         },
         "enable_parameter_update_without_reactivation": False,
     }
-    check_keys(parameters, KNOWN_KEYS)
-    name = options.controller_name
-    manager: Tree = {
-        "update_rate": made.update_rate_hz,
-        name: {"type": "cartesian_vic_controller/CartesianVicController"},
-    }
-    return {"controller_manager": {"ros__parameters": manager}, name: {"ros__parameters": parameters}}
+    return managed_parameters(
+        options.controller_name,
+        "cartesian_vic_controller/CartesianVicController",
+        made.update_rate_hz,
+        parameters,
+        KNOWN_KEYS,
+    )
 
 
 def notes(made: MdkExport) -> Iterator[str]:

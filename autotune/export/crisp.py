@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
 from .mdk import MdkExport, MdkOptions, MdkProgram, mdk_target
-from .ros_yaml import NAME_OPTIONS, ORIENTATION, Tree, check_keys
+from .ros_yaml import NAME_OPTIONS, ORIENTATION, Tree, managed_parameters
 
 if TYPE_CHECKING:
     from autotune.formats.controller_record import AxisGains
@@ -67,13 +67,13 @@ def parameter_tree(made: MdkExport) -> Tree:
         "variable_admittance_stiffness": {"enabled": False},
         "admittance": rows,
     }
-    check_keys(parameters, KNOWN_KEYS)
-    name = made.options.controller_name
-    manager: Tree = {
-        "update_rate": made.update_rate_hz,
-        name: {"type": "crisp_controllers/CartesianAdmittanceController"},
-    }
-    return {"controller_manager": {"ros__parameters": manager}, name: {"ros__parameters": parameters}}
+    return managed_parameters(
+        made.options.controller_name,
+        "crisp_controllers/CartesianAdmittanceController",
+        made.update_rate_hz,
+        parameters,
+        KNOWN_KEYS,
+    )
 
 
 def notes(made: MdkExport) -> Iterator[str]:

@@ -14,7 +14,7 @@ from .ros_yaml import (
     UPRIGHT,
     OrientedNames,
     Tree,
-    check_keys,
+    managed_parameters,
     spawner,
     update_rate_hz,
 )
@@ -100,10 +100,9 @@ def parameter_tree(
         LINK_MASS_KEY: _LINK_MASS,
         "pd_gains": {key: dict(values.get(axis, still)) for axis, key in KEYS_OF.items()},
     }
-    check_keys(parameters, KNOWN_KEYS)
-    name = options.controller_name
-    manager: Tree = {"update_rate": rate, name: {"type": "cartesian_force_controller/CartesianForceController"}}
-    return {"controller_manager": {"ros__parameters": manager}, name: {"ros__parameters": parameters}}, rate
+    return managed_parameters(
+        options.controller_name, "cartesian_force_controller/CartesianForceController", rate, parameters, KNOWN_KEYS
+    ), rate
 
 
 def translate(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from autotune.errors import UsageError
 
 from .mdk import MdkExport, MdkOptions, MdkProgram, mdk_target
-from .ros_yaml import NAME_OPTIONS, ORIENTATION, SENSOR_NAME, Tree, check_keys
+from .ros_yaml import NAME_OPTIONS, ORIENTATION, SENSOR_NAME, Tree, managed_parameters
 from .target import ALL_GAINS, TargetOption
 
 if TYPE_CHECKING:
@@ -112,10 +112,9 @@ def parameter_tree(made: MdkExport) -> Tree:
             "max_external_torque": 1.0 if limits is None else limits.rest_torque_n_m,
         },
     }
-    check_keys(parameters, KNOWN_KEYS)
-    name = options.controller_name
-    manager: Tree = {"update_rate": made.update_rate_hz, name: {"type": "lbr_ros2_control/AdmittanceController"}}
-    return {"controller_manager": {"ros__parameters": manager}, name: {"ros__parameters": parameters}}
+    return managed_parameters(
+        options.controller_name, "lbr_ros2_control/AdmittanceController", made.update_rate_hz, parameters, KNOWN_KEYS
+    )
 
 
 def notes(made: MdkExport) -> Iterator[str]:

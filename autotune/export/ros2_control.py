@@ -20,7 +20,7 @@ from .ros_yaml import (
     SENSOR_NAME,
     InstallationNames,
     Tree,
-    check_keys,
+    managed_parameters,
     spawner,
     update_rate_hz,
 )
@@ -186,10 +186,9 @@ def parameter_tree(
         },
         "enable_parameter_update_without_reactivation": False,
     }
-    check_keys(parameters, KNOWN_KEYS)
-    name = options.controller_name
-    manager: Tree = {"update_rate": rate, name: {"type": "admittance_controller/AdmittanceController"}}
-    return {"controller_manager": {"ros__parameters": manager}, name: {"ros__parameters": parameters}}, rate
+    return managed_parameters(
+        options.controller_name, "admittance_controller/AdmittanceController", rate, parameters, KNOWN_KEYS
+    ), rate
 
 
 def notes(payload: "RuntimePayload", tuned: Mapping[str, object], options: Ros2Options) -> Iterator[str]:

@@ -15,7 +15,15 @@ from typing import TYPE_CHECKING
 from autotune.errors import UsageError
 from autotune.version import __version__
 
-from .ros_yaml import NAME_OPTIONS, SENSOR_NAME, InstallationNames, Tree, dump_parameters, update_rate_hz
+from .ros_yaml import (
+    NAME_OPTIONS,
+    SENSOR_NAME,
+    InstallationNames,
+    Tree,
+    dump_parameters,
+    managed_parameters,
+    update_rate_hz,
+)
 from .target import ExportRequest, ExportTarget, Rendered, TargetOption
 
 if TYPE_CHECKING:
@@ -89,8 +97,7 @@ def config_tree(controller: "RuntimeController", package: str, options: PackageO
             "inertia_kg_m2": [0.0, 0.0, 0.0],
         },
     }
-    manager: Tree = {"update_rate": rate, name: {"type": kind}}
-    return {"controller_manager": {"ros__parameters": manager}, name: {"ros__parameters": parameters}}
+    return managed_parameters(name, kind, rate, parameters)
 
 
 def render(request: ExportRequest) -> Rendered:

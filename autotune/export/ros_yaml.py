@@ -164,6 +164,17 @@ def update_rate_hz(sample_time_s: float) -> int:
     return rate
 
 
+def managed_parameters(name: str, kind: str, rate: int, parameters: Tree, known: frozenset[str] | None = None) -> Tree:
+    """Return the parameters of a controller of a type, and those of the manager that loads it at `rate` [Hz].
+
+    Raises ParameterError for a key that is not among the `known` ones.
+    """
+    if known is not None:
+        check_keys(parameters, known)
+    manager: Tree = {"update_rate": rate, name: {"type": kind}}
+    return {"controller_manager": {"ros__parameters": manager}, name: {"ros__parameters": parameters}}
+
+
 def check_keys(parameters: Tree, known: frozenset[str]) -> None:
     """Raise ParameterError for a key that the controller does not declare: it would be ignored in silence."""
     unknown = sorted(set(_paths(parameters)) - known)
