@@ -20,7 +20,6 @@ from autotune.export.c_source import render_c
 from autotune.runtime import (
     AXES,
     START,
-    AxisLaw,
     AxisLimits,
     CollisionResponse,
     Limits,
@@ -30,6 +29,7 @@ from autotune.runtime import (
     step,
 )
 from benchmarks.timing import best
+from tests.autotune.runtime.cases import make_axis
 
 PERIOD_S = 8e-4
 STEPS = 2000
@@ -101,23 +101,7 @@ def main() -> int:
 
 def example() -> RuntimeController:
     """Return a controller of six axes with deadband and collision response."""
-    axes = tuple(
-        AxisLaw(
-            name=name,
-            sample_time_s=PERIOD_S,
-            mass=12.5,
-            damping=1400.0,
-            lead_s=0.0125,
-            feedback_damping_s=2e-2,
-            velocity_filter_rad_per_s=120.0,
-            acceleration_filter_rad_per_s=200.0,
-            compensation_mass_kg=0.0,
-            deadband=5.0,
-            is_subtractive=True,
-            payload_range=(14.0, 18.0),
-        )
-        for name in AXES
-    )
+    axes = tuple(make_axis(name, deadband=5.0, is_subtractive=True) for name in AXES)
     payload = Payload(
         mass_kg=16.0, com_S_m=(0.01, -0.02, 0.1), force_bias_S_n=(1.5, -0.2, 3.0), torque_bias_S_n_m=(0.1, 0.2, -0.3)
     )
