@@ -142,7 +142,10 @@ def test_a_damaged_chunk_costs_a_salvaged_log_its_chunk_alone(
     assert {"salvaged", "hole"} <= {finding["code"] for finding in found["findings"]}
 
 
-def test_from_a_log_to_an_exported_controller(run_process: RunCli, tmp_path: Path, plain_log: Path) -> None:
+def test_from_a_log_to_an_exported_controller(
+    run_process: RunCli, run_cli: RunCli, tmp_path: Path, plain_log: Path
+) -> None:
+    # `identify` and `optimize` have a process of their own in tests/autotune/cli.
     inspected = json_of(run_process("inspect", plain_log, "--json"))
     assert inspected["missing"] == []
     rates = {c["topic"]: c["rate_hz"] for c in inspected["channels"] if c["roles"]}
@@ -151,7 +154,7 @@ def test_from_a_log_to_an_exported_controller(run_process: RunCli, tmp_path: Pat
         PLAIN.pose: pytest.approx(500.0, rel=1e-3),
         PLAIN.command: pytest.approx(1250.0, rel=1e-3),
     }
-    identified = json_of(run_process("identify", plain_log, "--json"))
+    identified = json_of(run_cli("identify", plain_log, "--json"))
     check_identified(identified)
     assert identified["provenance"]["channels"] == {
         "wrench": PLAIN.wrench,
@@ -160,7 +163,7 @@ def test_from_a_log_to_an_exported_controller(run_process: RunCli, tmp_path: Pat
     }
     (tmp_path / "problem.yaml").write_text(PROBLEM, encoding="utf-8")
     asked = ("--problem", "problem.yaml", "--proof-budget", "1")
-    optimized = json_of(run_process("optimize", "identified.yaml", *asked, "--json"))
+    optimized = json_of(run_cli("optimize", "identified.yaml", *asked, "--json"))
     domain = optimized["certificate"]["domain"]["x"]
     assert domain["environment_stiffness_n_per_m"][0] < SimulatedCell().environment.stiffness_n_per_m
     assert domain["environment_stiffness_n_per_m"][1] > SimulatedCell().environment.stiffness_n_per_m

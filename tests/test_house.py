@@ -4,6 +4,7 @@ import ast
 import importlib
 import re
 import tomllib
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,17 @@ CODE = (*PACKAGES, "tests", "tools", "examples", "benchmarks")
 
 def _modules(repository: Path, folders: tuple[str, ...] = CODE) -> list[Path]:
     return sorted(path for folder in folders for path in (repository / folder).rglob("*.py"))
+
+
+@cache
+def _tree(path: Path) -> ast.Module:
+    """Return the syntax tree of a module; to parse them all takes a second."""
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+@cache
+def _nodes(path: Path) -> tuple[ast.AST, ...]:
+    return tuple(ast.walk(_tree(path)))
 
 
 def _pyproject(repository: Path) -> dict[str, Any]:
@@ -43,7 +55,7 @@ def test_no_function_is_too_long(repository: Path) -> None:
     too_long = [
         f"{path.relative_to(repository)}:{node.lineno} {node.name}"
         for path in _modules(repository)
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for node in _nodes(path)
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and _lines_of_code(node) > MOST_LINES_OF_A_FUNCTION
     ]
     assert too_long == []
@@ -115,7 +127,7 @@ def test_a_heavy_library_has_one_door(repository: Path, library: str, only: set[
     """Each takes up to a second to import, which no command should pay that does not need them."""
     found = set()
     for path in _modules(repository, PACKAGES):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in _nodes(path):
             names = [each.name for each in node.names] if isinstance(node, ast.Import) else []
             names += [node.module or ""] if isinstance(node, ast.ImportFrom) and node.level == 0 else []
             if library in {name.split(".")[0] for name in names}:
@@ -128,12 +140,13 @@ def test_optuna_is_imported_with_a_study_only(repository: Path) -> None:
     importing = {
         path.relative_to(repository).as_posix()
         for path in _modules(repository, PACKAGES)
-        for node in ast.parse(path.read_text(encoding="utf-8")).body
+        for node in _tree(path).body
         if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[-1] in {"storage", "study"}
     }
     assert importing == {"autotune/studies/study.py"}
 
 
+@cache
 def _imports(repository: Path) -> dict[str, set[str]]:
     """Return which modules of the three roots each of them imports, inside functions and for types alone included."""
     paths = {
@@ -144,7 +157,7 @@ def _imports(repository: Path) -> dict[str, set[str]]:
     for name, path in paths.items():
         package = name if path.name == "__init__.py" else name.rpartition(".")[0]
         imported = found.setdefault(name, set())
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in _nodes(path):
             if isinstance(node, ast.Import):
                 imported |= {each.name for each in node.names} & paths.keys()
             elif isinstance(node, ast.ImportFrom):
@@ -156,7 +169,7 @@ def _imports(repository: Path) -> dict[str, set[str]]:
 
 
 def test_no_import_goes_in_a_circle(repository: Path) -> None:
-    left = _imports(repository)
+    left = dict(_imports(repository))
     assert len(left) > 100
     while free := {name for name, imported in left.items() if not imported & left.keys()}:
         left = {name: imported for name, imported in left.items() if name not in free}
@@ -193,7 +206,7 @@ NAMES_WITH_TWO_MEANINGS = {"Plant"}
 def test_a_public_class_name_has_one_meaning(repository: Path) -> None:
     places: dict[str, list[str]] = {}
     for path in _modules(repository, PACKAGES):
-        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        for node in _tree(path).body:
             if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
                 places.setdefault(node.name, []).append(path.relative_to(repository).as_posix())
     assert len(places) > 100
@@ -252,7 +265,7 @@ def test_kernels_name_what_they_take(repository: Path) -> None:
     unnamed, count = {}, 0
     for path in _modules(repository, PACKAGES):
         name = path.relative_to(repository).as_posix()
-        for function in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for function in _nodes(path):
             if not isinstance(function, ast.FunctionDef):
                 continue
             allowed, marks = POSITIONS.get(name, set()), {getattr(each, "id", "") for each in function.decorator_list}

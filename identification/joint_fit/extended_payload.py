@@ -18,7 +18,7 @@ from scipy.linalg import expm
 from problems.arrays import FloatArray
 from problems.compiled import compiled
 
-from .kernel import SPEED
+from .kernel import PAYLOAD, SPEED
 from .path import FlangePath
 
 _TAYLOR = 4
@@ -65,8 +65,11 @@ def run_extended(motion: _Motion, drive: FloatArray, ends: FloatArray, limit: fl
     phi, gamma, rubbed = motion.phi, motion.gamma, motion.rubbed
     count, width, size = drive.shape[0], drive.shape[1], len(start)
     force, now, following = np.empty(count), start.copy(), start.copy()
-    origin, before = ends[0, 0], 0.0
+    origin = before = 0.0
     for k in range(count):
+        x, v, _, arriving = ends[k, 0], ends[k, 1], ends[k, 2], ends[k, 3]
+        if k == 0:
+            origin = x
         for i in range(size):
             total = -origin * gamma[i, width - _TAYLOR]
             for j in range(width):
@@ -74,10 +77,10 @@ def run_extended(motion: _Motion, drive: FloatArray, ends: FloatArray, limit: fl
             for j in range(size):
                 total += phi[i, j] * now[j]
             following[i] = total
-        friction = min(max((ends[k, 3] - following[SPEED]) / rubbed[SPEED], -limit), limit)
+        friction = min(max((arriving - following[SPEED]) / rubbed[SPEED], -limit), limit)
         if k == 0:
             before = friction
-        coupled = motion.k_s * (now[0] - ends[k, 0] + origin) + motion.b_s * (now[SPEED] - ends[k, 1])
+        coupled = motion.k_s * (now[PAYLOAD] - x + origin) + motion.b_s * (now[SPEED] - v)
         force[k] = coupled + 0.5 * (before + friction)
         for i in range(size):
             now[i] = following[i] + rubbed[i] * friction
@@ -91,7 +94,7 @@ def run_undriven(motion: _Motion, start: FloatArray, count: int) -> FloatArray:
     phi, size = motion.phi, len(start)
     force, now, following = np.empty(count), start.copy(), start.copy()
     for k in range(count):
-        force[k] = motion.k_s * now[0] + motion.b_s * now[SPEED]
+        force[k] = motion.k_s * now[PAYLOAD] + motion.b_s * now[SPEED]
         for i in range(size):
             total = 0.0
             for j in range(size):

@@ -9,7 +9,8 @@ from autotune.formats.controller import write_controller
 from autotune.runtime import Fault, RuntimeController
 from autotune.runtime.load import read_law
 from benchmarks.abuse_cases import CASES, Case
-from benchmarks.bench_abuse import Row, compare_random, compiled, run_case
+from benchmarks.bench_abuse import compare_random, compiled, run_case
+from tests.autotune.export.c_twin import Twin
 from tests.autotune.tuning.cases import small_controller
 
 needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc")
@@ -23,14 +24,20 @@ def controller(tmp_path_factory: pytest.TempPathFactory) -> RuntimeController:
     return read_law(path)
 
 
-def row_of(controller: RuntimeController, case: Case) -> Row:
-    return run_case(controller, case, None)
+@pytest.fixture(scope="module")
+def twin(controller: RuntimeController, tmp_path_factory: pytest.TempPathFactory) -> Twin | None:
+    """The same law in C, where there is a compiler."""
+    return compiled(controller, tmp_path_factory.mktemp("twin")) if shutil.which("gcc") else None
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.fed)
-def test_every_row_of_the_table_is_noticed(controller: RuntimeController, case: Case) -> None:
-    row = row_of(controller, case)
+def test_every_row_of_the_table_is_noticed_by_c_with_the_same_bits(
+    controller: RuntimeController, twin: Twin | None, case: Case
+) -> None:
+    row = run_case(controller, case, twin)
     assert row.is_noticed, (row.fed.fault, case.fault)
+    assert row.same
+    assert twin is None or row.c_fault is row.fed.fault
     # Nothing faster than the limit is ever sent, and at once after a fault nothing at all.
     assert row.fed.largest_speed_m_s <= controller.limits.axes["x"].speed
     if case.fault in (Fault.FORCE_RANGE, Fault.SPEED, Fault.JUMP, Fault.NOT_FINITE, Fault.RESIDUAL_WRENCH):
@@ -43,14 +50,7 @@ def test_the_fault_at_the_start_carries_the_missing_mass(
 ) -> None:
     (case,) = [each for each in CASES if each.load == share]
     # Noise of 0.14 N over 125 readings is 0.0013 kg of deviation.
-    assert row_of(controller, case).fed.missing_mass_kg == pytest.approx(missing_kg, abs=0.008)
-
-
-@needs_gcc
-def test_c_answers_the_table_with_the_same_bits(controller: RuntimeController, tmp_path: Path) -> None:
-    twin = compiled(controller, tmp_path)
-    rows = [run_case(controller, case, twin) for case in CASES if case.lasts_s <= 5.0 and case.fault is not Fault.NONE]
-    assert all(row.same and row.is_noticed and row.c_fault is row.fed.fault for row in rows)
+    assert run_case(controller, case, None).fed.missing_mass_kg == pytest.approx(missing_kg, abs=0.008)
 
 
 @needs_gcc

@@ -21,6 +21,12 @@ def prepare(folder: Path) -> None:
     (folder / "problem.yaml").write_text(FAST_PROBLEM_YAML, encoding="utf-8")
 
 
+@pytest.fixture(autouse=True)
+def _few_seeds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A study begins with two points of the solver's front instead of five (those are `test_front.py`'s)."""
+    monkeypatch.setattr("autotune.studies.front._SEED_POINTS", 2)
+
+
 @pytest.mark.slow
 def test_the_front_is_printed_and_written_beside_the_same_controller(run_cli: RunCli, tmp_path: Path) -> None:
     prepare(tmp_path)
