@@ -54,11 +54,17 @@ class FoundTouch:
 
 @dataclass(frozen=True, kw_only=True)
 class AxisTouches:
-    """What happens on one axis: the touches, and the `led` spans in which a force moves the flange along with it."""
+    """What happens on one axis: the touches, and the `led` spans in which a force moves the flange along with it.
+
+    In `inert` and `turned` spans the force is what the payload itself makes, moved along the axis or in a tool that
+    turns.
+    """
 
     signals: AxisSignals
     touches: tuple[FoundTouch, ...]
     led: tuple[Span, ...]
+    inert: tuple[Span, ...] = ()
+    turned: tuple[Span, ...] = ()
 
 
 def find_touches(axes: tuple[AxisSignals, ...], *, is_contact: bool = False) -> tuple[AxisTouches, ...]:

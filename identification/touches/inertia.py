@@ -107,7 +107,9 @@ def without_turning(
     for i, axis in enumerate(found):
         mine = [Span(start=each.start - i * count, stop=each.stop - i * count) for each in alike.spans]
         touches = tuple(each for each in axis.touches if each.span not in mine)
-        kept.append(replace(axis, touches=touches, led=tuple(span for span in axis.led if span not in mine)))
+        led = tuple(span for span in axis.led if span not in mine)
+        turned = tuple(span for span in mine if 0 <= span.start < count)
+        kept.append(replace(axis, touches=touches, led=led, turned=turned))
     pairs = zip(found, kept, strict=True)
     left_out = [each for axis, rest in pairs for each in axis.touches if each not in rest.touches]
     return tuple(kept), (_about_turning(left_out),) if left_out else ()
@@ -140,7 +142,8 @@ def without_inertia(found: Sequence[AxisTouches]) -> tuple[tuple[AxisTouches, ..
         spans = () if payload is None else payload.spans
         own = [each for each in axis.touches if each.span in spans]
         led = tuple(span for span in axis.led if span not in spans)
-        kept.append(replace(axis, touches=tuple(each for each in axis.touches if each not in own), led=led))
+        touches = tuple(each for each in axis.touches if each not in own)
+        kept.append(replace(axis, touches=touches, led=led, inert=tuple(spans)))
         if payload is not None and own:
             findings.append(_about(axis.signals.axis, own, payload))
     return tuple(kept), tuple(findings)

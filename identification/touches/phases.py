@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 
 from ..result import ContactPhase, LogPhase, PhaseKind, Touch, TouchCause
-from ..signals.segments import without_short
+from ..signals.segments import without_pauses, without_short
 from .find import AxisTouches
 from .signals import mean_speed
 
@@ -18,7 +18,8 @@ def build_phases(found: Sequence[AxisTouches], touches: Sequence[Touch]) -> tupl
     """Label a log from its start to its end, each instant once.
 
     Of touches at one time the harder one counts, and all are in `touches`; what is neither moving nor pressing is a
-    rest, motion without force is free, and what a force leads along is led by a hand; the rest is unknown.
+    rest, motion without force but that of the payload's own mass is free, or turning; what a force leads along is led
+    by a hand; the rest is unknown.
     """
     if not found:
         return ()
@@ -32,6 +33,16 @@ def build_phases(found: Sequence[AxisTouches], touches: Sequence[Touch]) -> tupl
     moving = speed > _MOVING_M_S
     for mask, kind in ((~moving & ~pressed, PhaseKind.REST), (moving & ~pressed, PhaseKind.FREE_MOTION)):
         number[without_short(np.asarray(mask), shortest)] = len(labels)
+        labels.append((kind, None, None))
+    for kind, own in (
+        (PhaseKind.FREE_MOTION, [span for each in found for span in each.inert]),
+        (PhaseKind.TURNING, [span for each in found for span in each.turned]),
+    ):
+        mask = np.zeros(len(time), dtype=np.bool_)
+        for span in own:
+            mask[span.slice] = True
+        # Where such a force changes its sign it is below the level for a while.
+        number[without_pauses(mask, shortest)] = len(labels)
         labels.append((kind, None, None))
     hands = len(labels)
     for each in found:

@@ -6,13 +6,19 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from identification.result import TouchCause
-from identification.touches.surfaces import identify_touches
+from identification.result import PhaseKind, TouchCause
+from identification.touches.surfaces import Touched, identify_touches
 from problems.arrays import FloatArray
 
 from .test_find import logged
 
 PAYLOAD_KG, DRAG_N_S_PER_M = 12.0, 150.0
+
+
+def led_s(found: Touched) -> float:
+    """Return how long a hand is said to lead [s]."""
+    hands = [phase for phase in found.timeline.phases if phase.kind is PhaseKind.HAND_LED_MOTION]
+    return sum(phase.stop_s - phase.start_s for phase in hands)
 
 
 def shaken(time: FloatArray, amplitude_m: float = 0.01, frequency_hz: float = 1.2) -> tuple[FloatArray, FloatArray]:
@@ -36,6 +42,7 @@ def test_the_payloads_own_inertia_is_no_touch(rate_hz: float, deadband_n: float)
     found = identify_touches(logged(travel + 5e-6 * rng.standard_normal(len(time)), force, 1.0 / rate_hz, 0.0))
     assert not found.timeline.touches
     (about,) = (finding for finding in found.findings if finding.code == "payload-inertia")
+    assert led_s(found) == 0.0
     # Its mass is a guess at the true one, for the reader.
     assert abs(float(about.message.split("(")[1].split(" kg")[0]) - PAYLOAD_KG) < 0.2 * PAYLOAD_KG
 
@@ -99,3 +106,6 @@ def test_the_inertia_of_a_payload_in_a_tool_that_turns_is_no_touch(pressed_n: fl
     assert max((touch.peak_force for touch in touches), default=0.0) == pytest.approx(largest, rel=1e-6)
     (about,) = (finding.message for finding in found.findings if finding.code == "payload-inertia")
     assert "While the tool turned" in about
+    assert led_s(found) == 0.0
+    turning = [phase for phase in found.timeline.phases if phase.kind is PhaseKind.TURNING]
+    assert sum(phase.stop_s - phase.start_s for phase in turning) > 5.0
