@@ -61,11 +61,11 @@ def _pair(ctx: click.Context, param: click.Parameter, value: str | None) -> tupl
 
 def _force_limit(ctx: click.Context, param: click.Parameter, value: str | None) -> tuple[float, str] | None:
     """Read a force, or the name of a part of the body."""
+    if value is None:
+        return None
     from autotune.quantities import parse_quantity
     from problems.design.requirements import BODY_REGIONS
 
-    if value is None:
-        return None
     if value in BODY_REGIONS:
         return BODY_REGIONS[value], f"ISO/TS 15066, clamped {value.replace('_', ' ')}"
     try:
