@@ -11,6 +11,7 @@ from autotune.processes import map_in_processes
 from autotune.results import Identification
 from autotune.version import __version__
 from identification.advice import advise
+from identification.axis_findings import CLOCKS_AGREE
 from identification.errors import EstimateError, LogError, OutsideSpanError
 from identification.evidence import Evidence
 from identification.given import Given, check_names
@@ -211,6 +212,12 @@ def _inside(done: Sequence[_Run | OutsideSpanError]) -> list[_Run]:
     return [replace(found[0], named=replace(named, result=result)), *found[1:]]
 
 
+def _without_withdrawn(read: Sequence[Finding], found: Sequence[Finding]) -> tuple[Finding, ...]:
+    """Return the findings of reading without an offset between clocks that the fit of the axes did not confirm."""
+    agree = any(finding.code == CLOCKS_AGREE for finding in found)
+    return tuple(finding for finding in read if not (agree and finding.code == "clock-offset"))
+
+
 def _identify_run(
     run: tuple[Path, ...],
     *,
@@ -244,7 +251,8 @@ def _identify_run(
         if not is_one_of_many or name in str(error):
             raise
         raise type(error)(f"{name}: {error}") from error
-    found = replace(found, findings=(*recording.findings, *found.findings))
+    read = _without_withdrawn(recording.findings, found.findings)
+    found = replace(found, findings=(*read, *found.findings))
     kept = None if evidence is None or not with_evidence else replace(evidence, log=name, reading=recording.findings)
     share = 0.0 if evidence is None else evidence.gain_error_share
     named = NamedResult(name=name, result=found, gain_error_share=share)

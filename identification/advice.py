@@ -26,6 +26,7 @@ _SWEEP_FROM_HZ = 0.5
 _SWEEP_S = 10.0
 _SWEEP_TO_HZ = 50.0
 _MISFIT_RATIO = 1.5
+_PAYLOAD_CODES = frozenset({"second-mode", "coupling-friction", "payload-unclear"})
 _FILTERED = (
     "The sweep is there, but one payload on one spring leaves {ratio:.1f} times the sensor's noise of its force. A log "
     "slower than 500 Hz and the pose's noise times K_s do this: see to those first. Else the likeliest cause is a "
@@ -36,6 +37,11 @@ _OTHER_ROBOT = (
     "The sweep is there, but the robot does not follow as one or two poles and a delay do. Log the command where the "
     "position loop receives it, behind every interpolator, filter and limit. If it is logged there, the loop has a "
     "zero (feed-forward, say): measure its delay elsewhere, `--given {name}.delay_s=SECONDS`, and use it with care."
+)
+_BESIDE_PAYLOAD = (
+    "The sweep is there, but what the payload has beside one mass on one spring moves this: see the finding on it. "
+    "Fasten what swings or rubs and record the sweep again, or measure the delay elsewhere, `--given "
+    "{name}.delay_s=SECONDS`."
 )
 _PERIOD = (
     "Give the control period: half of it is in the delay that this log shows. The log suggests `--given "
@@ -97,8 +103,8 @@ def advise(result: Identified) -> tuple[Finding, ...]:
         for name, each in payload.items()
     ]
     findings = list(_findings("", lacks, first, STRAIGHT))
-    for name, axis in result.axes.items():
-        lacks = list(_axis_lacks(name, axis, _sweep(result, name), result.sample_time_s.value))
+    for name in result.axes:
+        lacks = list(_axis_lacks(result, name))
         findings += _findings(f"Axis {name}: ", lacks, first, STRAIGHT if name in AXIS_NAMES else TURNING)
     explained = any(f.severity == "error" for f in result.findings)
     return tuple(f for f in findings if not (explained and f.severity == "error"))
@@ -135,10 +141,11 @@ def _text(lack: _Lack, units: AxisKind) -> str:
     return f"{lack.name} ({why})"
 
 
-def _axis_lacks(name: str, axis: AxisEstimate, sweep: str, period_s: float | None) -> Iterator[_Lack]:
+def _axis_lacks(result: Identified, name: str) -> Iterator[_Lack]:
+    axis, sweep, period_s = result.axes[name], _sweep(result, name), result.sample_time_s.value
     coupling, robot = axis.coupling, axis.robot
     by_sweep = _about_coupling(axis, sweep)
-    by_command, by_period = _about_robot(name, axis, by_sweep), _about_delay(axis, period_s)
+    by_command, by_period = _about_robot(result, name, by_sweep), _about_delay(axis, period_s)
     delay = _Lack(name="T_d", estimate=robot.delay_s, advice=by_period or by_command, needed=True)
     # A number that the user has comes before another recording.
     yield from [delay] if by_period else []
@@ -171,12 +178,16 @@ def _about_coupling(axis: AxisEstimate, sweep: str) -> str:
     return _FILTERED.format(ratio=ratio)
 
 
-def _about_robot(name: str, axis: AxisEstimate, sweep: str) -> str:
+def _about_robot(result: Identified, name: str, sweep: str) -> str:
+    """Return what helps where the delay is not identified though the sweep shows the coupling: another does not."""
+    axis = result.axes[name]
     if axis.robot.denominator.value is None:
         return _COMMAND
     is_stated = axis.coupling.stiffness_n_per_m.status is not Status.UNIDENTIFIABLE
-    misses = axis.robot.delay_s.status is Status.UNIDENTIFIABLE and _misfit_ratio(axis) > _MISFIT_RATIO
-    return _OTHER_ROBOT.format(name=name) if is_stated and misses else sweep
+    if not is_stated or axis.robot.delay_s.status is not Status.UNIDENTIFIABLE or _misfit_ratio(axis) <= _MISFIT_RATIO:
+        return sweep
+    beside = [f for f in result.findings if f.code in _PAYLOAD_CODES and f"Axis {name}:" in f.message]
+    return (_BESIDE_PAYLOAD if beside else _OTHER_ROBOT).format(name=name)
 
 
 def _about_delay(axis: AxisEstimate, period_s: float | None) -> str:

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from .axes.straight import AxisMotion
+from .joint_fit.latency import is_clear_latency
 from .joint_fit.result import JointFit
 from .payload.gravity import GravityFit
 from .result import Finding
@@ -13,7 +14,7 @@ from .signals.segments import Span
 _MASS_DISAGREEMENT_STDS = 3.0
 _MASS_DISAGREEMENT_SHARE = 0.02
 _MORE_THAN_NOISE = 1.5
-_NO_LATENCY_STDS = 2.0
+CLOCKS_AGREE = "clocks-agree"
 # What a force must exceed to count as a touch.
 _LEFT_AT_REST_N = 2.0
 _OFF_ADVICE = (
@@ -91,11 +92,23 @@ def mass_findings(axis: str, gravity: GravityFit, fit: JointFit) -> list[Finding
     ]
 
 
-def latency_findings(axis: str, fit: JointFit) -> list[Finding]:
-    """Return the finding that the wrench was late, or early, against the motion; it was taken out."""
-    is_none = abs(fit.latency.seconds) <= _NO_LATENCY_STDS * fit.latency.std_s
-    if fit.latency.is_filter or fit.latency.applied_s == 0.0 or is_none:
+def latency_findings(axis: str, fit: JointFit, shifted_s: float = 0.0) -> list[Finding]:
+    """Return the finding that the wrench was late, or early, against the motion; it was taken out.
+
+    `shifted_s` was taken off its stamps before, as a clock's offset: where both together are none, the clocks agree.
+    """
+    latency = fit.latency
+    if latency.is_filter or latency.applied_s == 0.0 or not is_clear_latency(latency.seconds, latency.std_s):
         return []
+    if shifted_s != 0.0 and not is_clear_latency(shifted_s + latency.seconds, latency.std_s):
+        agree = Finding.info(
+            CLOCKS_AGREE,
+            f"Axis {axis}: the wrench's stamps as logged agree with pose and command "
+            f"({1e3 * (shifted_s + latency.seconds):+.3f} ± {1e3 * latency.std_s:.2g} ms); the "
+            f"{1e3 * shifted_s:+.3f} ms that the weight in the turning tool showed are put back.",
+            "",
+        )
+        return [agree]
     late = "late" if fit.latency.seconds > 0.0 else "early"
     return [
         Finding(

@@ -336,22 +336,32 @@ def without(of: ExtendedProblem, more: PayloadFit, kind: PayloadKind) -> Payload
     return replace(more, kind=kind, theta=np.delete(more.theta, beside), own=tuple(o[:width] for o in more.own))
 
 
+def unexplained(of: ExtendedProblem, more: PayloadFit, less: PayloadFit) -> float:
+    """Return what `more` leaves of the misfit of `less` beyond the noise, as a share of the mean square."""
+    before, after = (_mean_square(of, each) for each in (less, more))
+    noise = of.quiet_rms_n**2
+    return max(after - noise, 0.0) / max(before - noise, 1e-300)
+
+
+def _mean_square(of: ExtendedProblem, at: PayloadFit) -> float:
+    return float(np.mean(np.concatenate(of.errors(at.theta, at.own, at.kind)) ** 2))
+
+
 def explains_misfit(of: ExtendedProblem, more: PayloadFit, less: PayloadFit) -> bool:
     """Whether `more` explains a quarter at least of what `less` leaves beyond the noise, and more than its path may.
 
     Nothing is left beyond the noise that is not three deviations of a mean of squares above it. Without a held command
     the path is not known within a sample, and a force on its mean there is off by h² F''/24.
     """
-    signals, errors = of.problem.signals, of.errors(less.theta, less.own, less.kind)
-    squares = np.concatenate(errors) ** 2
+    squares = np.concatenate(of.errors(less.theta, less.own, less.kind)) ** 2
     left = float(np.mean(squares))
-    beyond = left - of.quiet_rms_n**2
-    explained = left - float(np.mean(np.concatenate(of.errors(more.theta, more.own, more.kind)) ** 2))
+    beyond, explained = left - of.quiet_rms_n**2, left - _mean_square(of, more)
     # At rest and in motion n samples each show a mean of squares, each with a deviation of √(2/n) of it.
     if beyond <= _BEYOND_DEVIATIONS * 2.0 * left / np.sqrt(len(squares)) or explained <= _LEAST_EXPLAINED * beyond:
         return False
     if of.is_held:
         return True
+    signals, errors = of.problem.signals, of.errors(less.theta, less.own, less.kind)
     known = signals.sensor_dynamics.unknown(signals.period_s)
     forces = [error + signals.force_n[s.slice][known:] for error, s in zip(errors, of.segments, strict=True)]
     off = np.concatenate([np.diff(force, 2) for force in forces]) / 24.0

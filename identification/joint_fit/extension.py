@@ -19,6 +19,7 @@ from .extended_fit import (
     gained,
     linearised,
     scorer,
+    unexplained,
     with_more,
     with_own_noise,
 )
@@ -34,8 +35,8 @@ _START_SHARE, _START_RATIO, _START_FRICTION_N, _NUDGE, _NUDGE_N = 0.08, 0.03, 0.
 _STEPS, _TRIED = 15, 2
 # −2 log L: a first look, what is kept open, and what is reported.
 _WORTH_A_LOOK, _OPEN, _TOLD = 8.0, 30.0, 60.0
-# Of what a part moves, this is how well the move is known; with friction, whose law is not known, all of it.
-_MOVED_SHARE, _MOVED_BY_FRICTION = 0.4, 1.0
+# Of what a part moves, and of what friction does, whose law is not known, how well the move is known at best.
+_MOVED_BY_PART, _MOVED_BY_FRICTION = 0.1, 0.4
 # How well share, frequency, damping ratio and F_c are known at best: as far off they were in simulated cells, the path
 # between the samples and the law of friction not being those of the fit.
 _SHARE_KNOWN, _FREQUENCY_KNOWN, _RATIO_KNOWN, _FRICTION_KNOWN = 0.25, 0.03, 0.02, 0.2
@@ -72,7 +73,9 @@ def extend_payload(
     what explains no more than the path within a sample may do, leaves the deviations, too: it is another misfit.
     """
     period = problem.signals.period_s
-    lag_s = _FILTER_SHARE * latency.seconds if latency.is_filter else _LATENCY_STDS * latency.std_s
+    # What was taken for a latency may be the part's, or friction's.
+    lag_s = max(_LATENCY_STDS * latency.std_s, abs(latency.applied_s))
+    lag_s = _FILTER_SHARE * latency.seconds if latency.is_filter else lag_s
     of = ExtendedProblem(
         problem=problem,
         point=point,
@@ -80,31 +83,31 @@ def extend_payload(
         quiet_rms_n=quiet_rms_n,
         is_held=is_held,
     )
-    begun = here = beginning(of)
+    begun = here = last = beginning(of)
     moves = _moved_by_yielding(of, begun)
     rubbing = _friction(of, here)
     if rubbing is not None:
-        moves.append(_MOVED_BY_FRICTION * _moved(of, rubbing, begun))
-        here = rubbing
+        moves.append(_open_share(of, rubbing, begun, _MOVED_BY_FRICTION) * _moved(of, rubbing, begun))
+        here = last = rubbing
     swinging, gain = _part(of, here)
     if swinging is not None:
         is_part = gain >= _TOLD and not _is_at_bound(of, swinging) and explains_misfit(of, swinging, here)
-        share = _MOVED_SHARE if is_part and rubbing is None else 1.0
+        share = _open_share(of, swinging, here, _MOVED_BY_PART) if is_part and rubbing is None else 1.0
         moves.append(share * _moved(of, swinging, here))
-        here = swinging if is_part else here
+        here, last = swinging if is_part else here, swinging
     if not moves:
         return None
-    return _extended(of, here, moves, latency)
+    return _extended(of, here, moves, _latency(of, here, last, latency))
 
 
 def _moved_by_yielding(of: ExtendedProblem, begun: PayloadFit) -> list[FloatArray]:
-    """Return what one deviation of the robot's compliance moves, nothing where the robot does not give way."""
-    signals = of.problem.signals
-    if signals.yielded is None:
-        return []
-    further = replace(signals, yielded=(1.0 + signals.yielded_std_share) * signals.yielded)
-    other = replace(of, problem=replace(of.problem, signals=further))
-    return [_moved(of, beginning(other), begun)]
+    """Return what one deviation of how far the robot gives way moves, nothing where it does not."""
+    signals, moves = of.problem.signals, []
+    for std in signals.yielded_stds:
+        further = replace(signals, yielded=std if signals.yielded is None else signals.yielded + std)
+        other = replace(of, problem=replace(of.problem, signals=further))
+        moves.append(_moved(of, beginning(other), begun))
+    return moves
 
 
 def _friction(of: ExtendedProblem, at: PayloadFit) -> PayloadFit | None:
@@ -153,6 +156,11 @@ def _part(of: ExtendedProblem, at: PayloadFit) -> tuple[PayloadFit | None, float
     return (best, gain) if gain >= _OPEN else (None, gain)
 
 
+def _open_share(of: ExtendedProblem, more: PayloadFit, less: PayloadFit, least: float) -> float:
+    """Return how much of a move is not known: by the part of the misfit's RMS that stays, and `least` at least."""
+    return float(np.clip(np.sqrt(unexplained(of, more, less)), least, 1.0))
+
+
 def _is_at_bound(of: ExtendedProblem, candidate: PayloadFit) -> bool:
     """Whether what swings is so light, so heavy, or damped so much, that it is no part."""
     found = of.extension(candidate.theta, candidate.kind)
@@ -185,7 +193,7 @@ def _extended(of: ExtendedProblem, here: PayloadFit, moves: list[FloatArray], la
     return Extended(
         move=of.values(here.theta) - of.point.values[: of.shared],
         covariance=covariance + spread[: of.shared, : of.shared] * np.outer(units, units),
-        latency=_latency(of, here, latency),
+        latency=latency,
         part=part,
         friction_n=(found.friction_n, float(np.hypot(stds[-1], _FRICTION_KNOWN * found.friction_n)))
         if here.kind.friction
@@ -193,13 +201,22 @@ def _extended(of: ExtendedProblem, here: PayloadFit, moves: list[FloatArray], la
     )
 
 
-def _latency(of: ExtendedProblem, here: PayloadFit, before: WrenchLatency) -> WrenchLatency:
-    """Return the wrench's filter as it is beside a part or friction, with its move in its deviation."""
-    if not before.is_filter:
+def _latency(of: ExtendedProblem, here: PayloadFit, last: PayloadFit, before: WrenchLatency) -> WrenchLatency:
+    """Return the wrench's latency beside what is reported; its deviation holds its move by whatever was looked at."""
+    is_reported = here.kind != PayloadKind()
+    if before.is_whole or (before.is_filter and not is_reported):
         return before
-    sensor = of.sensor_dynamics(here.theta)
-    std = float(np.hypot(before.std_s, sensor.time_constant_s - before.seconds))
-    return replace(before, seconds=sensor.time_constant_s, std_s=std, advanced_s=-sensor.delay_s)
+    move_s = _latency_of(of, last, before).seconds - before.seconds
+    beside = _latency_of(of, here, before) if is_reported else before
+    return replace(beside, std_s=float(np.hypot(before.std_s, move_s)))
+
+
+def _latency_of(of: ExtendedProblem, at: PayloadFit, before: WrenchLatency) -> WrenchLatency:
+    if not before.is_filter:
+        further = float(at.theta[of.shared]) * of.problem.signals.period_s
+        return replace(before, seconds=before.applied_s + further)
+    sensor = of.sensor_dynamics(at.theta)
+    return replace(before, seconds=sensor.time_constant_s, advanced_s=-sensor.delay_s)
 
 
 def with_extension(fit: JointFit, found: Extended | None) -> JointFit:

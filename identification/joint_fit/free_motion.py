@@ -14,11 +14,11 @@ from .data import JointData
 from .latency import forces_left
 from .model import ParameterLayout
 from .noise import Smoother, Whitener, fit_smoother, fit_whitener
-from .path import given_way, path_slope
 from .segments import Segment, contact_segment
-from .solve import Block, Point, Problem, Signals, linearise, minimise, sizes_of
+from .solve import Block, Point, Problem, Signals, linearise, minimise
 from .start import start_coupling
 from .windows import SHORTEST_S, joined, outside, telling_pieces, windows_of
+from .yielding_robot import with_yielding_robot
 
 STEPS_FIRST, STEPS_LATER = 8, 4
 _LIGHTEST_SHARE = 0.2
@@ -33,7 +33,6 @@ _SHAKING = 1.3
 _RING_STARTS, _AS_WELL = 2, 1.05
 _FEWEST_RINGS = 2
 _MASS = 3
-_YIELD_ROUNDS, _YIELD_PIECE_S, _CLEAR_STDS = 4, 0.5, 5.0
 
 
 def _robot_values(data: JointData) -> FloatArray:
@@ -86,62 +85,13 @@ def fit_robot(data: JointData) -> tuple[Problem, FloatArray]:
     point = Point(values=start[: len(layout)], nuisances=())
     if layout.robot_order:
         point, _ = minimise(problem, point, STEPS_FIRST)
-        problem, point = _with_yielding_robot(problem, point)
+        problem, point = with_yielding_robot(problem, point)
         signals = problem.signals
     misfit = problem.path(point.values).misfit
     moving, resting = [misfit(s.slice) for s in data.moving], [misfit(s) for s in rests]
     smoother = fit_smoother(moving, resting, data.period_s)
     problem = replace(problem, signals=replace(signals, smoother=smoother), fixed=())
     return problem, np.concatenate([point.values, start[len(layout) :]])
-
-
-def _with_yielding_robot(problem: Problem, point: Point) -> tuple[Problem, Point]:
-    """Return problem and minimum with a robot that gives way to the payload, as they are where the pose shows none.
-
-    A force F moves a robot of stiffness k by r(s) F/k: micrometres, of which a filter for the pose's noise keeps a
-    part only, and which K_s turns into a force. Poles and 1/k move each other: they are fitted in turns.
-    """
-    compliance, signals = 0.0, problem.signals
-    for step in range(_YIELD_ROUNDS):
-        way = given_way(point.values[problem.layout.robot], signals.force_n, signals.period_s)
-        if step > 0:
-            problem = replace(problem, signals=replace(signals, yielded=compliance * way))
-        more, std = _compliance(problem, point, way[:, 0])
-        if step == 0 and more < _CLEAR_STDS * std:
-            return problem, point
-        compliance = max(compliance + more, 0.0)
-        share = std / max(compliance, std)
-        problem = replace(problem, signals=replace(signals, yielded=compliance * way, yielded_std_share=share))
-        point, _ = minimise(problem, point, STEPS_LATER)
-    return problem, point
-
-
-def _compliance(problem: Problem, point: Point, way: FloatArray) -> tuple[float, float]:
-    """Return what 1/k [m/N] the poses show beside what is known of it, and its deviation by pieces of half a second.
-
-    `way` (n,) is how far a robot of 1 N/m gives way; the robot's parameters follow.
-    """
-    signals, robot = problem.signals, problem.layout.robot
-    values, path = point.values[robot], problem.path(point.values)
-    sizes = sizes_of(point.values, problem.layout, signals.period_s)[robot]
-    slopes = [path_slope(path, values, i, signals.period_s) for i in range(len(values))]
-    rows, pieces = [], 0
-    for span in map(signals.at_poses, problem.pose_spans):
-        moved = [way[span], *(s.misfit(span) * -size for s, size in zip(slopes, sizes, strict=True))]
-        lines = np.column_stack([centred(each) for each in (*moved, path.misfit(span))])
-        rows.append(lines)
-        pieces += max(1, round(len(lines) * span.step * signals.period_s / _YIELD_PIECE_S))
-    stacked = np.concatenate(rows)
-    units = np.maximum(np.linalg.norm(stacked[:, :-1], axis=0), 1e-300)
-    columns, misfit = stacked[:, :-1] / units, stacked[:, -1]
-    found = np.linalg.lstsq(columns, misfit, rcond=None)[0]
-    # What goes with the way and not with the robot's parameters.
-    alone = columns[:, 0] - columns[:, 1:] @ np.linalg.lstsq(columns[:, 1:], columns[:, 0], rcond=None)[0]
-    left, square = misfit - columns @ found, max(float(alone @ alone), 1e-300)
-    scores = [float(np.sum(part)) for part in np.array_split(alone * left, pieces)]
-    # Few pieces hold the resonance, and what the fit takes of their scores is missing: white noise counts beside them.
-    std = np.sqrt(np.sum(np.square(scores)) / square**2 + np.mean(left**2) / square)
-    return float(found[0] / units[0]), float(std / units[0])
 
 
 def quiet_rests(data: JointData) -> list[slice]:

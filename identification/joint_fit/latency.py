@@ -31,7 +31,6 @@ _VAGUE = 30.0
 # One that a driver computes from sample to sample already passes on the newest: it is early against that of a circuit.
 _EARLY_SAMPLES = (0.0, 0.5, 1.0)
 _MATTERS_SAMPLES, _MATTERS_S = 0.2, 2e-4
-_LATE_STDS = 4.0
 # −2 log L of one over the other: e^-12.5 to one that chance prefers the wrong one.
 DECIDED = 25.0
 _CLOCK_S = 0.03
@@ -75,7 +74,7 @@ def fit_latency(
     What is left of it counts as a systematic error. `force_n` (n,) is the force as logged, `prior` the latency's mean
     and deviation [s], `applied_s` what the problem's force is already shifted by. One Gauss-Newton step of the latency
     beside all other parameters, -F'(t) being what it does to the force, repeated while it moves. A latency within four
-    deviations of what is applied is left where it is: shifting interpolates the noise. `blurred`: the command is a mean
+    deviations of 0 is left where it is: shifting interpolates the noise. `blurred`: the command is a mean
     over every sample.
     """
     period = problem.signals.period_s
@@ -91,14 +90,32 @@ def fit_latency(
         point, _ = minimise(problem, point, _STEPS)
         if abs(step) < _SETTLED * std:
             break
+    step, std = _left(problem, point, prior, applied_s, blurred=blurred)
+    seconds = applied_s + step
+    if applied_s != 0.0 and not is_clear_latency(seconds, std):
+        signals = replace(problem.signals, force_n=force_n)
+        problem, applied_s = replace(problem, signals=signals), 0.0
+        point, _ = minimise(problem, point, _STEPS)
+    # What may be left: the deviation, and the part that was not worth a shift.
+    left = float(np.hypot(std, seconds - applied_s))
+    problem = replace(problem, signals=replace(problem.signals, latency_std_s=left))
+    return problem, point, WrenchLatency(seconds=seconds, std_s=std, applied_s=applied_s)
+
+
+def _left(
+    problem: Problem, point: Point, prior: tuple[float, float], applied_s: float, *, blurred: bool
+) -> tuple[float, float]:
+    """Return what is left of the latency, and its deviation with what a shift itself costs [s]."""
     step, std = latency_step(problem, point, prior, applied_s)
     if blurred or applied_s != 0.0:
         # Between its samples the force has the steps of the held command, which no spline and no mean knows.
-        std = float(np.hypot(std, (_BLURRED_SAMPLES if blurred else _BETWEEN_SAMPLES) * period))
-    # What may be left: the deviation, and the part that was not worth a shift.
-    left = float(np.hypot(std, step))
-    problem = replace(problem, signals=replace(problem.signals, latency_std_s=left))
-    return problem, point, WrenchLatency(seconds=applied_s + step, std_s=std, applied_s=applied_s)
+        std = float(np.hypot(std, (_BLURRED_SAMPLES if blurred else _BETWEEN_SAMPLES) * problem.signals.period_s))
+    return step, std
+
+
+def is_clear_latency(latency_s: float, std_s: float) -> bool:
+    """Return whether a latency, late or early, is beyond what chance makes of none."""
+    return abs(latency_s) > _SIGNIFICANT_STDS * std_s
 
 
 def advance_in_time(force_n: FloatArray, samples: float) -> FloatArray:
@@ -210,7 +227,7 @@ def _at(point: Point, index: int, delay_s: float) -> Point:
 
 def is_significant_latency(latency_s: float, std_s: float, period_s: float) -> bool:
     """Return whether a latency matters: above four deviations, and a fifth of a sample or 0.2 ms, what is less."""
-    return latency_s > max(_LATE_STDS * std_s, min(_MATTERS_SAMPLES * period_s, _MATTERS_S))
+    return latency_s > max(_SIGNIFICANT_STDS * std_s, min(_MATTERS_SAMPLES * period_s, _MATTERS_S))
 
 
 def taken_for_filter(shifted_s: float) -> float:

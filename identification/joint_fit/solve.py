@@ -47,7 +47,7 @@ class Signals:
     `command_m[k]` is the command issued at or after tick k and before the next; `smoother` belongs to the pose. The
     force passes `sensor_dynamics`, whose time constant, or without one delay, may be off by `latency_std_s`; the pose
     was measured at tick `measured[0]` and every `measured[1]` ticks; `yielded` is that of `FlangePath`,
-    known to a share of itself.
+    each of `yielded_stds` (n, 4) what one deviation of a part of it moves.
     """
 
     period_s: float
@@ -59,7 +59,7 @@ class Signals:
     sensor_dynamics: SensorDynamics = field(default_factory=SensorDynamics)
     measured: tuple[int, int] = (0, 1)
     yielded: FloatArray | None = None
-    yielded_std_share: float = 0.0
+    yielded_stds: tuple[FloatArray, ...] = ()
     paths: Paths = field(default_factory=Paths, init=False, repr=False, compare=False)
 
     def at_poses(self, span: slice) -> slice:

@@ -1,0 +1,111 @@
+"""How far the robot gives way to the payload's force and to dry friction of its joints, beside its answer r(s)."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import expm
+
+from problems.arrays import FloatArray
+
+from .extended_payload import run_extended
+from .path import given_way, path_slope
+from .solve import Point, Problem, minimise, sizes_of
+
+_ROUNDS, _STEPS, _PIECE_S, _CLEAR_STDS = 4, 4, 0.5, 5.0
+_FIRST_M, _LEAST_M, _FAR = 5e-6, 1e-9, 20.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Amounts:
+    """Size of each way, (w,), and its deviation by pieces of half a second."""
+
+    values: FloatArray
+    stds: FloatArray
+
+
+def with_yielding_robot(problem: Problem, point: Point) -> tuple[Problem, Point]:
+    """Return problem and minimum with a robot that gives way, as they are where the pose does not show it clearly.
+
+    A force F moves a robot of stiffness k by r(s) F/k, and dry friction f of its joints holds it back by f/k and less:
+    micrometres, of which a filter for the pose's noise keeps a part only, and which K_s turns into a force. Poles and
+    these moves change each other: they are fitted in turns.
+    """
+    amounts = _amounts(problem, point, _ways(problem, point, np.full(2, _FIRST_M)))
+    shown = np.flatnonzero(amounts.values > _CLEAR_STDS * amounts.stds)
+    total = amounts.values.copy()
+    for step in range(_ROUNDS if shown.size else 0):
+        ways = _ways(problem, point, total)[shown]
+        problem = _yielding(problem, ways, total[shown] if step else np.zeros(len(shown)), np.zeros(len(shown)))
+        more = _amounts(problem, point, ways)
+        total[shown] = np.maximum((total[shown] if step else 0.0) + more.values, 0.0)
+        problem = _yielding(problem, _ways(problem, point, total)[shown], total[shown], more.stds)
+        point, _ = minimise(problem, point, _STEPS)
+    return problem, point
+
+
+def _yielding(problem: Problem, ways: FloatArray, amounts: FloatArray, stds: FloatArray) -> Problem:
+    signals = replace(
+        problem.signals,
+        yielded=np.tensordot(amounts, ways, axes=1),
+        yielded_stds=tuple(std * way for std, way in zip(stds, ways, strict=True)),
+    )
+    return replace(problem, signals=signals)
+
+
+def _ways(problem: Problem, point: Point, amounts: FloatArray) -> FloatArray:
+    """Return where forces move the robot, per 1/k [m/N] and per f/k [m], about these amounts (2,): (2, n, 4)."""
+    signals, robot = problem.signals, point.values[problem.layout.robot]
+    path = problem.path(point.values)
+    if path.run is None:
+        raise ValueError("A path without a command has no robot that gives way.")
+    speed = np.gradient(path.run.states(0, len(signals.position_m))[:, 0])
+    held_back_m = max(float(amounts[1]), _LEAST_M)
+    friction = rubbing_of(robot, speed, held_back_m, signals.period_s) / held_back_m
+    return np.stack([given_way(robot, force, signals.period_s) for force in (signals.force_n, friction)])
+
+
+def rubbing_of(robot: FloatArray, speed: FloatArray, held_back_m: float, period_s: float) -> FloatArray:
+    """Return the dry friction (n,) of joints over the robot's stiffness [m], `held_back_m` where it slides.
+
+    `speed` (n,) is the robot's without friction [m per sample]. Over a sample friction takes the value that brings the
+    robot to rest at its end (Moreau 1999), with d'' = ω² (φ − d) − 2 ζ ω d' for what it moves.
+    """
+    omega, zeta = float(robot[0]) * period_s, float(robot[1])
+    if len(robot) == 2:  # one pole: another one far above the sampling rate
+        omega, zeta = np.sqrt(omega * _FAR), 0.5 * (omega + _FAR) / np.sqrt(omega * _FAR)
+    a = np.zeros((3, 3))
+    a[0, 1], a[1] = 1.0, (-(omega**2), -2.0 * zeta * omega, omega**2)
+    step, nothing = expm(a)[:2], np.zeros((len(speed), 2))
+    against = -np.append(speed[1:], speed[-1])
+    return run_extended(step[:, :2].copy(), nothing, step[:, 2].copy(), against, held_back_m, np.zeros(2))[:, 2]
+
+
+def _amounts(problem: Problem, point: Point, ways: FloatArray) -> _Amounts:
+    """Return what the poses show of each way (w, n, 4) beside what is known of it; the robot's parameters follow."""
+    signals, robot = problem.signals, problem.layout.robot
+    values, path = point.values[robot], problem.path(point.values)
+    sizes = sizes_of(point.values, problem.layout, signals.period_s)[robot]
+    slopes = [path_slope(path, values, i, signals.period_s) for i in range(len(values))]
+    rows, pieces = [], 0
+    for span in map(signals.at_poses, problem.pose_spans):
+        moved = [s.misfit(span) * -size for s, size in zip(slopes, sizes, strict=True)]
+        lines = np.column_stack([*ways[:, span, 0], *moved, path.misfit(span)])
+        rows.append(lines - np.mean(lines, axis=0))
+        pieces += max(1, round(len(lines) * span.step * signals.period_s / _PIECE_S))
+    stacked = np.concatenate(rows)
+    units = np.maximum(np.linalg.norm(stacked[:, :-1], axis=0), 1e-300)
+    columns, misfit = stacked[:, :-1] / units, stacked[:, -1]
+    found = np.linalg.lstsq(columns, misfit, rcond=None)[0]
+    left = misfit - columns @ found
+    stds = [_deviation(columns, i, left, pieces) for i in range(len(ways))]
+    return _Amounts(values=found[: len(ways)] / units[: len(ways)], stds=np.array(stds) / units[: len(ways)])
+
+
+def _deviation(columns: FloatArray, index: int, left: FloatArray, pieces: int) -> float:
+    """Return the deviation of a column's coefficient, the residual's scores taken piece by piece."""
+    others = np.delete(columns, index, axis=1)
+    alone = columns[:, index] - others @ np.linalg.lstsq(others, columns[:, index], rcond=None)[0]
+    square = max(float(alone @ alone), 1e-300)
+    scores = [float(np.sum(part)) for part in np.array_split(alone * left, pieces)]
+    # Few pieces hold the resonance, and what the fit takes of their scores is missing: white noise counts beside them.
+    return float(np.sqrt(np.sum(np.square(scores)) / square**2 + np.mean(left**2) / square))
