@@ -15,11 +15,9 @@ from .axes.turning import AxisTurn, rests_after
 from .axis_findings import (
     contact_findings,
     first_rests,
+    fit_findings,
     force_beside,
-    latency_findings,
     mass_findings,
-    misfit_findings,
-    payload_findings,
 )
 from .axis_response import measure_axis, response_findings
 from .errors import EstimateError
@@ -184,8 +182,7 @@ def fit_axis(
         return AxisResult(estimate=estimate, findings=(*findings, *contradictions), contacts=contacts, fit=None)
     left_n = force_beside(axis, cell.motion.still, holds)
     findings += contact_findings(axis.name, first_rests(cell.motion.still, data.holds), fit, left_n)
-    findings += latency_findings(axis.name, fit, cell.recording.wrench_shifted_s)
-    findings += [*misfit_findings(axis.name, fit), *payload_findings(axis.name, fit)]
+    findings += fit_findings(axis.name, fit, cell.recording.wrench_shifted_s)
     # With a robot but without a held command, what is logged is smooth between its samples.
     is_logged = cell.recording.command is not None and robot.denominator.value is not None
     why = COARSE_COMMAND if is_logged else NO_COMMAND

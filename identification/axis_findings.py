@@ -92,6 +92,11 @@ def mass_findings(axis: str, gravity: GravityFit, fit: JointFit) -> list[Finding
     ]
 
 
+def fit_findings(axis: str, fit: JointFit, shifted_s: float) -> list[Finding]:
+    """Return what the fit shows of the wrench's latency (see `latency_findings`), of its misfit and of the payload."""
+    return [*latency_findings(axis, fit, shifted_s), *misfit_findings(axis, fit), *payload_findings(axis, fit)]
+
+
 def latency_findings(axis: str, fit: JointFit, shifted_s: float = 0.0) -> list[Finding]:
     """Return the finding that the wrench was late, or early, against the motion; it was taken out.
 

@@ -20,11 +20,12 @@ from .free_motion import (
     fit_ringing,
     fit_robot,
     quiet_rests,
+    robot_of_pose,
     with_fitted_noise,
 )
 from .latency import compare_delay_hypotheses, filter_or_delay, fit_filter, fit_latency
 from .model import ParameterLayout
-from .result import JointFit, build_joint_fit
+from .result import JointFit, build_joint_fit, with_robot_of_pose
 from .segments import ContactCandidate, FoundContact, group_contacts, start_contact
 from .solve import Point, Problem, linearise, minimise
 from .start import fit_alone, start_surface
@@ -33,6 +34,7 @@ _ROUNDS = 2
 _SAME_SECANT = 1.12
 _LEAST_EXPLAINED = 0.8
 _AT_LIMIT = 0.2
+_MORE_THAN_NOISE = 1.5
 _OUTLYING, _ENOUGH_TO_TELL = 8.0, 3
 # Shares of the time, as measured: free motion, each contact alone, all of them together, the last rounds.
 _BEGUN, _TOUCHED, _JOINED, _ROUNDED = 0.4, 0.55, 0.72, 0.8
@@ -102,7 +104,10 @@ def _identify(data: JointData, begin: _Beginning, progress: ProgressSlice) -> Jo
             "the sensor or its driver, or a robot that is not one of one or two poles, does this too."
         )
     is_held = data.robot_order > 0 and not blurred
-    return with_extension(fit, extend_payload(problem, point, latency, quiet_rms_n=rest_rms_n, is_held=is_held))
+    fit = with_extension(fit, extend_payload(problem, point, latency, quiet_rms_n=rest_rms_n, is_held=is_held))
+    if data.robot_order and fit.quality.noise_ratio_free > _MORE_THAN_NOISE:
+        fit = with_robot_of_pose(fit, *robot_of_pose(data, base, start[problem.layout.robot]))
+    return fit
 
 
 def _require_mass(problem: Problem, mass_kg: float) -> None:

@@ -10,12 +10,13 @@ from scipy.signal import detrend
 from problems.arrays import FloatArray
 
 from ..errors import EstimateError
+from .covariance import widened
 from .data import JointData
 from .latency import forces_left
 from .model import ParameterLayout
 from .noise import Smoother, Whitener, fit_smoother, fit_whitener
 from .segments import Segment, contact_segment
-from .solve import Block, Point, Problem, Signals, linearise, minimise
+from .solve import Block, Point, Problem, Signals, linearise, minimise, sizes_of
 from .start import start_coupling
 from .windows import SHORTEST_S, joined, outside, telling_pieces, windows_of
 from .yielding_robot import with_yielding_robot
@@ -25,7 +26,7 @@ _LIGHTEST_SHARE = 0.2
 _LIGHT_KG = 0.1
 _LARGEST_MISFIT, _LARGEST_RING_MISFIT, _LARGEST_WINDOW_MISFIT = 0.4, 0.2, 0.2
 _PIECE_STARTS, _ROUNDS = 4, 3
-_OUTLYING, _OUTLYING_SHARE, _OUTLYING_END = 8.0, 0.1, 1.3
+_OUTLYING, _OUTLYING_SHARE, _OUTLYING_END = 8.0, 0.3, 1.3
 _POSE_EDGE_S = 0.3
 _FREE_EDGE_S = 0.12
 _SETTLING_S = 0.3
@@ -94,6 +95,20 @@ def fit_robot(data: JointData) -> tuple[Problem, FloatArray]:
     return problem, np.concatenate([point.values, start[len(layout) :]])
 
 
+def robot_of_pose(data: JointData, base: Problem, robot: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return ω, (ζ,) T_d (p,) of command and pose alone and their covariance (p, p) [SI]; `base` is `fit_robot`'s."""
+    values = np.concatenate([data.coupling, robot])
+    problem = replace(base, fixed=(0, 1, 2, 3))
+    problem = with_fitted_noise(problem, Point(values=values, nuisances=()))
+    point, _ = minimise(problem, Point(values=values, nuisances=()), STEPS_LATER)
+    first, period = problem.layout.robot.start, problem.signals.period_s
+    blocks = [replace(block, indices=block.indices - first) for block in linearise(problem, point)]
+    sizes = sizes_of(point.values, problem.layout, period)[problem.layout.robot]
+    found = point.values[problem.layout.robot].copy()
+    found[-1] -= 0.0 if data.command is None else data.command.shift_s
+    return found, widened(blocks, len(sizes), period).covariance * np.outer(sizes, sizes)
+
+
 def quiet_rests(data: JointData) -> list[slice]:
     """Return the rests without their first part, in which the cell still settles, and without those that shake."""
     settling = round(_SETTLING_S / data.period_s)
@@ -160,7 +175,8 @@ def fit_free_motion(data: JointData, base: Problem, values: FloatArray) -> tuple
 def _uniform(data: JointData, problem: Problem, point: Point) -> tuple[Segment, ...]:
     """Return what is left of the spans without windows that a contact reaches into, or that stand out.
 
-    Those leave 8 times the usual of the noise, and a tenth of their force or more: somebody touched the payload there.
+    Those leave 8 times the usual of the noise, and three tenths of their force or more: somebody touched the payload
+    there. What friction or a part that swings leaves is less, and is looked at beside the fit (`extension.py`).
     Where a span was cut out of a motion, its first and last window are left out for less.
     """
     contacts, edge = _contacts(data, problem, point.values), round(_FREE_EDGE_S / data.period_s)

@@ -341,6 +341,22 @@ def with_gain_error(fit: JointFit, share: float) -> JointFit:
     return replace(fit, covariance=fit.covariance + np.outer(common, common), surfaces=surfaces)
 
 
+def with_robot_of_pose(fit: JointFit, robot: FloatArray, covariance: FloatArray) -> JointFit:
+    """Return the fit with ω, (ζ,) T_d (p,) of command and pose alone, with their covariance (p, p) [SI].
+
+    It stays as it is where the force made T_d no vaguer: one that the payload's model does not explain shows no robot.
+    """
+    if fit.robot is None or covariance[-1, -1] >= fit.value("delay_s")[1] ** 2:
+        return fit
+    last = fit.names.index("delay_s")
+    mine = slice(last + 1 - len(robot), last + 1)
+    values, whole = fit.values.copy(), fit.covariance.copy()
+    values[mine] = robot
+    whole[mine], whole[:, mine] = 0.0, 0.0
+    whole[mine, mine] = covariance
+    return replace(fit, values=values, covariance=whole, robot=robot_model(robot))
+
+
 def with_robot_shift(fit: JointFit, shift: FloatArray) -> JointFit:
     """Return the fit with what may be wrong of ω, (ζ,) T_d, by `shift` (p,) in SI, in their deviations.
 
