@@ -19,7 +19,7 @@ _OTHER_MASS_SHARE = 0.3
 _WHOLE_S = 1e4
 _PIECES_S = (0.1, 0.5, _WHOLE_S)
 _DOUBTFUL_STDS = 20.0
-_SMOOTH_SHARE, _EXACT_SHARE = 0.003, 0.0003
+_SMOOTH_SHARE, EXACT_SHARE = 0.003, 0.0003
 _RESTING_SHARE, _MOVING_SHARE = 0.003, 0.02
 _UNKNOWN_SHARE = 0.25
 SHARPEST_DELAY_SAMPLES = 1e-3
@@ -180,8 +180,8 @@ def _linear_no_more(problem: Problem, point: Point, covariance: FloatArray, size
     model: the share of the swing that is left counts as a share of B_e's critical damping, M_e and K_e.
     """
     share = np.zeros(len(point.values))
-    share[[0, 2, 3]] = _EXACT_SHARE if problem.layout.robot_order else _SMOOTH_SHARE
-    share[problem.layout.robot.start : problem.layout.robot.stop - 1] = _EXACT_SHARE
+    share[[0, 2, 3]] = EXACT_SHARE if problem.layout.robot_order else _SMOOTH_SHARE
+    share[problem.layout.robot.start : problem.layout.robot.stop - 1] = EXACT_SHARE
     out = (share * point.values / sizes) ** 2
     unknown = max(covariance[0, 0], covariance[3, 3]) > _UNKNOWN_SHARE**2
     for i in range(problem.layout.surfaces):

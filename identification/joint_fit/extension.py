@@ -7,6 +7,7 @@ import numpy as np
 from problems.arrays import FloatArray
 
 from ..verdicts import TWO_SIDED, WEAK_SHARE
+from .covariance import EXACT_SHARE, SHARPEST_DELAY_SAMPLES, widened
 from .extended_fit import (
     MOST_RATIO,
     MOST_SHARE,
@@ -27,7 +28,7 @@ from .latency import WrenchLatency
 from .model import COUPLING_NAMES, robot_model
 from .noise import Whitener
 from .result import JointFit, JointSurface, PayloadPart, secant_of
-from .solve import Point, Problem
+from .solve import Block, Point, Problem
 
 _FREQUENCIES, _LOWEST_HZ, _HIGHEST_HZ, _HIGHEST_SHARE = 24, 6.0, 120.0, 0.4
 _STARTS_HZ = (15.0, 22.0, 30.0, 38.0, 46.0, 55.0, 70.0)
@@ -92,7 +93,12 @@ def extend_payload(
     swinging, gain = _part(of, here)
     if swinging is not None:
         is_part = gain >= _TOLD and not _is_at_bound(of, swinging) and explains_misfit(of, swinging, here)
-        share = _open_share(of, swinging, here, _MOVED_BY_PART) if is_part and rubbing is None else 1.0
+        share = 1.0
+        if is_part and rubbing is None:
+            share = _open_share(of, swinging, here, _MOVED_BY_PART)
+        elif rubbing is not None:
+            # What friction leaves has no law either: a part counts by what it explains of that.
+            share = float(np.sqrt(max(1.0 - unexplained(of, swinging, here), 0.0)))
         moves.append(share * _moved(of, swinging, here))
         here, last = swinging if is_part else here, swinging
     if not moves:
@@ -174,14 +180,11 @@ def _moved(of: ExtendedProblem, to: PayloadFit, since: PayloadFit) -> FloatArray
 
 
 def _extended(of: ExtendedProblem, here: PayloadFit, moves: list[FloatArray], latency: WrenchLatency) -> Extended:
-    matrix = linearised(of, here).matrix
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    spread = np.linalg.pinv(matrix * np.outer(scale, scale), hermitian=True) * np.outer(scale, scale)
-    stds, first = np.sqrt(np.diag(spread)), of.shared + of.lags
     covariance = sum((np.outer(move, move) for move in moves), np.zeros((of.shared, of.shared)))
-    is_reported = here.kind != PayloadKind()
-    if not is_reported:
+    if here.kind == PayloadKind():
         return Extended(move=np.zeros(of.shared), covariance=covariance, latency=latency)
+    spread = _spread(of, here)
+    stds, first = np.sqrt(np.diag(spread)), of.shared + of.lags
     units = np.where(of.in_log, of.values(here.theta), of.sizes)
     found, part = of.extension(here.theta, here.kind), None
     if here.kind.part:
@@ -192,13 +195,32 @@ def _extended(of: ExtendedProblem, here: PayloadFit, moves: list[FloatArray], la
         )
     return Extended(
         move=of.values(here.theta) - of.point.values[: of.shared],
-        covariance=covariance + spread[: of.shared, : of.shared] * np.outer(units, units),
+        covariance=covariance + spread[: of.shared, : of.shared] * np.outer(units, units) + np.diag(_least(of) ** 2),
         latency=latency,
         part=part,
         friction_n=(found.friction_n, float(np.hypot(stds[-1], _FRICTION_KNOWN * found.friction_n)))
         if here.kind.friction
         else None,
     )
+
+
+def _least(of: ExtendedProblem) -> FloatArray:
+    """Return the deviations (a,) below which nothing is known, however much the log holds [SI]."""
+    least = EXACT_SHARE * of.point.values[: of.shared]
+    if of.shared > len(COUPLING_NAMES):
+        least[-1] = SHARPEST_DELAY_SAMPLES * of.problem.signals.period_s
+    return least
+
+
+def _spread(of: ExtendedProblem, at: PayloadFit) -> FloatArray:
+    """Return the covariance of θ (p, p), wider where the scores of pieces scatter: see `widened`."""
+    rows, known = linearised(of, at).rows, of.prior(len(at.theta))[0]
+    values, vectors = np.linalg.eigh(known)
+    prior = (vectors * np.sqrt(np.maximum(values, 0.0))).T
+    indices = np.arange(len(at.theta))
+    blocks = [Block(residual=row[:, 0], jacobian=row[:, 1:], indices=indices, own=None) for row in rows]
+    blocks.append(Block(residual=np.zeros(len(prior)), jacobian=prior, indices=indices, own=None))
+    return widened(blocks, len(at.theta), of.problem.signals.period_s).covariance
 
 
 def _latency(of: ExtendedProblem, here: PayloadFit, last: PayloadFit, before: WrenchLatency) -> WrenchLatency:
@@ -234,14 +256,19 @@ def with_extension(fit: JointFit, found: Extended | None) -> JointFit:
     values = fit.values + follows @ found.move
     values = np.maximum(values, _LEAST_LEFT * fit.values)
     covariance = fit.covariance + follows @ found.covariance @ follows.T
+    reported = found.part is not None, found.friction_n is not None
+    if any(reported):
+        # The misfit of one mass on one spring, which made its deviations wider, is gone.
+        covariance = covariance - follows @ mine @ follows.T
     stds = np.sqrt(np.diag(covariance))
     ci95 = {}
     for name, (low, high) in fit.ci95.items():
         i = fit.names.index(name)
         reach = TWO_SIDED * float(stds[i])
+        if any(reported) and i < count:
+            low, high = float(values[i]), float(values[i])
         ci95[name] = max(min(low, float(values[i]) - reach), 0.0), max(high, float(values[i]) + reach)
     robot = slice(len(COUPLING_NAMES), count)
-    reported = found.part is not None, found.friction_n is not None
     # Friction and a part explain each other's force; beside a coupling without a value neither has one.
     is_unclear = any(reported) and (all(reported) or float(stds[0]) > WEAK_SHARE * float(values[0]))
     return replace(

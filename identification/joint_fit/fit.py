@@ -104,8 +104,9 @@ def _identify(data: JointData, begin: _Beginning, progress: ProgressSlice) -> Jo
             "the sensor or its driver, or a robot that is not one of one or two poles, does this too."
         )
     is_held = data.robot_order > 0 and not blurred
-    fit = with_extension(fit, extend_payload(problem, point, latency, quiet_rms_n=rest_rms_n, is_held=is_held))
-    if data.robot_order and fit.quality.noise_ratio_free > _MORE_THAN_NOISE:
+    wider = extend_payload(problem, point, latency, quiet_rms_n=rest_rms_n, is_held=is_held)
+    fit = with_extension(fit, wider)
+    if data.robot_order and (wider is not None or fit.quality.noise_ratio_free > _MORE_THAN_NOISE):
         fit = with_robot_of_pose(fit, *robot_of_pose(data, base, start[problem.layout.robot]))
     return fit
 
