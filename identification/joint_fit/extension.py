@@ -42,6 +42,8 @@ _MOVED_BY_PART, _MOVED_BY_FRICTION = 0.1, 0.4
 # between the samples and the law of friction not being those of the fit.
 _SHARE_KNOWN, _FREQUENCY_KNOWN, _RATIO_KNOWN, _FRICTION_KNOWN = 0.25, 0.03, 0.02, 0.2
 _LEAST_SHARE, _AT_BOUND = 0.005, 0.98
+# Of the misfit's mean square beyond the noise, what a payload that explains it leaves at most.
+_LEFT_OPEN = 0.25
 # A surface that follows the coupling keeps a tenth of its values at least.
 _LEAST_LEFT = 0.1
 _LATENCY_STDS, _LEAST_LATENCY, _FILTER_SHARE = 3.0, 0.1, 0.5
@@ -52,12 +54,13 @@ class Extended:
     """By how much a wider payload moves coupling and robot, (a,), and what their covariance (a, a) gains [SI].
 
     `move` is 0 where nothing is reported; `part` and `friction_n`, value and deviation, are what is, `latency` is the
-    wrench's beside them.
+    wrench's beside them. Where it `explains` the misfit, that covariance takes the place of the joint fit's.
     """
 
     move: FloatArray
     covariance: FloatArray
     latency: WrenchLatency
+    explains: bool = False
     part: PayloadPart | None = None
     friction_n: tuple[float, float] | None = None
 
@@ -103,7 +106,9 @@ def extend_payload(
         here, last = swinging if is_part else here, swinging
     if not moves:
         return None
-    return _extended(of, here, moves, _latency(of, here, last, latency))
+    found = _extended(of, here, moves, _latency(of, here, last, latency))
+    both = here.kind.part and here.kind.friction
+    return replace(found, explains=not both and unexplained(of, here, begun) < _LEFT_OPEN)
 
 
 def _moved_by_yielding(of: ExtendedProblem, begun: PayloadFit) -> list[FloatArray]:
@@ -257,17 +262,17 @@ def with_extension(fit: JointFit, found: Extended | None) -> JointFit:
     values = np.maximum(values, _LEAST_LEFT * fit.values)
     covariance = fit.covariance + follows @ found.covariance @ follows.T
     reported = found.part is not None, found.friction_n is not None
-    if any(reported):
+    if found.explains:
         # The misfit of one mass on one spring, which made its deviations wider, is gone.
         covariance = covariance - follows @ mine @ follows.T
-    stds = np.sqrt(np.diag(covariance))
+    stds = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     ci95 = {}
-    for name, (low, high) in fit.ci95.items():
+    for name, interval in fit.ci95.items():
         i = fit.names.index(name)
-        reach = TWO_SIDED * float(stds[i])
-        if any(reported) and i < count:
-            low, high = float(values[i]), float(values[i])
-        ci95[name] = max(min(low, float(values[i]) - reach), 0.0), max(high, float(values[i]) + reach)
+        ends = float(values[i]) + TWO_SIDED * float(stds[i]) * np.array([-1.0, 1.0])
+        if not found.explains or i >= count:
+            ends = np.array([min(interval[0], ends[0]), max(interval[1], ends[1])])
+        ci95[name] = max(float(ends[0]), 0.0), float(ends[1])
     robot = slice(len(COUPLING_NAMES), count)
     # Friction and a part explain each other's force; beside a coupling without a value neither has one.
     is_unclear = any(reported) and (all(reported) or float(stds[0]) > WEAK_SHARE * float(values[0]))
