@@ -37,7 +37,7 @@ _STEPS, _TRIED = 15, 2
 # −2 log L: a first look, what is kept open, and what is reported.
 _WORTH_A_LOOK, _OPEN, _TOLD = 8.0, 30.0, 60.0
 # Of what a part moves, and of what friction does, whose law is not known, how well the move is known at best.
-_MOVED_BY_PART, _MOVED_BY_FRICTION = 0.1, 0.4
+_MOVED_BY_PART, _MOVED_BY_FRICTION = 0.1, 0.8
 # How well share, frequency, damping ratio and F_c are known at best: as far off they were in simulated cells, the path
 # between the samples and the law of friction not being those of the fit.
 _SHARE_KNOWN, _FREQUENCY_KNOWN, _RATIO_KNOWN, _FRICTION_KNOWN = 0.25, 0.03, 0.02, 0.2
