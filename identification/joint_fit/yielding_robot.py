@@ -6,8 +6,8 @@ import numpy as np
 from scipy.linalg import expm
 
 from problems.arrays import FloatArray
+from problems.compiled import compiled
 
-from .extended_payload import run_extended
 from .path import given_way, path_slope
 from .solve import Point, Problem, minimise, sizes_of
 
@@ -75,9 +75,20 @@ def rubbing_of(robot: FloatArray, speed: FloatArray, held_back_m: float, period_
         omega, zeta = np.sqrt(omega * _FAR), 0.5 * (omega + _FAR) / np.sqrt(omega * _FAR)
     a = np.zeros((3, 3))
     a[0, 1], a[1] = 1.0, (-(omega**2), -2.0 * zeta * omega, omega**2)
-    step, nothing = expm(a)[:2], np.zeros((len(speed), 2))
-    against = -np.append(speed[1:], speed[-1])
-    return run_extended(step[:, :2].copy(), nothing, step[:, 2].copy(), against, held_back_m, np.zeros(2))[:, 2]
+    return _rubbing(expm(a)[:2], np.append(speed[1:], speed[-1]), held_back_m)
+
+
+@compiled
+def _rubbing(step: FloatArray, arriving: FloatArray, limit: float) -> FloatArray:
+    """Return the friction (n,) that stops what `arriving` (n,) is at the end of each sample; `step` (2, 3) is exact."""
+    out, moved, speed = np.empty(len(arriving)), 0.0, 0.0
+    for k in range(len(arriving)):
+        free = step[1, 0] * moved + step[1, 1] * speed
+        friction = min(max(-(arriving[k] + free) / step[1, 2], -limit), limit)
+        moved = step[0, 0] * moved + step[0, 1] * speed + step[0, 2] * friction
+        speed = free + step[1, 2] * friction
+        out[k] = friction
+    return out
 
 
 def _amounts(problem: Problem, point: Point, ways: FloatArray) -> _Amounts:
