@@ -87,12 +87,12 @@ def extend_payload(
         quiet_rms_n=quiet_rms_n,
         is_held=is_held,
     )
-    begun = here = last = beginning(of)
+    begun = here = beginning(of)
     moves = _moved_by_yielding(of, begun)
     rubbing = _friction(of, here)
     if rubbing is not None:
         moves.append(_open_share(of, rubbing, begun, _MOVED_BY_FRICTION) * _moved(of, rubbing, begun))
-        here = last = rubbing
+        here = rubbing
     swinging, gain = _part(of, here)
     if swinging is not None:
         is_part = gain >= _TOLD and not _is_at_bound(of, swinging) and explains_misfit(of, swinging, here)
@@ -103,10 +103,10 @@ def extend_payload(
             # What friction leaves has no law either: a part counts by what it explains of that.
             share = float(np.sqrt(max(1.0 - unexplained(of, swinging, here), 0.0)))
         moves.append(share * _moved(of, swinging, here))
-        here, last = swinging if is_part else here, swinging
+        here = swinging if is_part else here
     if not moves:
         return None
-    found = _extended(of, here, moves, _latency(of, here, last, latency))
+    found = _extended(of, here, moves, _latency(of, here, latency))
     both = here.kind.part and here.kind.friction
     return replace(found, explains=not both and unexplained(of, here, begun) < _LEFT_OPEN)
 
@@ -228,22 +228,17 @@ def _spread(of: ExtendedProblem, at: PayloadFit) -> FloatArray:
     return widened(blocks, len(at.theta), of.problem.signals.period_s).covariance
 
 
-def _latency(of: ExtendedProblem, here: PayloadFit, last: PayloadFit, before: WrenchLatency) -> WrenchLatency:
-    """Return the wrench's latency beside what is reported; its deviation holds its move by whatever was looked at."""
-    is_reported = here.kind != PayloadKind()
-    if before.is_whole or (before.is_filter and not is_reported):
+def _latency(of: ExtendedProblem, here: PayloadFit, before: WrenchLatency) -> WrenchLatency:
+    """Return the wrench's latency as it is beside what is reported, with its move in its deviation."""
+    if before.is_whole or here.kind == PayloadKind():
         return before
-    move_s = _latency_of(of, last, before).seconds - before.seconds
-    beside = _latency_of(of, here, before) if is_reported else before
-    return replace(beside, std_s=float(np.hypot(before.std_s, move_s)))
-
-
-def _latency_of(of: ExtendedProblem, at: PayloadFit, before: WrenchLatency) -> WrenchLatency:
-    if not before.is_filter:
-        further = float(at.theta[of.shared]) * of.problem.signals.period_s
-        return replace(before, seconds=before.applied_s + further)
-    sensor = of.sensor_dynamics(at.theta)
-    return replace(before, seconds=sensor.time_constant_s, advanced_s=-sensor.delay_s)
+    if before.is_filter:
+        sensor = of.sensor_dynamics(here.theta)
+        beside = replace(before, seconds=sensor.time_constant_s, advanced_s=-sensor.delay_s)
+    else:
+        further = float(here.theta[of.shared]) * of.problem.signals.period_s
+        beside = replace(before, seconds=before.applied_s + further)
+    return replace(beside, std_s=float(np.hypot(before.std_s, beside.seconds - before.seconds)))
 
 
 def with_extension(fit: JointFit, found: Extended | None) -> JointFit:
