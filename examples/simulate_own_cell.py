@@ -27,7 +27,7 @@ def main(arguments: list[str]) -> int:
         controller=AdmittanceController(mass_kg=20.0, damping_n_s_per_m=2200.0, lead_s=0.006),
         approach_axis="z",
     )
-    run = simulate_cell(cell, Program(pose_count=7, contact_count=3), seed=4)
+    run = simulate_cell(cell, Program(pose_count=7, jogging_s=0.0, sweep_s=8.0, contact_count=3), seed=4)
     found = identify_cell(run.recording)
     axis = found.axes["z"]
     for name, truth, estimate in (
