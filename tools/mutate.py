@@ -19,7 +19,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
 from queue import SimpleQueue
@@ -214,10 +214,11 @@ def main() -> int:
             finally:
                 copies.put(root)
 
-        caught = 0
-        for i, (mutant, (lives, lasted_s)) in enumerate(zip(mutants, threads.map(judged, mutants), strict=True)):
+        caught, running = 0, {threads.submit(judged, mutant): mutant for mutant in mutants}
+        for i, done in enumerate(as_completed(running)):
+            lives, lasted_s = done.result()
             caught += not lives
-            print(f"{i + 1:3d} {'SURVIVED' if lives else 'caught  '} {lasted_s:5.0f} s  {mutant}", flush=True)
+            print(f"{i + 1:3d} {'SURVIVED' if lives else 'caught  '} {lasted_s:5.0f} s  {running[done]}", flush=True)
     print(f"{caught} of {options.count} caught ({100.0 * caught / options.count:.0f} %)")
     return 0
 
