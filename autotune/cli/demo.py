@@ -134,9 +134,14 @@ def _compiling_beside(output: Output) -> Iterator[None]:
         try:
             yield
         finally:
+            on_compilation(_nothing)
             for process in running:
                 process.terminate()
                 process.wait()
+
+
+def _nothing() -> None:
+    """Hear of compilations after the block, whose folder is gone."""
 
 
 def _page(found: "DemoResult") -> "Page":

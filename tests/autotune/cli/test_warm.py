@@ -1,6 +1,8 @@
 """`autotune warm`: which commands it runs, and what it and a cold command say of compiling."""
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import click
@@ -105,3 +107,24 @@ def test_the_bar_of_a_cold_demo_moves_with_its_kernels_and_that_of_a_warm_one_wi
         assert sum(kernels) + moved[-1] == pytest.approx(1.0)
     compilations.on_start(None)
     assert len(moved) == 2 + demo._KERNELS
+
+
+def test_a_cold_demo_compiles_in_a_process_of_its_own_that_ends_with_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    started: list[subprocess.Popen[bytes]] = []
+
+    def start(command: list[str], **_options: object) -> subprocess.Popen[bytes]:
+        assert command[1:4] == ["-m", "autotune", "optimize"]
+        assert Path(command[4]).is_file()
+        started.append(open_process([sys.executable, "-c", "import time; time.sleep(60)"]))
+        return started[0]
+
+    open_process = subprocess.Popen
+    monkeypatch.setattr(subprocess, "Popen", start)
+    monkeypatch.setattr("autotune.processes.count_processors", lambda: 2)
+    with demo._compiling_beside(_common.Output(quiet=True)):
+        assert not started  # nothing had to be compiled yet
+        many_compilations()
+        assert started[0].poll() is None
+    assert started[0].poll() is not None
+    many_compilations()  # heard by nobody any more
+    assert len(started) == 1
