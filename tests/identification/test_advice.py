@@ -144,6 +144,16 @@ def test_a_robot_of_another_form_is_named(ratio: float, said: str) -> None:
     assert said in missing.advice
 
 
+def test_a_delay_that_the_payload_leaves_open_is_not_blamed_on_the_robot() -> None:
+    beside = Finding.warning("second-mode", "Axis x: a part of 10 % of the payload's mass swings on it.", "Fasten it.")
+    axis = reported().axes["x"]
+    robot = dataclasses.replace(axis.robot, delay_s=UNDECIDED)
+    result = dataclasses.replace(reported(), axes={"x": dataclasses.replace(axis, robot=robot)}, findings=(beside,))
+    (missing,) = (f for f in advise(with_misfit(result, 2.4)) if "T_d" in f.message)
+    assert missing.advice.startswith("The sweep is there, but what the payload has")
+    assert "position loop" not in missing.advice
+
+
 def test_the_sweep_that_is_advised_is_the_one_that_a_plan_would_make() -> None:
     result = with_stiffness(reported(), weak(3.0e5, 3.0e4))
     (uncertain,) = needed(advise(result))

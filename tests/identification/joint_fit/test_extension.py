@@ -1,6 +1,7 @@
 """A part that swings on the payload, and dry friction of the coupling: another simulation within what is stated."""
 
 from dataclasses import dataclass, replace
+from functools import cache
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -14,9 +15,10 @@ from identification.joint_fit.extended_payload import Extension, extended_force
 from identification.joint_fit.extension import Extended, with_extension
 from identification.joint_fit.fit import identify_joint
 from identification.joint_fit.latency import WrenchLatency
+from identification.joint_fit.model import COUPLING_NAMES, robot_model
 from identification.joint_fit.noise import Smoother
 from identification.joint_fit.path import measured_path
-from identification.joint_fit.result import JointFit, PayloadPart
+from identification.joint_fit.result import JointFit, PayloadPart, with_robot_of_pose
 from identification.signals.segments import Span
 from problems.arrays import FloatArray
 
@@ -87,6 +89,12 @@ def logged(cell: Cell, seed: int = 3) -> JointData:
     )
 
 
+@cache
+def plain() -> JointFit:
+    """Return the fit of one mass on one spring."""
+    return identify_joint(logged(Cell()))
+
+
 def deviations(fit: JointFit) -> FloatArray:
     return np.asarray((fit.values - np.array([STIFFNESS, DAMPING, DRAG, MASS])) / fit.std)
 
@@ -123,7 +131,7 @@ def test_friction_in_the_coupling_is_reported_and_widens_what_it_moves() -> None
 
 
 def test_one_mass_on_one_spring_stays_as_it_is() -> None:
-    fit = identify_joint(logged(Cell()))
+    fit = plain()
     assert fit.part is None
     assert fit.friction_n is None
     assert fit.std[0] < 0.01 * STIFFNESS
@@ -144,7 +152,7 @@ def test_the_extended_force_is_that_of_fine_steps() -> None:
 
 @pytest.mark.parametrize(("both", "spread"), [(True, 0.01), (False, 0.6)])
 def test_friction_has_no_value_beside_a_part_or_a_coupling_without_one(both: bool, spread: float) -> None:
-    fit = identify_joint(logged(Cell()))
+    fit = plain()
     size = len(fit.values)
     covariance = np.zeros((size, size))
     covariance[0, 0] = (spread * STIFFNESS) ** 2
@@ -161,11 +169,39 @@ def test_friction_has_no_value_beside_a_part_or_a_coupling_without_one(both: boo
     assert [each.code for each in payload_findings("z", reported)] == ["payload-unclear"]
 
 
-def test_a_latency_of_zero_within_two_deviations_is_not_reported() -> None:
-    fit = identify_joint(logged(Cell()))
-    for seconds, codes in ((-1.8e-5, []), (-2.9e-4, ["wrench-lag"])):
-        late = WrenchLatency(seconds=seconds, std_s=3.5e-5, applied_s=seconds)
-        assert [each.code for each in latency_findings("z", replace(fit, latency=late))] == codes
+@pytest.mark.parametrize(
+    ("seconds", "shifted_s", "codes"),
+    [
+        (-1.3e-4, 0.0, []),
+        (-2.9e-4, 0.0, ["wrench-lag"]),
+        (-2.9e-4, 2.6e-4, ["clocks-agree"]),
+        (-2.9e-4, 9e-4, ["wrench-lag"]),
+    ],
+)
+def test_a_latency_is_reported_beyond_four_deviations_of_what_the_log_had(
+    seconds: float, shifted_s: float, codes: list[str]
+) -> None:
+    """What the turning weight had shown, and the axes put back, was none."""
+    late = WrenchLatency(seconds=seconds, std_s=3.5e-5, applied_s=seconds)
+    assert [each.code for each in latency_findings("z", replace(plain(), latency=late), shifted_s)] == codes
+
+
+def test_where_the_force_shows_no_robot_it_is_that_of_command_and_pose() -> None:
+    names = (*COUPLING_NAMES, "robot_frequency_rad_per_s", "delay_s")
+    vague = replace(
+        plain(),
+        names=names,
+        values=np.array([STIFFNESS, DAMPING, DRAG, MASS, 24.0, 2e-3]),
+        covariance=np.diag([1.0, 1.0, 1.0, 1.0, 4.0, 1e-6]),
+        robot=robot_model(np.array([24.0, 2e-3])),
+    )
+    pose, spread = np.array([25.0, 2.4e-3]), np.diag([1e-4, 1e-10])
+    known = with_robot_of_pose(vague, pose, spread)
+    np.testing.assert_array_equal(known.values[4:], pose)
+    np.testing.assert_array_equal(known.covariance[4:, 4:], spread)
+    assert known.robot is not None
+    assert known.robot.delay_s == 2.4e-3
+    assert with_robot_of_pose(known, pose, 9.0 * spread) is known
 
 
 @dataclass(frozen=True, kw_only=True)
