@@ -107,8 +107,8 @@ def extend_payload(
     if not moves:
         return None
     found = _extended(of, here, moves, _latency(of, here, latency))
-    both = here.kind.part and here.kind.friction
-    return replace(found, explains=not both and unexplained(of, here, begun) < _LEFT_OPEN)
+    is_one = here.kind.part != here.kind.friction
+    return replace(found, explains=is_one and unexplained(of, here, begun) < _LEFT_OPEN)
 
 
 def _moved_by_yielding(of: ExtendedProblem, begun: PayloadFit) -> list[FloatArray]:
