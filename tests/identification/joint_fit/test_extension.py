@@ -12,8 +12,9 @@ from identification.axis_findings import latency_findings, payload_findings
 from identification.joint_fit.data import JointData, usual_coupling
 from identification.joint_fit.extended_fit import explains_misfit
 from identification.joint_fit.extended_payload import Extension, extended_force
-from identification.joint_fit.extension import Extended, with_extension
+from identification.joint_fit.extension import Extended, extend_payload, with_extension
 from identification.joint_fit.fit import identify_joint
+from identification.joint_fit.free_motion import fit_free_motion, fit_robot
 from identification.joint_fit.latency import WrenchLatency
 from identification.joint_fit.model import COUPLING_NAMES, robot_model
 from identification.joint_fit.noise import Smoother
@@ -202,6 +203,30 @@ def test_where_the_force_shows_no_robot_it_is_that_of_command_and_pose() -> None
     assert known.robot is not None
     assert known.robot.delay_s == 2.4e-3
     assert with_robot_of_pose(known, pose, 9.0 * spread) is known
+
+
+@pytest.mark.parametrize("explains", [True, False])
+def test_deviations_are_those_of_a_fit_that_explains_the_misfit_and_else_wider(explains: bool) -> None:
+    fit = plain()
+    size = len(fit.values)
+    found = Extended(
+        move=np.zeros(size), covariance=np.diag((1e-5 * fit.values) ** 2), latency=fit.latency, explains=explains
+    )
+    expected = found.covariance if explains else fit.covariance + found.covariance
+    np.testing.assert_allclose(with_extension(fit, found).covariance, expected, atol=1e-9 * np.max(expected))
+
+
+def test_a_robot_that_gives_way_leaves_the_joint_covariance() -> None:
+    """Nothing is reported of the payload then, so no other fit takes the place of the joint one."""
+    data = logged(Cell())
+    problem, start = fit_robot(data)
+    problem, point = fit_free_motion(data, problem, start[:-3])
+    signals = replace(problem.signals, yielded_stds=(np.full((len(data.position_m), 4), 1e-9),))
+    problem = replace(problem, signals=signals)
+    found = extend_payload(problem, point, plain().latency, quiet_rms_n=0.1, is_held=True)
+    assert found is not None
+    assert not found.explains
+    assert (found.part, found.friction_n) == (None, None)
 
 
 @dataclass(frozen=True, kw_only=True)
