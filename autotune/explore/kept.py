@@ -38,17 +38,17 @@ def kept_table(kept: Sequence[KeptDesign], gains: Sequence[SliderRange], asked: 
     head = ["", *(f"{span.symbol} [{span.unit}]" if span.unit else span.symbol for span in gains)]
     head += [f"worst peak [{units.force}]", "modulus margin", f"|G| [{units.admittance}]", "", ""]
     titles = "".join(f'<th scope="col">{escape(title)}</th>' for title in head)
-    rows = "".join(_row(each, asked) for each in kept)
+    rows = "".join(_row(each, gains, asked) for each in kept)
     return f'<div class="table"><table><thead><tr>{titles}</tr></thead><tbody>{rows}</tbody></table></div>'
 
 
-def _row(kept: KeptDesign, asked: Requirements) -> str:
+def _row(kept: KeptDesign, gains: Sequence[SliderRange], asked: Requirements) -> str:
     own, view = kept.view.evaluation, kept.view
     peak = max((each.peak_contact_force_n for each in own.peaks), default=None)
     modulus = _achieved(view, asked, "modulus_margin")
     if modulus is None and view.margins is not None:
         modulus = view.margins.modulus
-    numbers = [*(f"{value:.4g}" for value in view.design)]
+    numbers = [f"{span.scale * value:.4g}" for span, value in zip(gains, view.design, strict=True)]
     numbers += [
         _NONE if value is None else f"{value:.4g}" for value in (peak, modulus, _achieved(view, asked, _ADMITTANCE))
     ]

@@ -196,7 +196,7 @@ class ExplorePage:
             low, high = span.ends
             form = CustomJSTickFormatter(code=_LOGARITHMIC if span.logarithmic else _PLAIN)
             # What a number that is typed beside it means.
-            scale = {"logarithmic": span.logarithmic, "low": span.low, "high": span.high}
+            scale = {"logarithmic": span.logarithmic, "low": span.scale * span.low, "high": span.scale * span.high}
             slider.update(title=span.title, start=low, end=high, step=(high - low) / STEPS, format=form, tags=[scale])
         self.is_updating = False
 

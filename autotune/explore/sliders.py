@@ -31,6 +31,8 @@ _GAINS = {
     "acceleration_filter_rad_per_s": ("ω_a", "acceleration filter"),
     "compensation_mass_kg": ("P̂", "compensated mass"),
 }
+# As on the terminal and in reports, in ms.
+_TIMES = ("lead_s", "feedback_damping_s", "delay_s")
 _LABELS = {STIFFNESS: "surface stiffness", MASS: "payload"}
 _PLANT = (
     *(STIFFNESS, MASS, "coupling_stiffness_n_per_m", "coupling_damping_n_s_per_m", "drag_n_s_per_m"),
@@ -40,7 +42,7 @@ _PLANT = (
 
 @dataclass(frozen=True, kw_only=True)
 class SliderRange:
-    """A number from `low` to `high`, moved by equal ratios where `logarithmic`."""
+    """A number from `low` to `high` in SI, moved by equal ratios where `logarithmic`, shown times `scale` in `unit`."""
 
     name: str
     symbol: str
@@ -49,6 +51,7 @@ class SliderRange:
     low: float
     high: float
     logarithmic: bool
+    scale: float = 1.0
 
     @property
     def title(self) -> str:
@@ -62,11 +65,11 @@ class SliderRange:
 
     def position(self, value: float) -> float:
         """Return where on its way a value lies."""
-        return math.log10(value) if self.logarithmic else value
+        return math.log10(self.scale * value) if self.logarithmic else self.scale * value
 
     def value(self, position: float) -> float:
         """Return the value of a position, inside the range and with the six digits that a file is given."""
-        found = float(f"{10.0**position if self.logarithmic else position:.6g}")
+        found = float(f"{(10.0**position if self.logarithmic else position) / self.scale:.6g}")
         return min(max(found, self.low), self.high)
 
 
@@ -79,10 +82,11 @@ def build_gain_sliders(problem: DesignProblem, axis: str) -> tuple[SliderRange, 
             name=name,
             symbol=_GAINS[name][0],
             label=_GAINS[name][1],
-            unit=of_axis.get(name, "s" if name.endswith("_s") and "rad" not in name else "rad/s"),
+            unit=of_axis.get(name, "ms" if name in _TIMES else "rad/s"),
             low=low,
             high=high,
             logarithmic=not linear,
+            scale=1e3 if name in _TIMES else 1.0,
         )
         for name, (low, high), linear in zip(
             problem.variables, bounds_of(problem).tolist(), linear_variables(problem).tolist(), strict=True
@@ -98,10 +102,11 @@ def build_plant_sliders(problem: DesignProblem, axis: str) -> tuple[SliderRange,
             name=name,
             symbol=SYMBOLS[name],
             label=_LABELS.get(name, PARAMETERS[name].label),
-            unit=units.unit(PARAMETERS[name].kind),
+            unit="ms" if name in _TIMES else units.unit(PARAMETERS[name].kind),
             low=low,
             high=high,
             logarithmic=low > 0.0,
+            scale=1e3 if name in _TIMES else 1.0,
         )
         for name in _PLANT
         for low, high in [_plant_range(problem, name)]
