@@ -1,6 +1,7 @@
 """How far the robot gives way to the payload's force and to dry friction of its joints, beside its answer r(s)."""
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import expm
@@ -75,18 +76,27 @@ def rubbing_of(robot: FloatArray, speed: FloatArray, held_back_m: float, period_
         omega, zeta = np.sqrt(omega * _FAR), 0.5 * (omega + _FAR) / np.sqrt(omega * _FAR)
     a = np.zeros((3, 3))
     a[0, 1], a[1] = 1.0, (-(omega**2), -2.0 * zeta * omega, omega**2)
-    return _rubbing(expm(a)[:2], np.append(speed[1:], speed[-1]), held_back_m)
+    to_position, to_speed = (_Gains(*row) for row in expm(a)[:2].tolist())
+    return _rubbing(to_position, to_speed, np.append(speed[1:], speed[-1]), held_back_m)
+
+
+class _Gains(NamedTuple):
+    """What position, speed and friction at the beginning of a sample add to a number at its end."""
+
+    position: float
+    speed: float
+    friction: float
 
 
 @compiled
-def _rubbing(step: FloatArray, arriving: FloatArray, limit: float) -> FloatArray:
-    """Return the friction (n,) that stops what `arriving` (n,) is at the end of each sample; `step` (2, 3) is exact."""
-    out, moved, speed = np.empty(len(arriving)), 0.0, 0.0
+def _rubbing(to_position: _Gains, to_speed: _Gains, arriving: FloatArray, limit: float) -> FloatArray:
+    """Return the friction (n,) that stops what `arriving` (n,) is at the end of each sample, exact for the sample."""
+    out, position, speed = np.empty(len(arriving)), 0.0, 0.0
     for k in range(len(arriving)):
-        free = step[1, 0] * moved + step[1, 1] * speed
-        friction = min(max(-(arriving[k] + free) / step[1, 2], -limit), limit)
-        moved = step[0, 0] * moved + step[0, 1] * speed + step[0, 2] * friction
-        speed = free + step[1, 2] * friction
+        free = to_speed.position * position + to_speed.speed * speed
+        friction = min(max(-(arriving[k] + free) / to_speed.friction, -limit), limit)
+        position = to_position.position * position + to_position.speed * speed + to_position.friction * friction
+        speed = free + to_speed.friction * friction
         out[k] = friction
     return out
 
