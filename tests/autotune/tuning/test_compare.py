@@ -20,7 +20,7 @@ from autotune.formats.controller_record import (
 from autotune.formats.limits import CollisionResponse
 from autotune.prediction.law import PresentGains
 from autotune.tuning import search as search_module
-from autotune.tuning.compare import check_comparable, compare, start_design
+from autotune.tuning.compare import check_comparable, compare, judge_design, start_design
 from autotune.tuning.search import solve_design
 from problems.design.problem import VARIABLES
 from problems.model.controller import AdmittanceController
@@ -70,6 +70,16 @@ def test_what_the_old_one_misses_is_reported_with_its_share() -> None:
     message = "\n".join(compare_lines(file_of(old_with(damping=2000.0)), {"x": both}))
     assert f"old: misses free_space_admittance ({100.0 * share:.4g} %) of what is asked" in message
     assert "new: meets every requirement" in message
+
+
+@pytest.mark.parametrize(("end", "share"), [(0, 0.999), (1, 1.001)], ids=["below", "above"])
+def test_a_design_outside_of_its_bounds_is_not_judged(end: int, share: float) -> None:
+    found = fast_optimized().searches["x"]
+    for i, name in enumerate(found.problem.variables):
+        design = found.design.copy()
+        design[i] = share * found.problem.bounds[name][end]
+        with pytest.raises(InfeasibleError, match=f"{name} must lie within"):
+            judge_design(found.problem, design)
 
 
 def test_an_unstable_old_controller_has_no_numbers_but_a_place() -> None:
