@@ -105,10 +105,10 @@ def _parameters(cells: Mapping[int, tuple[Drawn, dict[str, Any]]]) -> Iterator[s
         )
     whole = [each for each in errors.values() if all(name in each for name in JOINTLY)]
     both = sum(all(abs(each[name][2]) <= TOGETHER for name in JOINTLY) for each in whole)
-    share, verdict = 100.0 * both / max(len(whole), 1), "reached" if both >= 0.93 * len(whole) else "not reached"
+    percent, verdict = 100.0 * both / max(len(whole), 1), "reached" if both >= 0.93 * len(whole) else "not reached"
     yield (
         f"\nK_s, B_s, B_p, T_d and bandwidth have a value in {len(whole)} cells; in {both} of them all five lie within "
-        f"{TOGETHER} deviations,\nwhich hold five parameters with 95 % together: {share:.1f} % (target: 93 % of the "
+        f"{TOGETHER} deviations,\nwhich hold five parameters with 95 % together: {percent:.1f} % (target: 93 % of the "
         f"cells, {verdict})."
     )
     bare = {seed: held for seed, (drawn, held) in cells.items() if drawn.cell.filter_hz is None}
