@@ -107,7 +107,8 @@ def extend_payload(
     if not moves:
         return None
     found = _extended(of, here, moves, _latency(of, here, latency))
-    is_one = here.kind.part != here.kind.friction
+    # A filter that a driver computes leaves something, too, of which a part may explain most: none explains a filter.
+    is_one = here.kind.part != here.kind.friction and (here.kind.friction or not latency.is_filter)
     return replace(found, explains=is_one and unexplained(of, here, begun) < _LEFT_OPEN)
 
 
