@@ -147,6 +147,7 @@ def _validate(output: Output, path: Path, identified_path: Path | None, options:
     from autotune.formats.canonical import short
     from autotune.formats.controller import read_controller
     from autotune.formats.identified import read_identified
+    from autotune.prediction.as_run_by import designed_for
     from autotune.validation.domain import check_domain
     from autotune.validation.law import of_own_law
     from autotune.validation.measured_loop import measured_checks
@@ -160,6 +161,9 @@ def _validate(output: Output, path: Path, identified_path: Path | None, options:
     with report_refusal(output, options["report"], sources, seen.refused_page):
         private, public = _keys(path, options)
         read = read_controller(path)
+        target = designed_for(read.controller)
+        if target and options["force_limit"] is not None:
+            raise click.UsageError(f"--force-limit is of our own law, and {path} was designed for {target}.")
         seen.signed_by = None if public is None else _signed_by(read, public)
         identified = None if identified_path is None else read_identified(identified_path)
         settings, samples = _disturbances(options, identified), options["samples"]
