@@ -145,9 +145,7 @@ def command(output: Output, /, controller: Path, identified: Path | None, **opti
 
 def _validate(output: Output, path: Path, identified_path: Path | None, options: dict[str, Any]) -> None:
     from autotune.formats.canonical import short
-    from autotune.formats.controller import read_controller
     from autotune.formats.identified import read_identified
-    from autotune.prediction.as_run_by import designed_for
     from autotune.validation.domain import check_domain
     from autotune.validation.law import of_own_law
     from autotune.validation.measured_loop import measured_checks
@@ -160,10 +158,7 @@ def _validate(output: Output, path: Path, identified_path: Path | None, options:
     seen = _Seen(path=path, force_limit=options["force_limit"])
     with report_refusal(output, options["report"], sources, seen.refused_page):
         private, public = _keys(path, options)
-        read = read_controller(path)
-        target = designed_for(read.controller)
-        if target and options["force_limit"] is not None:
-            raise click.UsageError(f"--force-limit is of our own law, and {path} was designed for {target}.")
+        read = _read(path, options)
         seen.signed_by = None if public is None else _signed_by(read, public)
         identified = None if identified_path is None else read_identified(identified_path)
         settings, samples = _disturbances(options, identified), options["samples"]
@@ -202,6 +197,16 @@ def _validate(output: Output, path: Path, identified_path: Path | None, options:
     if seen.report.passed:
         _name_export(output, read)
     seen.report.require()
+
+
+def _read(path: Path, options: Mapping[str, Any]) -> "ControllerFile":
+    from autotune.formats.controller import read_controller
+    from autotune.prediction.as_run_by import designed_for
+
+    read = read_controller(path)
+    if (target := designed_for(read.controller)) and options["force_limit"] is not None:
+        raise click.UsageError(f"--force-limit is of our own law, and {path} was designed for {target}.")
+    return read
 
 
 def _name_export(output: Output, read: "ControllerFile") -> None:
