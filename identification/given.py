@@ -39,6 +39,10 @@ class Given:
     std: float
 
 
+# A log that has fewer samples of its controller is more likely of another unit.
+_SLOWEST_LOG = 50.0
+
+
 def check_names(given: Mapping[str, Given], axes: Iterable[str]) -> None:
     """Raise EstimateError for a name that is unknown or an axis that is not there."""
     known = ["mass_kg", "sample_time_s", *(f"{axis}.{key}" for axis in axes for key in axis_keys(axis))]
@@ -60,7 +64,7 @@ def settle_cell(result: Identified, given: Mapping[str, Given]) -> Identified:
         changed = replace(changed, payload=replace(changed.payload, mass_kg=mass))
         findings += contradiction
     if "sample_time_s" in given:
-        period, contradiction = _posterior("sample_time_s", result.sample_time_s, None, given["sample_time_s"])
+        period, contradiction = _control_period(result.sample_time_s, given["sample_time_s"])
         changed = replace(changed, sample_time_s=period)
         findings += contradiction
     return replace(changed, findings=tuple(findings))
@@ -132,6 +136,15 @@ def _posterior(name: str, estimate: Estimate, fitted: Estimate | None, prior: Gi
         stated = f"{value:.5g} ± {std:.2g}" if std else f"{value:.5g}"
         about = _used(f"{name}: given is {_number(prior)}, the log alone shows {alone}; {stated} was taken.")
     return Estimate(value=value, std=std, status=status, method=estimate.method, note=note), [about]
+
+
+def _control_period(logged: Estimate, given: Given) -> tuple[Estimate, list[Finding]]:
+    """Return the control period: a log may be slower than the controller, so that a shorter one contradicts nothing."""
+    if logged.value is None or not 1.0 < logged.value / given.value * (1.0 - _ROUNDING_SHARE) < _SLOWEST_LOG:
+        return _posterior("sample_time_s", logged, None, given)
+    note = f"given {_number(given)}, the log has a sample every {logged.value:.5g} s"
+    found = Estimate(value=given.value, std=given.std, status=Status.GIVEN, method="given", note=note)
+    return found, [_used(f"sample_time_s: {note}.")]
 
 
 def _without_log(name: str, fitted: Estimate | None, prior: Given) -> tuple[Estimate, list[Finding]]:
