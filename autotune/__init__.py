@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from problems.contact.transient import Approach
     from problems.design.requirements import (
         AdmittanceTarget,
+        ContactAtSpeed,
         MultiplicativeError,
         NoiseLimit,
         PassivityTarget,
@@ -60,6 +61,7 @@ _HOMES: dict[str, tuple[str, ...]] = {
     "problems.contact.transient": ("Approach",),
     "problems.design.requirements": (
         "AdmittanceTarget",
+        "ContactAtSpeed",
         "MultiplicativeError",
         "NoiseLimit",
         "PassivityTarget",
@@ -77,6 +79,7 @@ __all__ = [
     "AutotuneError",
     "CertificateError",
     "Check",
+    "ContactAtSpeed",
     "Design",
     "Estimate",
     "EstimateError",

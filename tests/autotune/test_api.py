@@ -27,8 +27,18 @@ from tests.autotune.tuning.cases import shorten_proofs
 
 RunCli = Callable[..., "subprocess.CompletedProcess[str]"]
 PUBLIC = (
-    *("AdmittanceTarget", "Approach", "AutotuneError", "CertificateError", "Check", "Design", "Estimate"),
-    *("EstimateError", "Finding", "Identification", "InfeasibleError", "Log", "LogError"),
+    *("AdmittanceTarget", "Approach", "AutotuneError", "CertificateError", "Check"),
+    *(
+        "ContactAtSpeed",
+        "Design",
+        "Estimate",
+        "EstimateError",
+        "Finding",
+        "Identification",
+        "InfeasibleError",
+        "Log",
+        "LogError",
+    ),
     *("MultiplicativeError", "NoiseLimit"),
     *("ParameterError", "PassivityTarget", "Plant", "PredictedContact", "Problem", "Requirements", "Robot", "Status"),
     *("Uncertain", "UnstableLoopError", "UsageError", "Validation", "__version__", "from_control", "identify"),
