@@ -96,17 +96,25 @@ def fit_robot(data: JointData) -> tuple[Problem, FloatArray]:
 
 
 def robot_of_pose(data: JointData, base: Problem, robot: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return ω, (ζ,) T_d (p,) of command and pose alone and their covariance (p, p) [SI]; `base` is `fit_robot`'s."""
+    """Return ω, (ζ,) T_d (p,) of command and pose alone and their covariance (p, p) [SI]; `base` is `fit_robot`'s.
+
+    The covariance holds what one deviation of how far the robot gives way moves.
+    """
     values = np.concatenate([data.coupling, robot])
     problem = replace(base, fixed=(0, 1, 2, 3))
     problem = with_fitted_noise(problem, Point(values=values, nuisances=()))
     point, _ = minimise(problem, Point(values=values, nuisances=()), STEPS_LATER)
-    first, period = problem.layout.robot.start, problem.signals.period_s
-    blocks = [replace(block, indices=block.indices - first) for block in linearise(problem, point)]
-    sizes = sizes_of(point.values, problem.layout, period)[problem.layout.robot]
-    found = point.values[problem.layout.robot].copy()
+    mine, period, signals = problem.layout.robot, problem.signals.period_s, problem.signals
+    blocks = [replace(block, indices=block.indices - mine.start) for block in linearise(problem, point)]
+    sizes = sizes_of(point.values, problem.layout, period)[mine]
+    found = point.values[mine].copy()
+    covariance = widened(blocks, len(sizes), period).covariance * np.outer(sizes, sizes)
+    for std in signals.yielded_stds:
+        further = replace(signals, yielded=std if signals.yielded is None else signals.yielded + std)
+        other, _ = minimise(replace(problem, signals=further), point, STEPS_LATER)
+        covariance = covariance + np.outer(other.values[mine] - found, other.values[mine] - found)
     found[-1] -= 0.0 if data.command is None else data.command.shift_s
-    return found, widened(blocks, len(sizes), period).covariance * np.outer(sizes, sizes)
+    return found, covariance
 
 
 def quiet_rests(data: JointData) -> list[slice]:

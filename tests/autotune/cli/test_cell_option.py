@@ -21,7 +21,7 @@ def run(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> tuple[int
 def test_inspect_begins_a_cell_file_and_takes_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path, cell = write_mcap(tmp_path / "run.mcap", complete()), tmp_path / "cell.yaml"
     code, out, err = run(capsys, "inspect", path, "--write-cell", cell)
-    assert (code, err) == (0, f"written: {cell}\nnext: autotune inspect {path} --cell {cell}\n")
+    assert (code, err) == (0, f"written: {cell}\nnext: autotune identify {path} --cell {cell}\n")
     assert "wrench: /ft/wrench (the only plausible geometry_msgs/msg/WrenchStamped)" in out
     assert read_cell(cell).cell.wrench is not None
     code, out, _ = run(capsys, "inspect", path, "--cell", cell)
