@@ -29,6 +29,15 @@ _NOT_A_SPRING = 0.1
 _MOST_LISTED = 8
 # Of the depth: a displacement that begins no farther before the force is one since contact.
 _CONTACT_SHARE = 0.2
+# Of the level: between these a line shows how fast a force grows. One that grows with the cube of time took three
+# times as long as the line says.
+_RISE_SHARES = (0.5, 2.0)
+_RISEN_SHARE = 0.75
+_LONGEST_GROWTH = 3.5
+_FREE_SHARE, _INSTANTS = 1.5, 200
+# Of a payload on its coupling against a surface: from heavier ones than robots carry to none at all.
+_COUPLED_HZ = np.geomspace(5.0, 500.0, 15)
+_FREE_S, _FREE_UNTIL_S = 0.3, 0.05
 _NARROW_SAMPLES = 3
 # A blow that is too narrow for the samples has no bound; that it is up to twice its sample is taken for its usual size.
 _NARROW_BLOW = 2.0
@@ -114,13 +123,13 @@ def identify_touches(recording: Recording, known: KnownMotion | None = None) -> 
 def _contact(axis: AxisSignals, found: FoundTouch, *, is_trace: bool) -> _Contact:
     """Return what one contact shows of its surface."""
     touch, start = found.touch, found.span.start
-    step = abs(float(axis.travel_m[start] - axis.travel_m[max(0, start - 1)]))
-    # Travel counts from the middle of the step in which the contact began, in a trace from where that says it began.
-    origin, open_m = float(axis.travel_m[start]) - 0.5 * touch.sign * step, step / np.sqrt(12.0)
     used = found.span.slice
     depth, pressing = touch.sign * axis.travel_m, -touch.sign * axis.force_n
+    open_m: float | None = None
     if is_trace and depth[start] < _CONTACT_SHARE * float(np.max(depth)):
-        origin, open_m, used = 0.0, 0.0, slice(None)
+        origin, used = 0.0, slice(None)
+    else:
+        origin, open_m = _onset_travel(axis, pressing, start)
     depth = depth[used] - touch.sign * origin
     trace, refused = None, ""
     if touch.is_led:
@@ -133,6 +142,50 @@ def _contact(axis: AxisSignals, found: FoundTouch, *, is_trace: bool) -> _Contac
     return _Contact(
         touch=touch, place_m=touch.sign * origin, trace=trace, refused=refused, blow_n=_blow(axis, found, pressing)
     )
+
+
+def _onset_travel(axis: AxisSignals, pressing: FloatArray, start: int) -> tuple[float, float]:
+    """Return where the flange was when the payload met the surface, and the deviation of that place [m].
+
+    The pressing force (n,) is above the level from the sample `start` on. On the sensor a contact of constant speed
+    grows with τ − sin(ωτ)/ω, a payload of unknown mass on its coupling: with τ³ at first, with τ where ω is fast.
+    Mean and deviation over all instants and ω, each as likely as its squares leave it.
+    """
+    time = axis.time_s - axis.time_s[start]
+    before = pressing[slice(*np.searchsorted(time, (-_FREE_S, -_FREE_UNTIL_S)))]
+    grown = pressing - (float(np.median(before)) if before.size else 0.0)
+    longest, stop = _growth(time, grown, start)
+    used = slice(int(np.searchsorted(time, -_FREE_SHARE * longest)), stop)
+    begun = np.linspace(-longest, 0.0, _INSTANTS)
+    since = np.maximum(time[used] - begun[:, None], 0.0)
+    phase = 2.0 * np.pi * _COUPLED_HZ[:, None, None] * since
+    shape = phase - np.sin(phase)
+    square = np.maximum(np.sum(shape**2, axis=2), np.finfo(float).eps ** 2)
+    left = np.sum(grown[used] ** 2) - np.maximum(np.sum(shape * grown[used], axis=2), 0.0) ** 2 / square
+    least = np.finfo(float).eps * max(float(np.max(grown[used] ** 2)), 1.0)
+    variance = max(axis.noise_n**2, float(np.min(left)) / since.shape[1], least)
+    likely = np.sum(np.exp(-0.5 * (left - np.min(left)) / variance), axis=0)
+    weights, places = likely / np.sum(likely), np.interp(begun, time, axis.travel_m)
+    place = float(weights @ places)
+    # Wrench and pose are samples of instants up to a step apart.
+    step = abs(float(axis.travel_m[start] - axis.travel_m[max(0, start - 1)]))
+    return place, float(np.sqrt(weights @ (places - place) ** 2 + step**2 / 12.0))
+
+
+def _growth(time: FloatArray, grown: FloatArray, start: int) -> tuple[float, int]:
+    """Return how long before `start` a force (n,) may have begun [s], and the sample behind its first rise."""
+    level = max(float(grown[start]), 0.0)
+    below = np.flatnonzero(grown[:start] < _RISE_SHARES[0] * level)
+    ahead = grown[start:]
+    above = np.flatnonzero(ahead > _RISE_SHARES[1] * level)
+    fallen = np.flatnonzero(ahead < _RISEN_SHARE * np.maximum.accumulate(ahead))
+    is_rising = above.size and (not fallen.size or above[0] < fallen[0])
+    first = min(int(below[-1]) if below.size else 0, max(0, start - 1))
+    last = start + int(above[0]) if is_rising else max(start, 1)
+    rise = slice(first, last + 1)
+    slope = float(np.polyfit(time[rise], grown[rise], 1)[0])
+    longest = _LONGEST_GROWTH * level / slope if slope > 0.0 else 0.0
+    return max(longest, 2.0 * float(time[rise.stop - 1] - time[rise.stop - 2])), rise.stop
 
 
 def _blow(axis: AxisSignals, found: FoundTouch, pressing: FloatArray) -> tuple[float, float] | None:

@@ -61,14 +61,14 @@ class TraceContact:
 
 
 def identify_trace(
-    displacement_m: FloatArray, pressing_n: FloatArray, period_s: float, onset_std_m: float = 0.0
+    displacement_m: FloatArray, pressing_n: FloatArray, period_s: float, onset_std_m: float | None = None
 ) -> TraceContact:
     """Fit k through the origin of displacement (n,), counted from contact, and pressing force (n,), both into the wall.
 
-    Samples from a fifth of the peak force on count. The trace says where the contact began, and so does the force
-    (the last sample below 5 % of the peak before the load): the difference between both secants goes into the
-    deviation, as does `onset_std_m`, by which the displacement is known to be off. Raises EstimateError where nothing
-    presses, or too little.
+    Samples from a fifth of the peak force on count. `onset_std_m` is by how much the displacement's zero is open.
+    Without it, or where the first sample is loaded already, the trace says where the contact began, and so does the
+    force (the last sample below 5 % of the peak before the load): the difference between both secants goes into the
+    deviation. Raises EstimateError where nothing presses, or too little.
     """
     x, force = displacement_m, pressing_n
     peak, depth = float(np.max(force, initial=0.0)), float(np.max(x, initial=0.0))
@@ -83,13 +83,15 @@ def identify_trace(
     before = np.flatnonzero(force[:first] < CONTACT.trace_share * peak)
     touch = int(before[-1]) if before.size else 0
     farther = x[touch]
-    beyond = loaded & (x > farther)
-    apart = _through_origin(x[beyond] - farther, force[beyond])[0] - stiffness if np.any(beyond) else np.inf
-    scatter = float(np.hypot(scatter, stiffness * onset_std_m / np.sqrt(float(np.mean(x[loaded] ** 2)))))
+    apart, open_m = 0.0, 0.0 if onset_std_m is None else onset_std_m
+    if onset_std_m is None or first == 0:
+        beyond = loaded & (x > farther)
+        apart = _through_origin(x[beyond] - farther, force[beyond])[0] - stiffness if np.any(beyond) else np.inf
+    scatter = float(np.hypot(scatter, stiffness * open_m / np.sqrt(float(np.mean(x[loaded] ** 2)))))
     misfit = force[loaded] - stiffness * x[loaded]
     spike = _spike(x, force, stiffness, touch, period_s)
     loading, open_n_per_m = _loading(x, force, loaded, 0 if spike is None else spike.stop)
-    share = float(np.hypot(0.5 * apart / stiffness, onset_std_m / max(float(np.max(x)), 1e-9)))
+    share = float(np.hypot(0.5 * apart / stiffness, open_m / max(float(np.max(x)), 1e-9)))
     return TraceContact(
         peak_force_n=peak,
         secant_n_per_m=stiffness,

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.signal import StateSpace, lsim
 
 from identification.errors import EstimateError
 from identification.result import TouchCause
@@ -178,6 +179,41 @@ def test_a_wall_is_met_as_it_is(stiffness: float, at_m: float, offset: float) ->
     assert secant.value is not None
     assert secant.std is not None
     assert abs(secant.value - stiffness) < 2.0 * secant.std
+
+
+@pytest.mark.parametrize(("stiffness", "mass"), [(2e4, 16.0), (2e4, 0.5), (5e3, 16.0)])
+def test_travel_counts_from_where_a_payload_on_a_coupling_meets_the_wall(stiffness: float, mass: float) -> None:
+    """K_s and K_e in series hold F^d, though the sensor of M (s² + ω_e²)/(s² + 2ζω s + ω²) feels the wall late."""
+    coupling, damping = 3e5, 0.1 * np.sqrt(3e5 * mass)
+    series, speed = 1.0 / (1.0 / coupling + 1.0 / stiffness), 0.01
+    time = np.arange(-1.0, 3.0, 1e-4)
+    depth = DESIRED_N / series
+    # The flange comes to rest from its speed, and begins to without a jump of its acceleration.
+    since = np.maximum(time, 0.0) * 2.0 * speed / depth
+    flange = np.where(time < 0.0, speed * time, depth * (1.0 - np.exp(-since) * (1.0 + 0.5 * since)))
+    velocity = speed * np.exp(-since) * (1.0 + since)
+    behind = StateSpace(
+        [[0.0, 1.0], [-(coupling + stiffness) / mass, -damping / mass]],
+        [[0.0, 0.0], [coupling / mass, damping / mass]],
+        [[-coupling, -damping]],
+        [[coupling, damping]],
+    )
+    touched = time >= 0.0
+    pressing = np.zeros(len(time))
+    pushed = np.column_stack([flange, velocity])[touched]
+    pressing[touched] = lsim(behind, pushed, time[touched], X0=[0.0, speed])[1]
+    rng, every = np.random.default_rng(3), 20
+    force = 0.1 * rng.standard_normal(len(time[::every])) - pressing[::every]
+    travel = flange[::every] + 5e-6 * rng.standard_normal(len(force))
+    log = replace(logged(travel, force, 2e-3, DESIRED_N), gains=None)
+    (surface,) = identify_touches(log).surfaces["z"]
+    held = surface.relaxed_stiffness_n_per_m
+    assert held is not None
+    assert held.value is not None
+    assert held.std is not None
+    # A tenth, by which one contact is taken to differ from the next, is more than the zero leaves open.
+    assert abs(held.value - series) < held.std
+    assert surface.secant_stiffness_n_per_m.value == pytest.approx(series, rel=0.1)
 
 
 @pytest.mark.parametrize("bias_n", [0.0, -3.0, 6.0])
