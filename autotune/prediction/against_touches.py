@@ -315,6 +315,8 @@ def compare_touches(
         try:
             if touch.cause is TouchCause.HAND:
                 raise UsageError("it was a hand.")
+            if touch.cause is TouchCause.UNDETERMINED:
+                raise UsageError("what was touched is undetermined.")
             if touch.is_withdrawn:
                 raise UsageError("F^d turned away before its peak, so it shows no whole blow.")
             said = running(touch.axis)
