@@ -298,8 +298,9 @@ def compare_touches(
 ) -> TouchComparison:
     """Predict every touch, each with the name of its log, from what `source` says of plant and surface.
 
-    `running` gives what was running on an axis. Touches of a hand, on axes or of surfaces that the source does not
-    hold, and of loops that are unstable are passed over with the reason. Raises EstimateError where none is left.
+    `running` gives what was running on an axis. Touches of a hand or of what is undetermined, on axes or of surfaces
+    that the source does not hold, and of loops that are unstable are passed over with the reason. Raises EstimateError
+    where none is left.
     """
     known: dict[tuple[str, str | None], PlantEnsemble] = {}
 

@@ -4,8 +4,11 @@ from dataclasses import replace
 
 import pytest
 
+from autotune.formats.identified import IN_MEMORY, IdentifiedFile
+from autotune.prediction.against_touches import Running, compare_touches
 from autotune.prediction.left_out_logs import with_left_out_logs
 from autotune.text import held_out_lines
+from identification.errors import EstimateError
 from identification.merging.combine import NamedResult
 from identification.result import EnvironmentEstimate, Estimate, Identified, Status, Timeline, Touch, TouchCause
 from tests.autotune.formats.samples import make_identified
@@ -55,3 +58,15 @@ def test_a_hand_and_a_touch_without_gains_are_not_predicted(changes: dict[str, o
     assert found.axes["x"].held_out == ()
     alone = with_left_out_logs(first(parts), parts[:1], lambda rest: first([*rest]))
     assert alone.axes["x"].held_out == ()
+
+
+@pytest.mark.parametrize(("cause", "why"), [(TouchCause.HAND, "a hand"), (TouchCause.UNDETERMINED, "is undetermined")])
+def test_what_may_be_no_wall_is_held_against_no_prediction(cause: TouchCause, why: str) -> None:
+    known = log(4e3, 90.0, cause=cause)
+    source = IdentifiedFile(result=known, provenance={}, path=IN_MEMORY, sha256="")
+
+    def unasked(_axis: str) -> Running:
+        raise AssertionError
+
+    with pytest.raises(EstimateError, match=f"No contact of the log can be predicted: x at 2.00 s: .*{why}"):
+        compare_touches(source, [("", touch) for touch in known.timelines[0].touches], unasked)
