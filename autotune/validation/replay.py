@@ -21,7 +21,7 @@ from problems.model.sampled import (
 
 _SUBSTEPS = 20
 _SHORTEST_APPROACH_S = 0.8
-_SHORTEST_AFTER_S = 1.6
+SHORTEST_AFTER_S = 1.6
 # A part of the motion has gone when it has decayed to exp(-7), a thousandth.
 _DECAY_EXPONENTS = 7.0
 _LONGEST_S = 10.0
@@ -69,7 +69,7 @@ def replay_contact(
     law = DifferenceEquation(controller, sample_time_s)
     approach_speed = desired_force_n / (controller.damping_n_s_per_m + plant.payload.drag_n_s_per_m)
     approach = settling_samples(plant.in_contact_with(FREE_SPACE), controller, sample_time_s, _SHORTEST_APPROACH_S)
-    after = settling_samples(plant, controller, sample_time_s, _SHORTEST_AFTER_S)
+    after = settling_samples(plant, controller, sample_time_s, SHORTEST_AFTER_S)
     start = -approach_speed * approach * sample_time_s
     n = len(step.c_force)
     state = np.zeros(n)

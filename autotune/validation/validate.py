@@ -226,7 +226,13 @@ def _peaks(case: AxisCase) -> Iterator[Check]:
 
 
 def _led(case: AxisCase) -> Iterator[Check]:
-    message, wrong = verify_led(case.controller, case.name, case.others, case.law)
+    try:
+        message, wrong = verify_led(case.controller, case.name, case.others, case.law)
+    except ParameterError as refusal:
+        yield case.check(
+            "led by hand", "", f"not confirmed: the second method takes no such plant, {refusal}", warns=True
+        )
+        return
     if message or wrong:
         yield case.check("led by hand", "; ".join(wrong), message)
 
