@@ -7,7 +7,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from autotune.runtime import AXES, Fault, Payload, RuntimeController
-from autotune.validation.replay import robot_stepper
+from autotune.validation.replay import robot_alone
+from autotune.validation.replay_kernel import over_sample
 from problems.arrays import FloatArray
 from problems.model.robot import RobotModel
 from tests.autotune.runtime.cases import Reading
@@ -181,9 +182,10 @@ class Cell:
     def __init__(self, controller: RuntimeController, case: Case) -> None:
         self.controller, self.case = controller, case
         self.axis = next(axis.index for axis in controller.axes if not axis.turns)
-        self.robot = robot_stepper(
+        self.robot = robot_alone(
             RobotModel.from_bandwidth(bandwidth_rad_per_s=20.0, delay_s=2.4e-3), controller.sample_time_s
         )
+        self.state, self.sent = np.zeros(len(self.robot.output)), [0.0] * (self.robot.whole + 2)
         self.R = Rotation.from_rotvec([0.0, case.tilt_rad, 0.0])
         self.rng, self.command, self.count = np.random.default_rng(0), 0.0, 0
         self.position = 0.0
@@ -217,7 +219,10 @@ class Cell:
     def follow(self, increment_m: float) -> None:
         """Go on by a period, with the command further by `increment_m`."""
         self.command += increment_m
-        self.position = self.robot(self.command)
+        self.sent = [*self.sent[1:], self.command]
+        older, newer, *_ = self.sent
+        self.state = over_sample(self.robot.sample, self.state, older, newer)
+        self.position = float(self.robot.output @ self.state)
         self.count += 1
 
     def _sound(self) -> Reading:

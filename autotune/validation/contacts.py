@@ -223,7 +223,8 @@ def verify_led(
     """Return what was confirmed of the peaks per speed of a payload that is led by hand, and what is wrong.
 
     The contacts are those of the file and samples of the domain, integrated by Runge-Kutta steps with the hand's force
-    on the payload; none of them may be above what the file says. Raises ParameterError for a plant that they cannot take.
+    on the payload; none of them may be above what the file says. Raises ParameterError for a plant that they cannot
+    take.
     """
     stated, domain = controller.predicted[name].peak_per_speed, controller.certificate.domain[name]
     if stated is None:

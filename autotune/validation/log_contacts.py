@@ -25,7 +25,8 @@ from problems.arrays import FloatArray
 from problems.contact.nonlinearities import DeadbandType
 from problems.model.controller import AdmittanceController
 
-from .replay import DifferenceEquation
+from .replay import equation_gains
+from .replay_kernel import equation_commands, rest_at
 
 _UNEXPLAINED_N, _UNEXPLAINED_SHARE = 5.0, 0.05
 _BEFORE_S, _SPEED_S = 0.06, 0.01
@@ -340,10 +341,6 @@ def _answer(law: AdmittanceController, h: float, force: FloatArray, position: Fl
     `steady` has felt the same force before; `force_last` is both forces before, which the command shows apart
     in its first sample only.
     """
-    equation = DifferenceEquation(law, h)
-    if memory == "steady":
-        equation.force_before = equation.force_last = 1.0
-    elif memory:
-        setattr(equation, memory, 1.0)
-    pairs = zip(force.tolist(), position.tolist(), strict=True)
-    return np.array([equation.step(felt_force, place) for felt_force, place in pairs])
+    fields = ("force_before", "force_last") if memory == "steady" else (memory,) if memory else ()
+    past = rest_at(0.0)._replace(**dict.fromkeys(fields, 1.0))
+    return equation_commands(equation_gains(law, h), past, force, position)

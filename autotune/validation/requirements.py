@@ -2,8 +2,7 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from copy import copy
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -34,7 +33,8 @@ from problems.model.sampled import build_sampled_plant, hold
 
 from .certified_requirements import asked_of, certified_problem_requirements, describe_soft
 from .margins import SweptMargins
-from .replay import DifferenceEquation, robot_stepper, settling_samples
+from .replay import equation_gains, robot_alone, settling_samples
+from .replay_kernel import difference_step, follow_forces, rest_at
 from .report import Check
 from .validation_samples import ValidationSamples
 
@@ -221,15 +221,10 @@ def sampled_admittance(
 
 
 def _gain(robot: RobotModel, controller: AdmittanceController, h: float, frequency_hz: float) -> float:
-    law, step = DifferenceEquation(controller, h), robot_stepper(robot, h)
     samples = round((_SETTLE_S + _PERIODS / frequency_hz) / h)
     omega = 2.0 * np.pi * frequency_hz
     force = np.sin(omega * h * np.arange(samples))
-    position = np.empty(samples)
-    x = 0.0
-    for k in range(samples):
-        position[k] = x
-        x = step(law.step(float(force[k]), x))
+    position = follow_forces(robot_alone(robot, h), equation_gains(controller, h), force)
     # Least squares on the steady part: sine, cosine, drift and offset of the position.
     used = slice(round(_SETTLE_S / h), samples)
     t = h * np.arange(samples)[used]
@@ -260,18 +255,19 @@ def speed_rms(plants: Sequence[Plant], law: AdmittanceController, sample_time_s:
     h = sample_time_s
     plant = _Plants(plants, h)
     # The difference equation adds and multiplies only: what it does to a number it does to each plant's.
-    equation: Any = DifferenceEquation(law, h)
-    direct = equation.gain * equation.weights[0] / equation.new
+    past: Any = rest_at(0.0)
+    gains, step = equation_gains(law, h), cast(Any, difference_step)
+    direct = gains.gain * gains.now_weight / gains.new
     last = squares = np.zeros(len(plants))
     for k in range(max(settling_samples(each, law, h, _SHORTEST_S) for each in plants)):
         tick = 1.0 if k == 0 else 0.0
         force, position = plant.force() + tick, plant.position()
         if np.any(plant.direct != 0.0):
-            tried = np.asarray(copy(equation).step(force, position))
+            tried = step(gains, past, force, position, False).sent
             force = force + plant.direct * tried / (1.0 - direct * plant.direct)
-        command = np.asarray(equation.step(force, position))
-        squares, last = squares + (command - last) ** 2, command
-        plant.advance(command)
+        past = step(gains, past, force, position, False)
+        squares, last = squares + (past.sent - last) ** 2, past.sent
+        plant.advance(past.sent)
     return np.sqrt(squares) / h
 
 
@@ -326,12 +322,9 @@ def passive_band_hz(
     """
     h = sample_time_s
     robot, wrench = port
-    equation, step = DifferenceEquation(law, h), robot_stepper(robot, h)
-    position = np.empty(math.ceil(_PORT_S / h))
-    x = 0.0
-    for k in range(len(position)):
-        position[k] = x
-        x = step(equation.step(1.0 if k == 0 else 0.0, x))
+    force = np.zeros(math.ceil(_PORT_S / h))
+    force[0] = 1.0
+    position = follow_forces(robot_alone(robot, h), equation_gains(law, h), force)
     moved = np.diff(position, prepend=0.0)
     if not np.max(np.abs(moved[-len(moved) // 10 :])) <= _NOT_SETTLED * np.max(np.abs(moved)):
         return 0.0

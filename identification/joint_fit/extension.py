@@ -70,8 +70,8 @@ def extend_payload(
 ) -> Extended | None:
     """Return what a part that swings, and dry friction in the coupling, change of a joint fit; None where nothing.
 
-    Each is fitted to free motion beside everything else. Reported is what −2 log L prefers by 60 under the noise that it
-    leaves, and only a part of less than three tenths of the mass and 15 % of critical damping, since a wider one may be
+    Each is fitted to free motion beside everything else. Reported is what −2 log L prefers by 60 under the noise that
+    it leaves, and only a part of less than three tenths of the mass and 15 % of critical damping: a wider one may be
     anything. From 30 on, and where the part is none, the values stay, and hold the move in their deviations. What
     explains less than a quarter of the misfit beyond `quiet_rms_n` is no part. Where no command `is_held`, that, and
     what explains no more than the path within a sample may do, leaves the deviations, too: it is another misfit.

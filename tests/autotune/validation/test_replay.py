@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from autotune.validation.replay import DifferenceEquation, replay_contact, robot_stepper
+from autotune.validation.replay import equation_gains, replay_contact, robot_alone
+from autotune.validation.replay_kernel import difference_step, follow_forces, over_sample, replay_ticks, rest_at
 from problems.contact.transient import Approach, ContactTransient, build_sampled_contact, simulate_contact
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Plant, WrenchFilter
@@ -94,24 +95,51 @@ def test_a_deadband_hides_what_is_below_it() -> None:
 
 def test_the_difference_equation_is_the_one_of_the_paper() -> None:
     law = admittance(13.0, 1000.0, 0.013, 0.008)
-    ours, printed = DifferenceEquation(law, PERIOD_S), reference.DifferenceEquation(law, PERIOD_S)
+    gains, past, printed = equation_gains(law, PERIOD_S), rest_at(0.0), reference.DifferenceEquation(law, PERIOD_S)
     rng = np.random.default_rng(2)
     forces, positions = rng.normal(size=300) * 20.0, np.cumsum(rng.normal(size=300)) * 1e-5
-    message = [(ours.step(f, x), printed.step(f, x)) for f, x in zip(forces, positions, strict=True)]
-    mine, theirs = np.array(message).T
+    mine, theirs = np.empty(300), np.empty(300)
+    for tick, (force, position) in enumerate(zip(forces, positions, strict=True)):
+        past = difference_step(gains, past, force, position, reset=False)
+        mine[tick], theirs[tick] = past.sent, printed.step(force, position)
     np.testing.assert_allclose(mine, theirs, rtol=0.0, atol=1e-10 * float(np.max(np.abs(theirs))))
 
 
 @pytest.mark.parametrize("robot", [one_pole(), one_pole(0.0), one_pole(1.3 * PERIOD_S), TWO_POLES])
 def test_the_robot_alone_steps_like_the_whole_sampled_plant(robot: RobotModel) -> None:
     sampled = build_sampled_plant(paper_plant(stiffness=0.0, robot=robot), PERIOD_S)
-    step, state, past = robot_stepper(robot, PERIOD_S), np.zeros(sampled.state_count), np.zeros(12)
+    alone, state, past = robot_alone(robot, PERIOD_S), np.zeros(sampled.state_count), np.zeros(12)
+    of_robot = np.zeros(robot.order)
     commands = np.random.default_rng(4).normal(size=200)
     for command in commands:
         past = np.concatenate([[command], past[:-1]])
         newer, older = past[sampled.whole_delay], past[sampled.whole_delay + 1]
         state = sampled.phi @ state + sampled.gamma * newer + sampled.gamma_old * older
-        assert step(float(command)) == pytest.approx(float(sampled.c_position @ state), abs=1e-10)
+        of_robot = over_sample(alone.sample, of_robot, past[alone.whole + 1], past[alone.whole])
+        assert alone.output @ of_robot == pytest.approx(float(sampled.c_position @ state), abs=1e-10)
+
+
+@pytest.mark.parametrize("robot", [one_pole(0.0), one_pole(1.3 * PERIOD_S), TWO_POLES])
+def test_compiled_and_straight_python_follow_the_same_force(robot: RobotModel) -> None:
+    alone, gains = robot_alone(robot, PERIOD_S), equation_gains(admittance(13.0, 1000.0, 0.013, 0.008), PERIOD_S)
+    force = np.random.default_rng(5).normal(size=400)
+    straight = follow_forces.py_func(alone, gains, force)  # type: ignore[attr-defined]
+    # The same operations, in sums of at most three terms.
+    np.testing.assert_allclose(follow_forces(alone, gains, force), straight, rtol=1e-12, atol=1e-18)
+
+
+@pytest.mark.parametrize("options", [{}, {"deadband_n": 4.0}, {"reset_threshold_n": 12.0}])
+def test_compiled_and_straight_python_replay_the_same_contact(
+    options: dict[str, float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plant = paper_plant(stiffness=1.35e6, drag=95.0, coupling=3.7e4, mass=33.5, robot=one_pole(0.4 * PERIOD_S))
+    law = admittance(18.7, 2623.0, 0.0219)
+    compiled = vars(replay_contact(plant, law, PERIOD_S, 30.0, **options))
+    monkeypatch.setattr("autotune.validation.replay.replay_ticks", replay_ticks.py_func)  # type: ignore[attr-defined]
+    straight = vars(replay_contact(plant, law, PERIOD_S, 30.0, **options))
+    assert (straight["detected_after_s"] is None) == ("reset_threshold_n" not in options)
+    # Rounding, as it grows over several bounces.
+    assert list(compiled.values()) == [each and pytest.approx(each, rel=1e-9) for each in straight.values()]
 
 
 @pytest.mark.parametrize("delay", [0.4 * PERIOD_S, 2.7 * PERIOD_S, 3.0 * PERIOD_S])

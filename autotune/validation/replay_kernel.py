@@ -1,0 +1,244 @@
+"""Step the paper's own difference equation and a finely stepped plant through a contact, compiled.
+
+None of these equations is shared with the kernels of `problems`, so that the two can be held against each other.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from problems.arrays import FloatArray
+from problems.compiled import compiled, equation
+
+SUBSTEPS = 20
+# Of the plant's states: the robot's first, and at the end those of the payload; the wall's surface is at 0.
+_ROBOT, _PAYLOAD, _VELOCITY = 0, -2, -1
+
+
+class EquationGains(NamedTuple):
+    """Coefficients of the paper's eq. (discretized admittance); corners in rad/s, `h` in s."""
+
+    old: float
+    new: float
+    gain: float
+    now_weight: float
+    last_weight: float
+    before_weight: float
+    feedback: float
+    compensation: float
+    corner: float
+    second_corner: float
+    h: float
+
+
+class EquationMemory(NamedTuple):
+    """What the difference equation remembers from tick to tick; `sent` is the command x^d."""
+
+    before: float
+    last: float
+    force_before: float
+    force_last: float
+    seen: float
+    velocity: float
+    acceleration: float
+    sent: float
+
+
+class SampleStep(NamedTuple):
+    """The plant over one sample: the older command acts during the first part, the newer one during the rest."""
+
+    phi_older: FloatArray
+    gamma_older: FloatArray
+    phi_newer: FloatArray
+    gamma_newer: FloatArray
+
+
+class Substep(NamedTuple):
+    """The plant over a twentieth of a sample under a held command."""
+
+    phi: FloatArray
+    gamma: FloatArray
+
+
+class FineContact(NamedTuple):
+    """The plant in contact and in free space; commands act `whole` samples and `late` substeps late.
+
+    `stiffness` and `damping` (times the sample time) are those of the wall.
+    """
+
+    near: Substep
+    far: Substep
+    near_sample: SampleStep
+    far_sample: SampleStep
+    c_force: FloatArray
+    c_position: FloatArray
+    d_force: float
+    stiffness: float
+    damping: float
+    whole: int
+    late: int
+
+
+class RobotAlone(NamedTuple):
+    """A robot without payload, whose commands act `whole` samples and a part of one late; `output` is its position."""
+
+    sample: SampleStep
+    output: FloatArray
+    whole: int
+
+
+class ReplayedContact(NamedTuple):
+    """Peaks and largest steps of a replayed contact; `touch` and `detection` are ticks, -1 for none."""
+
+    sensor: float
+    contact: float
+    touch: int
+    detection: int
+    fastest: float
+    hardest: float
+    is_touching: bool
+
+
+@equation
+def rest_at(position: float) -> EquationMemory:
+    """Return the memory at rest: C_fb x is zero there, so the admittance's own position is the command."""
+    return EquationMemory(position, position, 0.0, 0.0, position, 0.0, 0.0, position)
+
+
+@equation
+def filtered(value: float, moved: float, corner: float, h: float) -> float:
+    """Return a first-order filter's output after an input's change, by the trapezoidal rule."""
+    half = 0.5 * corner * h
+    return ((1.0 - half) * value + corner * moved) / (1.0 + half)
+
+
+@equation
+def difference_step(
+    gains: EquationGains, past: EquationMemory, force: float, position: float, reset: bool
+) -> EquationMemory:
+    """Return the memory after a tick with F^d + F and the measured position; `reset` repeats the last command.
+
+    C_fb and P̂ O_a are discretised by the trapezoidal rule: dv/dt = ω_v dx/dt − ω_v v and da/dt = ω_a dv/dt − ω_a a.
+    """
+    velocity = filtered(past.velocity, position - past.seen, gains.corner, gains.h)
+    acceleration = filtered(past.acceleration, velocity - past.velocity, gains.second_corner, gains.h)
+    driven = force + gains.compensation * acceleration
+    pushed = gains.gain * (
+        gains.now_weight * driven + gains.last_weight * past.force_last + gains.before_weight * past.force_before
+    )
+    following, before = (2.0 * past.last - gains.old * past.before + pushed) / gains.new, past.last
+    if reset:
+        # What the admittance put out is the command without C_fb, which goes on seeing the robot move.
+        following = before = past.sent + gains.feedback * velocity
+    sent = following - gains.feedback * velocity
+    return EquationMemory(before, following, past.force_last, driven, position, velocity, acceleration, sent)
+
+
+@equation
+def over_sample(step: SampleStep, state: FloatArray, older: float, newer: float) -> FloatArray:
+    """Return the state one sample later."""
+    between = step.phi_older @ state + step.gamma_older * older
+    return step.phi_newer @ between + step.gamma_newer * newer
+
+
+@equation
+def wall_force(contact: FineContact, state: FloatArray) -> float:
+    """Return the force on the environment of a payload behind the wall."""
+    return float(max(0.0, contact.stiffness * state[_PAYLOAD] + contact.damping * state[_VELOCITY]))
+
+
+@equation
+def is_touching(contact: FineContact, state: FloatArray) -> bool:
+    """Whether the payload presses on the wall."""
+    return bool(state[_PAYLOAD] > 0.0 and wall_force(contact, state) > 0.0)
+
+
+@equation
+def is_far(contact: FineContact, state: FloatArray, far_samples: float) -> bool:
+    """Say whether no surface is reached within some samples at this speed, which is that per sample."""
+    away = state[_PAYLOAD]
+    return bool(abs(away) > far_samples * abs(state[_VELOCITY]) and (away < 0.0 or contact.damping == 0.0))
+
+
+@equation
+def contact_sample(
+    contact: FineContact, state: FloatArray, older: float, newer: float, far_samples: float
+) -> FloatArray:
+    """Return the state one sample later; far from the wall's surface, on either side, two steps are enough."""
+    if is_far(contact, state, far_samples):
+        step = contact.near_sample if state[_PAYLOAD] > 0.0 else contact.far_sample
+        ahead = over_sample(step, state, older, newer)
+        if is_far(contact, ahead, far_samples) and (ahead[_PAYLOAD] > 0.0) == (state[_PAYLOAD] > 0.0):
+            return ahead
+    for sub in range(SUBSTEPS):
+        side = contact.near if is_touching(contact, state) else contact.far
+        state = side.phi @ state + side.gamma * (older if sub < contact.late else newer)
+    return state
+
+
+@compiled
+def replay_ticks(
+    contact: FineContact,
+    gains: EquationGains,
+    start: float,
+    ticks: int,
+    desired_force: float,
+    deadband: float,
+    reset_threshold: float,
+    far_samples: float,
+) -> ReplayedContact:
+    """Follow a contact from rest at `start`, before the wall, for so many ticks (`replay_contact`)."""
+    state = np.zeros(len(contact.c_force))
+    state[_ROBOT] = state[_PAYLOAD] = start
+    past = rest_at(start)
+    # What acts at the end of a tick is a command of `whole` ticks before; before the first tick the robot rests.
+    sent = np.full(contact.whole + 1 + ticks, start)
+    sensor = peak = speed = fastest = hardest = 0.0
+    touch = detection = -1
+    for tick in range(ticks):
+        force = contact.c_force @ state + contact.d_force * sent[tick]
+        if touch < 0 and is_touching(contact, state):
+            touch = tick
+        if touch >= 0:
+            # A payload that has left the wall again still shakes the sensor.
+            sensor, peak = max(sensor, -force), max(peak, wall_force(contact, state))
+        felt, position = force if abs(force) > deadband else 0.0, float(contact.c_position @ state)
+        if detection < 0 and -felt * np.sign(position - past.seen) > reset_threshold:
+            detection = tick
+        past = difference_step(gains, past, desired_force + felt, position, detection == tick)
+        newest = contact.whole + 1 + tick
+        sent[newest] = past.sent
+        slower, speed = speed, sent[newest] - sent[newest - 1]
+        fastest = max(fastest, abs(speed))
+        # That a response stops the command is not limited.
+        hardest = hardest if detection == tick else max(hardest, abs(speed - slower))
+        state = contact_sample(contact, state, sent[tick], sent[tick + 1], far_samples)
+    return ReplayedContact(sensor, peak, touch, detection, fastest, hardest, is_touching(contact, state))
+
+
+@compiled
+def follow_forces(robot: RobotAlone, gains: EquationGains, forces: FloatArray) -> FloatArray:
+    """Return the positions of the robot alone at the ticks, at rest before the first of the forces (n,)."""
+    positions = np.empty(len(forces))
+    sent = np.zeros(robot.whole + 1 + len(forces))
+    state = np.zeros(len(robot.output))
+    past = rest_at(0.0)
+    for tick in range(len(forces)):
+        position = float(robot.output @ state)
+        positions[tick] = position
+        past = difference_step(gains, past, forces[tick], position, False)
+        sent[robot.whole + 1 + tick] = past.sent
+        state = over_sample(robot.sample, state, sent[tick], sent[tick + 1])
+    return positions
+
+
+@compiled
+def equation_commands(
+    gains: EquationGains, past: EquationMemory, forces: FloatArray, positions: FloatArray
+) -> FloatArray:
+    """Return the commands (n,) to F^d + F (n,) and measured positions (n,), from a memory on."""
+    commands = np.empty(len(forces))
+    for tick in range(len(forces)):
+        past = difference_step(gains, past, forces[tick], positions[tick], False)
+        commands[tick] = past.sent
+    return commands
