@@ -105,6 +105,8 @@ def quiet_optuna() -> Iterator[None]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
+            # `study` runs its trials itself, their heartbeats included.
+            warnings.filterwarnings("ignore", message="Heartbeat of storage", category=UserWarning)
             yield
     finally:
         optuna.logging.set_verbosity(before)

@@ -4,14 +4,17 @@ import itertools
 import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 import optuna
 from optuna.distributions import BaseDistribution, FloatDistribution
+from optuna.exceptions import UpdateFinishedTrialError
 from optuna.samplers import BaseSampler, NSGAIISampler, TPESampler
 from optuna.search_space import intersection_search_space
+from optuna.storages._heartbeat import get_heartbeat_thread
 from optuna.trial import FrozenTrial, Trial, TrialState
 
 from autotune.errors import InfeasibleError, UsageError
@@ -93,7 +96,7 @@ def run_study(
         done = len(study.get_trials(deepcopy=False, states=_FINISHED))
         report(min(1.0, done / plan.trials))
         while done < plan.trials:
-            study.optimize(lambda trial: _try(trial, judge, plan), n_trials=1)
+            _run_trial(study, storage, judge, plan)
             before, done = done, len(study.get_trials(deepcopy=False, states=_FINISHED))
             report(min(done, plan.trials) / plan.trials - before / plan.trials)
         trials = study.get_trials(deepcopy=False, states=_FINISHED)
@@ -156,6 +159,28 @@ def fingerprint(problem: DesignProblem, plan: StudyPlan, start: FloatArray) -> s
         "start": [float(value) for value in start],
     }
     return checksum(tree)
+
+
+def _run_trial(study: optuna.Study, storage: Storage, judge: Judge, plan: StudyPlan) -> None:
+    """Try one design and record what it achieves, unless another process has finished the trial meanwhile.
+
+    It may: two processes can take the same design from the queue of a SQLite file, and the trial of one that sleeps
+    longer than three heartbeats is given up and tried again by others.
+    """
+    optuna.storages.fail_stale_trials(study)
+    values: tuple[float, ...] | None = None
+    state = TrialState.FAIL
+    with suppress(UpdateFinishedTrialError):
+        trial = study.ask()
+        try:
+            with get_heartbeat_thread(trial._trial_id, storage):  # noqa: SLF001 - the storage knows it by that only
+                values = _try(trial, judge, plan)
+            state = TrialState.COMPLETE
+        except optuna.TrialPruned:
+            state = TrialState.PRUNED
+        finally:
+            study.tell(trial, values, state, skip_if_finished=True)
+    storage.remove_session()
 
 
 def _try(trial: Trial, judge: Judge, plan: StudyPlan) -> tuple[float, ...]:

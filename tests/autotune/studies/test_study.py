@@ -9,6 +9,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import optuna
@@ -22,6 +23,7 @@ from autotune.studies.plugins import ObjectiveLimit
 from autotune.studies.points import STRUCTURES, Judge, build_controller, check_choices
 from autotune.studies.storage import Storage, close_storage, open_storage, quiet_optuna
 from autotune.studies.study import Sampler, StudyPlan, is_feasible, run_study
+from autotune.tuning.bounds import LINEAR_VARIABLES
 from autotune.tuning.search import presentable
 from problems.design.evaluation import build_scenarios
 from problems.design.objectives import HandForce, PeakForce
@@ -261,6 +263,76 @@ def check_kill_and_resume(url: str, tmp_path: Path) -> None:
     (again,) = [t for t in now if t.system_attrs.get("failed_trial") == lost.number]
     assert again.state in FINISHED
     assert {name: again.params[name] for name in lost.params} == lost.params
+
+
+def finished_by_another(storage: Storage, number: int, state: TrialState) -> None:
+    """Finish a trial as another process does that took it, too, or that gives it up because its heart has stopped."""
+    study = optuna.load_study(study_name="shared", storage=storage)
+    trial = study.get_trials()[number]
+    if state is TrialState.FAIL:
+        study.tell(number, state=state)
+        try_again = storage.get_heartbeat_stale_trial_callback()
+        assert try_again is not None
+        try_again(study, trial)
+        return
+    other, plan = optuna.Trial(study, trial._trial_id), small_plan(1)
+    for name in VARIABLES:
+        low, high = small_problem().bounds[name]
+        other.suggest_float(name, low, high, log=name not in LINEAR_VARIABLES)
+    design = presentable(small_problem(), np.array([other.params[name] for name in VARIABLES]))
+    judged = Judge(small_problem(), plan.objectives).judge(small_problem().controller(design))
+    study.tell(number, [judged.values[each.name] for each in plan.objectives])
+
+
+@pytest.mark.parametrize("moment", ["suggest_float", "set_constraint", "before it is reported"])
+@pytest.mark.parametrize("state", [TrialState.COMPLETE, TrialState.FAIL])
+def test_a_trial_that_another_process_has_finished_is_left_as_it_is(
+    tmp_path: Path, moment: str, state: TrialState, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A process sleeps at some moment of its third trial, and another one finishes it or gives it up meanwhile."""
+    storage, trials, taken = open_storage(None, tmp_path / "study.db"), 4, 2
+    slept: list[int] = []
+
+    def sleep(number: int) -> None:
+        if number == taken and not slept:
+            slept.append(number)
+            finished_by_another(storage, number, state)
+
+    if moment == "before it is reported":
+        tell = optuna.Study.tell
+
+        def tell_later(study: optuna.Study, trial: Any, *arguments: Any, **options: Any) -> FrozenTrial:
+            if isinstance(trial, optuna.Trial):
+                sleep(trial.number)
+            return tell(study, trial, *arguments, **options)
+
+        monkeypatch.setattr(optuna.Study, "tell", tell_later)
+    else:
+        write = getattr(optuna.Trial, moment)
+
+        def write_later(trial: optuna.Trial, *arguments: Any, **options: Any) -> Any:
+            sleep(trial.number)
+            return write(trial, *arguments, **options)
+
+        monkeypatch.setattr(optuna.Trial, moment, write_later)
+    run_study(small_problem(), small_plan(trials), storage, start=START, name="shared")
+    found = trials_of(storage)
+    assert slept == [taken]
+    assert found[taken].state is state
+    assert sum(t.state in FINISHED for t in found) == trials
+    assert all(t.state in {*FINISHED, TrialState.FAIL} for t in found)
+    assert len({tuple(t.params.items()) for t in found if t.state in FINISHED}) == trials
+    if state is TrialState.FAIL:
+        (again,) = [t for t in found if t.system_attrs.get("failed_trial") == taken]
+        assert again.state in FINISHED
+
+
+def test_a_judge_that_fails_ends_the_study_and_its_trial(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    storage = open_storage(None, tmp_path / "study.db")
+    monkeypatch.setattr(Judge, "judge", lambda *_: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        run_study(small_problem(), small_plan(4), storage, start=START, name="shared")
+    assert [t.state for t in trials_of(storage)] == [TrialState.FAIL]
 
 
 def check_two_workers(url: str, tmp_path: Path) -> None:
