@@ -58,6 +58,16 @@ class _Linear:
     def size(self) -> FloatArray:
         return np.asarray(np.sum(np.abs(self.terms), axis=1))
 
+    def spread(self) -> FloatArray:
+        """Return how far from its middle it may be."""
+        return np.asarray(np.sum(np.abs(self.terms[:, 1:]), axis=1) + self.error())
+
+    def shares(self) -> FloatArray:
+        """Return what each direction, frequency first, adds to the error (m, 1 + d)."""
+        count = max(self.cross.shape[1], 1)
+        own = 0.5 * self.cross + (self.rest / count)[:, None]
+        return np.concatenate([(self.curve + 0.5 * np.sum(self.cross, axis=1))[:, None], own], axis=1)
+
 
 def judge(arcs: Arcs, cell: PlantCell, modulus: float) -> Verdicts:
     """Judge |χ| > m |R| on every arc for all plants of the cell, R of the command and R of the force."""
@@ -75,6 +85,33 @@ def judge(arcs: Arcs, cell: PlantCell, modulus: float) -> Verdicts:
         middle=np.min([middle for _, middle, _ in found], axis=0),
         blame=np.array([blame for _, _, blame in found])[worse, pick],
     )
+
+
+def judge_at_rest(arcs: Arcs, cell: PlantCell, modulus: float) -> Verdicts:
+    """Judge the same on arcs from 0 for plants of every stiffness K from above 0 to that of the cell.
+
+    There χ and R vanish together at z = 1, K = 0. With the factor w taken out, and 1/w = −½ (1 + j cot ½θ) on the
+    circle, χ/w = U + jκV with U = B + tV, V = ½ K₂ β_F n_F'(K), t = K/K₂ and κ = t cot ½θ ≥ 0; B is the rest of the
+    loop. As κ is all from 0 to ∞, |χ/w| is bounded by what of U lies along V. The cell's last group is ½ K₂ n_F'(K).
+    """
+    parts = []
+    for jet, linear, whole in zip(arcs.groups, cell.groups, cell.whole(), strict=True):
+        parts.append((jet[0] @ linear, jet[1] @ linear, jet[2] @ whole))
+    rest, pull = parts[:-1], _linear(parts[-1:], (1.0,), arcs.half)
+    closed = _linear(rest, (1.0,) + (-1.0,) * (len(rest) - 1), arcs.half)
+    cuts = arcs.opened if modulus > 0.0 else arcs.opened[:1]
+    cut_loops = [_linear(rest, signs, arcs.half) for signs in cuts]
+    towards = np.abs(pull.terms[:, 0])
+    along = np.abs(np.real(np.conj(closed.terms[:, 0]) * pull.terms[:, 0])) / towards
+    turned = pull.spread() / towards
+    opened = np.max([np.abs(each.terms[:, 0]) + each.spread() for each in cut_loops], axis=0)
+    size = closed.size() + pull.size() + np.max([each.size() for each in cut_loops], axis=0)
+    lost = closed.spread() + towards + pull.spread() + 2.0 * turned * np.abs(closed.terms[:, 0]) + _ROUNDING * size
+    slack = np.where(turned < 0.5, along - lost, -1.0) - modulus * opened
+    blame = sum(np.abs(each.terms[:, 1:]) + each.shares() for each in (closed, *cut_loops))
+    blame = blame + (np.abs(closed.terms[:, 0]) / towards)[:, None] * (np.abs(pull.terms[:, 1:]) + pull.shares())
+    middle = along - modulus * np.max([np.abs(each.terms[:, 0]) for each in cut_loops], axis=0)
+    return Verdicts(holds=slack > 0.0, middle=middle, blame=np.asarray(blame))
 
 
 def _linear(parts: list[tuple[Balls, Balls, Balls]], signs: tuple[float, ...], half: FloatArray) -> _Linear:
@@ -116,7 +153,5 @@ def _compare(closed: _Linear, opened: _Linear, modulus: float) -> tuple[FloatArr
     slack = middle + np.sum(own, axis=1) - np.sum(mixed, axis=1) - lost
     weight = 2.0 * modulus * size + error
     blame = 2.0 * g + np.abs(h) + mixed
-    for each, share in ((closed, 1.0), (opened, modulus)):
-        blame[:, 0] += weight * share * (each.curve + 0.5 * np.sum(each.cross, axis=1))
-        blame[:, 1:] += weight[:, None] * share * (0.5 * each.cross + (each.rest / max(h.shape[1] - 1, 1))[:, None])
+    blame += weight[:, None] * (closed.shares() + modulus * opened.shares())
     return slack, middle, blame

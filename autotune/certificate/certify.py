@@ -5,21 +5,21 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
-from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from problems.arrays import FloatArray, IntArray
-from problems.design.uncertainty import STIFFNESS, PlantSet, Scenario
+from problems.design.uncertainty import STIFFNESS, Scenario
 from problems.errors import ParameterError
 from problems.model.sampled import Controller, build_loop, build_sampled_plant, stability_matrix
 
 from . import rational
 from .balls import Balls, DualBall, as_series, derivative_of, enclose
 from .base_plant import fails_at, is_stable
-from .bounds import PlantCell, judge
+from .bounds import PlantCell, Verdicts, judge, judge_at_rest
 from .circle import Circle
-from .family import LATE, Family, build_families
+from .family import LATE, Family
 from .law import LawPolynomials, law_polynomials, without_constant
 from .plant_polynomials import plant_polynomials
 
@@ -28,7 +28,12 @@ from .plant_polynomials import plant_polynomials
 CELL_WORK = 300
 _NARROWEST_ARC = 1e-9
 _AT_ONCE = 4096
+# Arcs below this angle [rad/sample] are judged with the factor of the integrator taken out, if a spring is soft.
+_NEAR_REST = 0.02
 _MOST_CORNERS = 4  # of more coordinates the corners are left to the cells
+
+# d, n_F and n_x in w, ascending.
+_Raw = tuple[list[Any], ...]
 
 METHOD = "zero exclusion on the unit circle in ball arithmetic"
 # A proof's work is counted, not timed, so that the same input gives the same file; this many are done in a second.
@@ -143,8 +148,14 @@ class _Search:
         self.is_deflated = family.is_free_space and not self.law.holds_position
         self.box = family.box()
         whole, has_fraction = family.delay()
-        sizes = tuple(len(part) for part in self._polynomials(self.box, None))
-        self.circle = Circle(self.law, whole + int(has_fraction), sizes, is_deflated=self.is_deflated)
+        chain = whole + int(has_fraction)
+        whole_box = plant_polynomials(family, self.box, None)
+        sizes = tuple(len(part) for part in self._groups(whole_box))
+        self.circle = Circle(self.law, chain, sizes, is_deflated=self.is_deflated)
+        self.at_rest: Circle | None = None
+        if family.is_soft and not self.law.holds_position:
+            sizes = tuple(len(part) for part in self._groups_at_rest(whole_box))
+            self.at_rest = Circle(self.law, chain, (*sizes, 1), is_deflated=True, pull=True)
         first = np.arange(self.circle.count_of_first)
         # What is false is mostly false at a corner of the set, and one plant is judged at once.
         points = [_Part(cell=np.stack([end, end], axis=1), arcs=first, share=0.0) for end in self._corners()]
@@ -156,7 +167,13 @@ class _Search:
         if not 0 < len(self.box) <= _MOST_CORNERS:
             return []
         corners = itertools.product((0, 1), repeat=len(self.box))
-        return [self.box[np.arange(len(self.box)), list(corner)] for corner in corners]
+        found = [self.box[np.arange(len(self.box)), list(corner)] for corner in corners]
+        # A stiffness of 0 bounds the set and is not of it.
+        return [each for each in found if not self._reaches_zero(each[:, None])]
+
+    def _reaches_zero(self, cell: FloatArray) -> bool:
+        """Return whether plants of a cell (d, 2) come as near as one likes to those that nothing holds."""
+        return self.at_rest is not None and bool(cell[self.family.varying.index(STIFFNESS), 0] == 0.0)
 
     def unstable_base(self) -> ProofOutcome | None:
         """Return the refutation, or the lack of proof, by the plant in the middle; None if it is stable.
@@ -184,12 +201,16 @@ class _Search:
         Of stability alone the widest cells come first: their middles find what is unstable.
         """
         part = self.waiting.pop(-1 if self.modulus > 0.0 else 0)
-        cell = self._plant_cell(part.cell)
+        columns = self._coefficients(part.cell)
+        cell = self._with_derivatives(part.cell, [self._groups(each) for each in columns])
+        soft = None if self.at_rest is None else self._cell_at_rest(part.cell, columns)
         self.work += CELL_WORK
         arcs, left, blame = part.arcs, [np.zeros(0, dtype=np.int64)], np.zeros(len(self.box))
         while len(arcs):
             now, arcs = arcs[:_AT_ONCE], arcs[_AT_ONCE:]
             found = judge(self.circle.at(now), cell, self.modulus)
+            if soft is not None:
+                found = self._judged_at_rest(now, soft, found)
             self.work += len(now)
             self.arcs += int(np.sum(found.holds))
             failed = ~found.holds
@@ -208,6 +229,17 @@ class _Search:
             return None if self.modulus > 0.0 else self._refuted_by_poles(np.mean(part.cell, axis=1))
         self.cells, self.share = self.cells + int(part.share > 0.0), self.share + part.share
         return None
+
+    def _judged_at_rest(self, arcs: IntArray, cell: PlantCell, found: Verdicts) -> Verdicts:
+        """Return the verdicts with those of arcs near 0 that do not hold made anew."""
+        ends = self.circle.angles(arcs)
+        open_arcs = ~found.holds & (ends[:, 1] < _NEAR_REST)
+        if self.at_rest is None or not np.any(open_arcs):
+            return found
+        anew = judge_at_rest(self.at_rest.on(ends[open_arcs]), cell, self.modulus)
+        for old, new in ((found.holds, anew.holds), (found.middle, anew.middle), (found.blame, anew.blame)):
+            old[open_arcs] = new
+        return found
 
     def _cut(self, part: _Part, arcs: IntArray, blame: FloatArray) -> None:
         if np.all(part.cell[:, 0] == part.cell[:, 1]):
@@ -239,13 +271,21 @@ class _Search:
             return None
         return self._ended(Verdict.REFUTED, point, angle)
 
+    def _coefficients(self, cell: FloatArray) -> list[_Raw]:
+        """Return d, n_F and n_x in the middle of a cell, then all over it with derivatives along each coordinate."""
+        middle = np.mean(cell, axis=1)
+        found = [plant_polynomials(self.family, np.stack([middle, middle], axis=1), None)]
+        return found + [plant_polynomials(self.family, cell, along) for along in range(len(cell))]
+
     def _plant_cell(self, cell: FloatArray) -> PlantCell:
-        """Return the coefficients over a cell: their values at its middle, and derivatives that hold all over it."""
+        """Return the coefficients over a cell."""
+        return self._with_derivatives(cell, [self._groups(each) for each in self._coefficients(cell)])
+
+    def _with_derivatives(self, cell: FloatArray, columns: list[tuple[list[DualBall], ...]]) -> PlantCell:
+        """Return coefficients over a cell: their values at its middle, and derivatives that hold all over it."""
         middle = np.mean(cell, axis=1)
         # Rounded up, as the middle is not exactly in the middle.
         half = 0.5 * (cell[:, 1] - cell[:, 0]) * (1.0 + 1e-12) + 2.0 * np.spacing(middle)
-        columns = [self._polynomials(np.stack([middle, middle], axis=1), None)]
-        columns += [self._polynomials(cell, along) for along in range(len(cell))]
         groups = []
         for kind in range(len(columns[0])):
             value = enclose([each.value for each in columns[0][kind]])
@@ -260,9 +300,9 @@ class _Search:
             groups.append(Balls(mid=mid, rad=rad))
         return PlantCell(groups=tuple(groups))
 
-    def _polynomials(self, cell: FloatArray, along: int | None) -> tuple[list[DualBall], ...]:
+    def _groups(self, found: _Raw) -> tuple[list[DualBall], ...]:
         """Return the groups of coefficients that the circle has factors for."""
-        d, force, position = plant_polynomials(self.family, cell, along)
+        d, force, position = found
         if self.family.is_free_space:
             # At rest nothing pulls on the flange: the factor w is there for every plant.
             without_constant([as_series(force[0]).value])
@@ -273,6 +313,26 @@ class _Search:
         if self.law.position:
             groups.append(position)
         return tuple([as_series(each) for each in part] for part in groups)
+
+    def _groups_at_rest(self, found: _Raw) -> tuple[list[DualBall], ...]:
+        """Return the groups with the factor w taken out, without the force at rest."""
+        d, force, position = found
+        groups = [d, force[1:]]
+        if self.law.follows:
+            groups.append(rational.add(d, [-1 * each for each in position])[1:])
+        if self.law.position:
+            groups.append(position)
+        return tuple([as_series(each) for each in part] for part in groups)
+
+    def _cell_at_rest(self, cell: FloatArray, columns: list[_Raw]) -> PlantCell:
+        """Return the coefficients for `judge_at_rest`: the last is ½ K₂ n_F'(K) at z = 1, where n_F is 0 for K = 0."""
+        place = self.family.varying.index(STIFFNESS)
+        slope = enclose([derivative_of(as_series(columns[1 + place][1][0]))])
+        slope = slope.times(0.5 * cell[place, 1] * (1.0 + 1e-12))
+        padding = ((0, 0), (0, len(cell)))
+        pull = Balls(mid=np.pad(slope.mid[:, None], padding), rad=np.pad(slope.rad[:, None], padding))
+        rest = self._with_derivatives(cell, [self._groups_at_rest(each) for each in columns])
+        return PlantCell(groups=(*rest.groups, pull))
 
     def _ended(self, verdict: Verdict, point: FloatArray, angle: float | None) -> ProofOutcome:
         return ProofOutcome(
@@ -299,111 +359,3 @@ class _Search:
         return ProofOutcome(
             verdict=Verdict.PROVED, modulus=self.modulus, cells=self.cells, arcs=self.arcs, work=self.work, share=1.0
         )
-
-
-@dataclass(frozen=True, kw_only=True)
-class Claim:
-    """That a sampled loop is stable, with |1 + L| > `modulus` at both break points, in contact and in free space.
-
-    It is claimed of every plant in the box of `plants`, whatever cuts that. A `modulus` of None claims stability alone.
-    `work` bounds the effort of the proof.
-    """
-
-    plants: PlantSet
-    law: Controller
-    sample_time_s: float
-    modulus: float | None
-    work: int
-
-
-@dataclass(frozen=True, kw_only=True)
-class CombinedCertificate:
-    """What came of the parts of a claim: one part per family of plants; of a refuted claim those before are left out.
-
-    `free_space` and `contact` hold the same parts by where they hold.
-    """
-
-    free_space: tuple[ProofOutcome, ...]
-    contact: tuple[ProofOutcome, ...]
-
-    @cached_property
-    def parts(self) -> tuple[ProofOutcome, ...]:
-        """All parts, those of free space first."""
-        return (*self.free_space, *self.contact)
-
-    @property
-    def holds(self) -> bool:
-        """Whether all of it is proved."""
-        return all(part.holds for part in self.parts)
-
-    @property
-    def false(self) -> ProofOutcome | None:
-        """Return the part whose claim is false."""
-        return next((part for part in self.parts if part.verdict is Verdict.REFUTED), None)
-
-    @property
-    def failed(self) -> ProofOutcome | None:
-        """Return the part that is false, or else one that is not proved; None where all is."""
-        return self.false or next((part for part in self.parts if not part.holds), None)
-
-    @property
-    def share(self) -> float:
-        """Return the share proved of that part of which least is proved."""
-        return min(part.share for part in self.parts)
-
-    @property
-    def cells(self) -> int:
-        """Return the number of cells of plants that were proved."""
-        return sum(part.cells for part in self.parts)
-
-    @property
-    def arcs(self) -> int:
-        """Return the number of pairs of cell and arc that were proved."""
-        return sum(part.arcs for part in self.parts)
-
-    @property
-    def run_time_s(self) -> float:
-        """Return the work spent in seconds of `WORK_PER_SECOND`, which no clock makes differ from run to run."""
-        return sum(part.work for part in self.parts) / WORK_PER_SECOND
-
-    def up_to(self, lowest: float) -> float:
-        """Return the K_e up to which everything is proved, free space too; `lowest` where nothing is."""
-        open_parts = [part for part in self.parts if not part.holds]
-        ends = [lowest if p.stiffness_up_to_n_per_m is None else p.stiffness_up_to_n_per_m for p in open_parts]
-        return min(ends, default=math.inf)
-
-
-def prove(claim: Claim, progress: Callable[[float], None] | None = None) -> CombinedCertificate:
-    """Prove a claim, or find out where that ends.
-
-    Parameters
-    ----------
-    claim
-        What is to be proved; its work is shared by all parts.
-    progress
-        Is passed the share of the work done since the last call.
-
-    Returns
-    -------
-    CombinedCertificate
-        The parts in free space and in contact; the first that is refuted is the last.
-
-    Raises
-    ------
-    ParameterError
-        For parameters that cannot be proved over.
-    """
-    families = build_families(claim.plants.nominal, claim.plants.ranges, claim.sample_time_s)
-    every = [each for family in families for each in (family.in_free_space(), family)]
-
-    def part_done(done: float) -> None:
-        if progress is not None:
-            progress(done / len(every))
-
-    parts: list[ProofOutcome] = []
-    for family in every:
-        left = max(claim.work - sum(part.work for part in parts), 0)
-        parts.append(certify(family, claim.law, claim.modulus, work=left, progress=part_done))
-        if parts[-1].verdict is Verdict.REFUTED:
-            break
-    return CombinedCertificate(free_space=tuple(parts[0::2]), contact=tuple(parts[1::2]))

@@ -42,10 +42,12 @@ class Circle:
     """The arcs of the upper half circle that were asked for so far; each is cut in two at most once.
 
     `sizes` is how many coefficients each group has. `is_deflated` takes a factor w out of everything: free space has
-    its integrator there.
+    its integrator there. With a `pull` the last group is the force at rest, n_F(z = 1), whose factor is β_F.
     """
 
-    def __init__(self, law: LawPolynomials, chain: int, sizes: tuple[int, ...], *, is_deflated: bool) -> None:
+    def __init__(
+        self, law: LawPolynomials, chain: int, sizes: tuple[int, ...], *, is_deflated: bool, pull: bool = False
+    ) -> None:
         drop = 1 if is_deflated else 0
         self._chain, self._sizes = chain, sizes
         self._sums_chain = is_deflated and law.follows
@@ -58,6 +60,8 @@ class Circle:
         if law.position:
             self._polynomials.append(enclose(law.position)[drop:])
             self._opened = (1.0, 0.0, *followed, 0.0), (1.0, 0.0, *followed, -1.0)
+        if pull:
+            self._polynomials.append(enclose(law.force))
         self._angles = np.zeros((0, 2))
         self._children = np.zeros(0, dtype=np.int64)
         self._table: list[list[Balls]] = []
@@ -88,11 +92,18 @@ class Circle:
         groups = tuple((jet[0][arcs], jet[1][arcs], jet[2][arcs]) for jet in self._table)
         return Arcs(half=half, groups=groups, opened=self._opened)
 
-    def _add(self, ends: FloatArray) -> None:
-        middle = 0.5 * (ends[:, 0] + ends[:, 1])
+    def on(self, ends: FloatArray) -> Arcs:
+        """Return the factors on arcs with these ends (m, 2), which are not kept."""
         half = 0.5 * (ends[:, 1] - ends[:, 0]) * (1.0 + 1e-12) + 1e-15
-        thin, wide = self._factors(middle, np.zeros_like(half)), self._factors(middle, half)
-        new = [[a[0], a[1], b[2]] for a, b in zip(thin, wide, strict=True)]
+        thin, wide = (
+            self._factors(np.mean(ends, axis=1), np.zeros_like(half)),
+            self._factors(np.mean(ends, axis=1), half),
+        )
+        groups = tuple((a[0], a[1], b[2]) for a, b in zip(thin, wide, strict=True))
+        return Arcs(half=half, groups=groups, opened=self._opened)
+
+    def _add(self, ends: FloatArray) -> None:
+        new = [list(jet) for jet in self.on(ends).groups]
         old = self._table or [[each[:0] for each in jet] for jet in new]
         self._table = [[_stack(a, b) for a, b in zip(*pair, strict=True)] for pair in zip(old, new, strict=True)]
         self._angles = np.vstack([self._angles, ends])

@@ -11,7 +11,7 @@ from problems.arrays import FloatArray
 from problems.design.uncertainty import MASS, STIFFNESS, UNCERTAIN, Scenario
 from problems.errors import ParameterError
 from problems.frozen import freeze
-from problems.model.plant import FREE_SPACE, Plant
+from problems.model.plant import FREE_SPACE, Environment, Plant
 from problems.model.plant_parameters import PARAMETERS
 from problems.model.robot import vary_robot
 from problems.model.sampled import split_delay
@@ -29,9 +29,8 @@ class Family:
     """A nominal plant and closed ranges of its parameters, under a hold of `sample_time_s`.
 
     `ranges` is keyed by the names of `problems.design.uncertainty`; what is not named is nominal. Free space is a
-    nominal
-    environment that is FREE_SPACE. Raises ParameterError for a name that is not provable, for a range that is none,
-    for an environment with mass, for one whose stiffness reaches 0 without being free space, for a filter of the wrench
+    nominal environment that is FREE_SPACE; a range of K_e from 0 is every stiffness above 0. Raises ParameterError for
+    a name that is not provable, for a range that is none, for an environment with mass, for a filter of the wrench
     that reaches 0, and for a delay that crosses a whole number of samples, where the loop changes its order
     (`build_families` cuts there). A delay of the wrench makes the same loop as a longer T_d: `build_families` adds
     them, and `shared_delay` then holds the ranges of both.
@@ -52,8 +51,8 @@ class Family:
         environment = self.nominal.environment
         if environment.mass_kg != 0.0:
             raise ParameterError("environment.mass_kg", environment.mass_kg, "0, to be proved over")
-        softest = self.range_of(STIFFNESS)[0]
-        if softest <= 0.0 and (_ENVIRONMENT & self.ranges.keys() or not environment.is_free_space):
+        softest, stiffest = self.range_of(STIFFNESS)
+        if stiffest <= 0.0 and (_ENVIRONMENT & self.ranges.keys() or not environment.is_free_space):
             raise ParameterError(STIFFNESS, softest, "greater than 0 in contact")
         if self.nominal.wrench_filter.delay_s > 0.0 or LATE in self.ranges:
             raise ParameterError(LATE, self.range_of(LATE), "0 (`build_families` adds it to the delay)")
@@ -80,6 +79,12 @@ class Family:
         """Whether nothing is touched, so that the loop keeps its integrator."""
         return self.range_of(STIFFNESS)[1] == 0.0
 
+    @property
+    def is_soft(self) -> bool:
+        """Whether K_e is all from above 0 on, so that the loop comes as near to its integrator as one likes."""
+        low, high = self.range_of(STIFFNESS)
+        return low == 0.0 < high
+
     def delay(self) -> tuple[int, bool]:
         """Return the whole samples of delay, and whether a fraction may remain."""
         low, high = self.range_of("delay_s")
@@ -97,6 +102,11 @@ class Family:
         """Return the same plants with nothing to touch."""
         kept = {name: span for name, span in self.ranges.items() if name not in _ENVIRONMENT}
         return replace(self, nominal=self.nominal.in_contact_with(FREE_SPACE), ranges=kept)
+
+    def on_springs_up_to(self, stiffness: float) -> "Family":
+        """Return plants of free space on springs to ground of every stiffness from above 0 [N/m]."""
+        nominal = self.nominal.in_contact_with(Environment(stiffness_n_per_m=stiffness))
+        return replace(self, nominal=nominal, ranges={**self.ranges, STIFFNESS: (0.0, stiffness)})
 
     def box(self) -> FloatArray:
         """Return the coordinates' ends (d, 2), rounded outwards; the payload's coordinate is 1/M_p."""

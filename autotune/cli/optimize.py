@@ -11,6 +11,7 @@ import click
 from autotune.export.targets import TARGETS
 from autotune.formats.kinds import PLANTS
 
+from ._by_hand import held_lines, led_lines
 from ._common import Output, output_options
 from ._optimized import (
     active_lines,
@@ -19,7 +20,6 @@ from ._optimized import (
     compare_tree,
     contact_spark,
     default_lines,
-    led_lines,
     limit_lines,
     print_before_after,
     print_compliance,
@@ -317,7 +317,12 @@ def print_optimized(
         _print_spark(found, name, units)
         for line in (*default_lines(found, name), *active_lines(found, name)):
             print_message(f"  {line}")
-    for line in (*response_lines(controller), *led_lines(controller), *limit_lines(controller)):
+    for line in (
+        *response_lines(controller),
+        *held_lines(controller),
+        *led_lines(controller),
+        *limit_lines(controller),
+    ):
         print_message(line)
     for check in found.report.checks:
         axis = f"{check.axis}: " if len(controller.axes) > 1 else ""

@@ -9,9 +9,11 @@ from typing import Annotated, Any
 import numpy as np
 
 from problems.contact.transient import Approach
+from problems.design.hand import HandImpedance
 from problems.design.requirements import (
     AdmittanceTarget,
     ContactAtSpeed,
+    HeldByHand,
     MultiplicativeError,
     NoiseLimit,
     PassivityTarget,
@@ -271,6 +273,24 @@ class ProvenRegion:
             raise ParameterError("budget_s", self.budget_s, "above 0, and no run time below 0")
 
 
+@dataclass(frozen=True, kw_only=True)
+class HeldProof:
+    """What of the modulus is proved while any hand up to `hand` holds the payload, on every surface and off it.
+
+    K_e and M_p vary in their whole ranges, the rest is nominal. `modulus` and `share` are 0 where some such hand makes
+    the loop unstable. The other fields are those of `ProvenRegion`.
+    """
+
+    hand: HandImpedance
+    modulus: Annotated[float, Rule(description="What |1 + L| is proved to exceed", minimum=0, exclusiveMaximum=1)]
+    method: Text
+    share: Annotated[float, Rule(description="Share of the set that is proved; 1 is all of it", minimum=0, maximum=1)]
+    cells: NotNegative
+    arcs: NotNegative
+    budget_s: AboveZero
+    run_time_s: NotNegative
+
+
 _APPROACH = [{"required": ["approach_force_n"]}, {"required": ["approach_speed_m_s"]}]
 _APPROACHED = "a domain that says how contact is approached: {} or both"
 _ABOVE_ZERO = Rule(exclusiveMinimum=0)
@@ -290,15 +310,18 @@ _Target = (
     | Annotated[PassivityTarget, Rule(properties={"passive_below_hz": _ABOVE_ZERO})]
     | Annotated[MultiplicativeError, Rule(properties={"min_modulus": _ABOVE_ZERO})]
     | Annotated[ContactAtSpeed, Rule(properties={"max_force_n": _ABOVE_ZERO, "speed_m_s": _ABOVE_ZERO})]
+    | Annotated[HeldByHand, Rule(properties={"min_modulus": _ABOVE_ZERO})]
 )
 Requirement = Annotated[
     float | bool | _Target,
     Rule(
         description="a number, true or false, {min_m_s_per_n, band_hz}, {max_speed_rms_m_s, force_noise_rms_n}, "
-        "{passive_below_hz}, {min_modulus, points} or {max_force_n, speed_m_s, hand}",
+        "{passive_below_hz}, {min_modulus, points}, {max_force_n, speed_m_s, hand} or {min_modulus, mass_kg, "
+        "damping_n_s_per_m, stiffness_n_per_m}",
         turning=Rule(
             description="a number, true or false, {min_rad_s_per_n_m, band_hz}, {max_speed_rms_rad_s, "
-            "torque_noise_rms_n_m}, {passive_below_hz}, {min_modulus, points} or {max_torque_n_m, speed_rad_s, hand}"
+            "torque_noise_rms_n_m}, {passive_below_hz}, {min_modulus, points}, {max_torque_n_m, speed_rad_s, hand} or "
+            "{min_modulus, inertia_kg_m2, damping_n_m_s_per_rad, stiffness_n_m_per_rad}"
         ),
     ),
 ]
@@ -327,7 +350,8 @@ class Certificate:
 
     `proved` holds for every plant that it names, `sampled` was looked for on many plants of the set and not found.
     `requirements` are those of x, y, z, `rotational_requirements` those of rx, ry, rz (rad, N·m), None without them.
-    `soft` holds by axis what need not be met, and what was achieved, `continuous` what of the modulus is proved.
+    `soft` holds by axis what need not be met, and what was achieved, `continuous` what of the modulus is proved, `held`
+    what of it while a hand holds the payload (None in files of an earlier release).
     """
 
     domain: Mapping[
@@ -349,15 +373,32 @@ class Certificate:
     sampled: tuple[Proof, ...] = ()
     soft: Mapping[Axis, Mapping[str, SoftRequirement]] | None = None
     continuous: Mapping[Axis, Annotated[tuple[ProvenRegion, ...], Rule(minItems=1)]] | None = None
+    held: Mapping[Axis, HeldProof] | None = None
 
     def __post_init__(self) -> None:
         freeze(self, "domain", "requirements", "margins")
         if self.continuous is not None:
             freeze(self, "continuous")
+        if self.held is not None:
+            freeze(self, "held")
         if self.rotational_requirements is not None:
             freeze(self, "rotational_requirements")
         if self.soft is not None:
             freeze(self, "soft")
+
+    @property
+    def proved_of_held(self) -> tuple[Proof, ...]:
+        """What `held` says is proved, in words."""
+        return tuple(
+            Proof(
+                claim=f"axis {name}: stable with |1 + L| > {each.modulus:.4g} while a hand holds the payload",
+                method=each.method,
+                over=f"{each.hand.describe(turning=name in ROTATIONAL_AXES)}, on every certified surface and off it",
+                numbers={"share": each.share, "cells": each.cells, "arcs": each.arcs},
+            )
+            for name, each in (self.held or {}).items()
+            if each.share > 0.0
+        )
 
     def requirements_of(self, axis: str) -> Asked | None:
         """Return what was asked of one axis; None for a rotational one of which the file does not say it."""

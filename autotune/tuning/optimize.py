@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,16 +11,20 @@ from autotune.errors import CertificateError, InfeasibleError
 from autotune.formats.controller_record import Controller, RuntimePayload
 from autotune.formats.identified import IdentifiedFile
 from autotune.formats.problem import ComplianceSpec, ProblemSpec
-from autotune.formats.units import axis_units
+from autotune.formats.units import ROTATIONAL_AXES, axis_units
 from autotune.prediction.before_after import BeforeAndAfter, compare_before_after
 from autotune.prediction.law import PresentGains
-from autotune.validation.axis_proof import AxisProof, ProofOptions, prove_axis
+from autotune.validation.axis_proof import AxisProof, ProofOptions, Prover, prove_axis
 from autotune.validation.bouncing import RefutedError, search_bouncing
+from autotune.validation.held import prove_held
 from autotune.validation.report import ValidationReport
 from autotune.validation.validate import validate_controller
+from identification.axes.turning import LEVER_M
 from identification.result import Identified
 from problems.arrays import FloatArray
+from problems.design.hand import HandImpedance
 from problems.design.problem import FURTHER_VARIABLES, VARIABLES, DesignProblem
+from problems.design.requirements import HeldByHand
 from problems.progress import ProgressSlice, no_progress
 
 from .causes import explain, explanation_message
@@ -205,7 +209,8 @@ def certify(
     found = _prove(searches, proof, progress) if proved is None else proved
     proofs = {name: each.proofs for name, each in found.items()}
     regions = {name: each.regions for name, each in found.items()}
-    controller = build_controller(searches, payload, proofs, regions, provenance)
+    held = {name: each.held for name, each in found.items() if each.held is not None}
+    controller = build_controller(searches, payload, proofs, regions, provenance, held=held)
     if threshold is not None:
         controller, _ = choose_threshold(controller, searches, threshold)
     controller = with_limits(controller, limits or LimitsSettings())
@@ -395,4 +400,18 @@ def prove_search(
             scenario=bouncing.found.scenario,
             impact=bouncing.found,
         )
-    return proved
+    if asked.further_s == 0.0:
+        return proved
+    prover, hand = Prover(), _hand(name, problem)
+    held = prove_held(
+        prover, problem.plants, law, problem.sample_time_s, hand, replace(asked, budget_s=asked.further_s)
+    )
+    return replace(proved, held=held, answers=(*proved.answers, *prover.answers))
+
+
+def _hand(name: str, problem: DesignProblem) -> HandImpedance:
+    """Return the hand that an axis is certified with: the one of the requirement `held_by_hand`, else the default."""
+    asked = problem.requirements.asked().get("held_by_hand")
+    if isinstance(asked, HeldByHand):
+        return asked.hand
+    return HandImpedance().turned(LEVER_M) if name in ROTATIONAL_AXES else HandImpedance()

@@ -8,6 +8,7 @@ from autotune.formats.certificate_record import (
     AxisDomain,
     AxisMargins,
     Certificate,
+    HeldProof,
     Proof,
     ProvenRegion,
     Requirement,
@@ -57,8 +58,11 @@ def build_controller(
     proofs: Mapping[str, tuple[Proof, ...]],
     regions: Mapping[str, tuple[ProvenRegion, ...]],
     provenance: Mapping[str, Any],
+    held: Mapping[str, HeldProof] | None = None,
 ) -> Controller:
-    """Assemble the controller of all tuned axes; `proofs` and `regions` are what validation's code has shown, per axis.
+    """Assemble the controller of all tuned axes.
+
+    `proofs`, `regions` and `held` are what validation's code has shown, per axis.
 
     The axes share h, filters and payload, and axes of a kind their requirements; they come from one identified file
     and one problem. `payload` is what the runtime compensates.
@@ -99,6 +103,7 @@ def build_controller(
             margins=margins,
             soft=soft or None,
             continuous=regions or None,
+            held=held or None,
         ),
         provenance=provenance,
     )

@@ -5,10 +5,11 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import partial
 
-from autotune.certificate.certify import METHOD, WORK_PER_SECOND, Claim, CombinedCertificate, ProofOutcome, prove
+from autotune.certificate.certify import METHOD, WORK_PER_SECOND, ProofOutcome
+from autotune.certificate.claim import Claim, CombinedCertificate, prove
 from autotune.certificate.family import PROVABLE
 from autotune.errors import CertificateError
-from autotune.formats.certificate_record import Proof, ProvenRegion
+from autotune.formats.certificate_record import HeldProof, Proof, ProvenRegion
 from autotune.formats.units import axis_units
 from problems.design.uncertainty import ALWAYS_UNCERTAIN, PlantSet
 from problems.errors import ParameterError
@@ -75,11 +76,15 @@ class Prover:
 
 @dataclass(frozen=True, kw_only=True)
 class AxisProof:
-    """What is proved of one axis, as its certificate states it, and the `answers` that say so."""
+    """What is proved of one axis, as its certificate states it, and the `answers` that say so.
+
+    `held` is of a payload that a hand holds, None where that was not looked at.
+    """
 
     proofs: tuple[Proof, ...]
     regions: tuple[ProvenRegion, ...]
     answers: Answers
+    held: HeldProof | None = None
 
 
 def prove_axis(

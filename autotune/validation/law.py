@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from autotune.certificate.certify import Claim, CombinedCertificate, prove
+from autotune.certificate.claim import Claim, CombinedCertificate, prove
 from autotune.errors import CertificateError
 from autotune.formats.certificate_record import Asked, AxisDomain, AxisMargins
 from autotune.formats.controller_record import AxisPrediction, Controller, FreeSpaceAdmittance, ScenarioPrediction

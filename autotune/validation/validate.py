@@ -17,6 +17,7 @@ from .axis_proof import Answers, Prover
 from .bouncing import search_bouncing
 from .certified_requirements import limit_n
 from .contacts import verify_led, verify_limits, verify_peaks, verify_response
+from .held import check_held
 from .margins import SweptMargins, sweep_margins
 from .proof_checks import check_continuous, check_stability, check_statements
 from .report import Check, ValidationReport
@@ -196,6 +197,10 @@ def _continuous(case: AxisCase) -> Iterator[Check]:
     yield from check_continuous(case.controller, case.name, case.law, case.prover)
 
 
+def _held(case: AxisCase) -> Iterator[Check]:
+    yield from check_held(case.controller, case.name, case.law, case.prover)
+
+
 def _margins(case: AxisCase) -> Iterator[Check]:
     yield check_margins(case.name, case.controller.certificate.margins[case.name], case.swept)
 
@@ -271,6 +276,7 @@ _TABLE = (
     _Row(_stability, is_needed=True),
     _Row(_statements),
     _Row(_continuous, is_short=False),
+    _Row(_held, is_short=False),
     _Row(_margins),
     _Row(_requirements),
     _Row(_admittance, is_short=False),

@@ -4,6 +4,7 @@ from .admittance import AdmittanceRequirement, AdmittanceTarget, band_frequencie
 from .base import LoopRequirement, Requirement
 from .command_noise import NoiseLimit, NoiseRequirement
 from .contact_at_speed import BODY_REGIONS, HANDS, ContactAtSpeed, Hand, hand_approach
+from .held_by_hand import HeldByHand
 from .margins import DecayRate, Margin
 from .multiplicative_error import ErrorRequirement, MultiplicativeError
 from .passivity import PassivityRequirement, PassivityTarget
@@ -24,6 +25,7 @@ __all__ = [
     "DecayRate",
     "ErrorRequirement",
     "Hand",
+    "HeldByHand",
     "LoopRequirement",
     "Margin",
     "MultiplicativeError",

@@ -9,6 +9,7 @@ from .base import Requirement
 from .command_noise import NoiseRequirement
 from .contact_at_speed import ContactAtSpeedLimit
 from .damping_ratio import DampingRatio
+from .held_by_hand import HeldByHandRequirement
 from .margins import DecayRate, DelayMargin, GainMargin, ModulusMargin, PhaseMargin
 from .multiplicative_error import ErrorRequirement
 from .passivity import PassivityRequirement
@@ -30,6 +31,7 @@ BUILT_IN: Mapping[str, Requirement[Any]] = FrozenDict(
             PassivityRequirement(),
             DampingRatio(),
             ErrorRequirement(),
+            HeldByHandRequirement(),
         )
     }
 )

@@ -12,6 +12,7 @@ from .admittance import AdmittanceTarget
 from .base import Requirement
 from .command_noise import NoiseLimit
 from .contact_at_speed import ContactAtSpeed
+from .held_by_hand import HeldByHand
 from .multiplicative_error import MultiplicativeError
 from .passivity import PassivityTarget
 from .registry import BUILT_IN
@@ -22,7 +23,9 @@ LARGEST_PRICE_N = 1e6
 _DEFAULT_ADMITTANCE = AdmittanceTarget(is_default=True)
 _NOTHING: Mapping[str, float] = FrozenDict()
 
-RequirementValue = float | AdmittanceTarget | ContactAtSpeed | MultiplicativeError | NoiseLimit | PassivityTarget
+RequirementValue = (
+    float | AdmittanceTarget | ContactAtSpeed | HeldByHand | MultiplicativeError | NoiseLimit | PassivityTarget
+)
 """The threshold of a requirement, with what belongs to it."""
 
 

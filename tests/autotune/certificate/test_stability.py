@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from autotune.certificate import certify as certify_module
-from autotune.certificate.certify import CELL_WORK, Claim, CombinedCertificate, ProofOutcome, Verdict, certify, prove
+from autotune.certificate.certify import CELL_WORK, ProofOutcome, Verdict, certify
+from autotune.certificate.claim import Claim, CombinedCertificate, prove
 from autotune.certificate.family import Family, build_families
 from problems.arrays import FloatArray
 from problems.design.uncertainty import MASS, STIFFNESS, PlantSet
@@ -162,13 +163,13 @@ def test_one_plant_is_one_cell() -> None:
 def test_the_cells_that_are_proved_are_counted(modulus: float | None, monkeypatch: pytest.MonkeyPatch) -> None:
     """Cells are cut in two: of n that are looked at (n + 1)/2 are proved, the others cut; corners are no cells."""
     looked_at: list[FloatArray] = []
-    plain = certify_module._Search._plant_cell
+    plain = certify_module._Search._coefficients
 
     def counted(self: certify_module._Search, cell: FloatArray) -> object:
         looked_at.append(cell)
         return plain(self, cell)
 
-    monkeypatch.setattr(certify_module._Search, "_plant_cell", counted)
+    monkeypatch.setattr(certify_module._Search, "_coefficients", counted)
     (family,) = build_families(uncertain().nominal, {STIFFNESS: (2e4, 5e5), MASS: (12.0, 20.0)}, PERIOD_S)
     found = certify(family, admittance(12.0, 2500.0, 0.02, 0.01), modulus, work=WORK)
     assert found.holds

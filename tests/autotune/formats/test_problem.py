@@ -188,7 +188,7 @@ def test_null_asks_for_nothing_and_absence_for_the_default(path: Path) -> None:
         (
             "rotational: {requirements: {modulus_margin: 0.4}}\n",
             1,
-            "one of max_peak_torque_n_m, contact_at_speed, free_space_admittance",
+            "one of max_peak_torque_n_m, contact_at_speed, held_by_hand, free_space_admittance",
         ),
         (
             "rotational:\n  requirements:\n    free_space_admittance: {min_rad_s_per_n_m: 1, band_hz: [2, 1]}\n",

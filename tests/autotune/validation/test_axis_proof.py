@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import pytest
 
-from autotune.certificate.certify import METHOD, prove
+from autotune.certificate.certify import METHOD
+from autotune.certificate.claim import prove
 from autotune.errors import CertificateError
 from autotune.formats.certificate_record import AxisDomain, ConfidenceSet
 from autotune.formats.controller_record import admittance_controller

@@ -31,6 +31,7 @@ EVERY_CHECK = [
     "stability in contact",
     "statements",
     "continuous proof",
+    "held by a hand",
     "margins",
     "requirements",
     "free-space admittance",

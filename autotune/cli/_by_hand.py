@@ -1,0 +1,47 @@
+"""What the terminal says of a payload that a person leads or holds."""
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from autotune.formats.controller_record import Controller
+
+
+def led_lines(controller: "Controller", limit: tuple[float, str] | None = None) -> Iterator[str]:
+    """Say how hard a payload that is led by hand touches, and up to which speed a force is not exceeded.
+
+    `limit` is the force [N] with its name: by default the one of `contact_at_speed`, else that of a clamped hand.
+    """
+    from autotune.formats.units import ROTATIONAL_AXES
+    from autotune.prediction.as_run_by import designed_for
+    from autotune.validation.certified_requirements import asked_of
+    from problems.design.requirements import BODY_REGIONS, HANDS, ContactAtSpeed
+
+    for name, predicted in controller.predicted.items():
+        per_speed, asked = predicted.peak_per_speed, asked_of(controller, name).get("contact_at_speed")
+        if per_speed is None or name in ROTATIONAL_AXES or designed_for(controller):
+            continue
+        said = (asked.max_force_n, "contact_at_speed") if isinstance(asked, ContactAtSpeed) else None
+        force, label = limit or said or (BODY_REGIONS["hand"], "ISO/TS 15066, clamped hand")
+        pushing, released = (per_speed.largest_speed(force, hand) for hand in HANDS)
+        yield (
+            f"axis {name}, led by hand: {per_speed.pushes_on:.4g} N per m/s while the hand pushes on, "
+            f"{per_speed.lets_go:.4g} when it lets go; at most {force:g} N ({label}) up to {pushing:.2g} and "
+            f"{released:.2g} m/s"
+        )
+
+
+def held_lines(controller: "Controller") -> Iterator[str]:
+    """Say what is left of the modulus while a hand holds the payload."""
+    from autotune.formats.units import ROTATIONAL_AXES
+    from autotune.prediction.as_run_by import designed_for
+
+    for name, held in (controller.certificate.held or {}).items():
+        if designed_for(controller):
+            continue
+        hand = held.hand.describe(turning=name in ROTATIONAL_AXES)
+        if held.modulus == 0.0:
+            yield f"axis {name}: {hand} may make the loop unstable; the requirement held_by_hand excludes it"
+        else:
+            part = "" if held.share == 1.0 else f" for {100.0 * held.share:.3g} % of the plants alone"
+            yield f"axis {name}, held by {hand}: stable, |1 + L| > {held.modulus:.3g} proved{part}"
