@@ -9,7 +9,7 @@ import numpy as np
 from problems.arrays import ComplexArray, FloatArray
 from problems.model.robot import RobotModel
 
-from ..joint_fit.covariance import SHARPEST_DELAY_SAMPLES
+from ..joint_fit.covariance import HIGHEST_PART_HZ, SHARPEST_DELAY_SAMPLES, UNSEEN_SHARE
 from ..merging.values import shared_std
 from ..robot.coupling import felt_impedance
 from .values import Known, PlanValues, WorstCase, worst_case
@@ -35,6 +35,7 @@ _NOISE_PEAKS = 4.0  # deviations that the largest of some thousand samples reach
 _SINGULAR = 1e13
 _SYMBOLS = ("K_s", "B_s", "B_p", "M_p")
 _STEP = 1e-5
+_PARTS, _PART_RATIO, _LATENCY_SAMPLES = 16, 0.03, 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -179,11 +180,45 @@ def sweep_information(values: PlanValues, sweep: Sweep) -> FloatArray:
     position = command * np.concatenate([none, robot], axis=1)
     force = command * np.concatenate([payload * passed[:, None], np.zeros_like(robot)], axis=1)
     per_sample = 2.0 * values.sample_time_s.value / sweep.duration_s
-    smooth = values.misfit_share.value**2 / _INDEPENDENT_MISFITS * np.abs(impedance * passed * command[:, 0]) ** 2
-    force_spread = per_sample * values.force_noise_rms_n.value**2 + smooth
+    force_spread = _force_spread(values, sweep, impedance * passed * command[:, 0])
     position_spread = per_sample * values.position_noise_rms_m.value**2
     total = np.conj(force).T @ (force / force_spread[:, None]) + np.conj(position).T @ position / position_spread
     return np.asarray(np.real(total) / len(s))
+
+
+def _force_spread(values: PlanValues, sweep: Sweep, force: ComplexArray) -> FloatArray:
+    """Return the variance (n,) of the force per frequency: noise, and a misfit that is smooth over the band."""
+    noise = 2.0 * values.sample_time_s.value / sweep.duration_s * values.force_noise_rms_n.value**2
+    return np.asarray(noise + values.misfit_share.value**2 / _INDEPENDENT_MISFITS * np.abs(force) ** 2)
+
+
+def unseen_part(values: PlanValues, sweep: Sweep) -> FloatArray:
+    """Return by how much a part that a sweep does not show may move K_s, B_s, B_p and M_p (4,), one deviation.
+
+    The wrench's latency is known to a tenth of a sample. A share μ of M_p on a spring of its own, known as the force
+    shows it and 0 ± 5 % beforehand, makes M_p a mass of M_p (1 − μ + μ T), T = (2 ζ ω_2 s + ω_2²)/(s² + 2 ζ ω_2 s +
+    ω_2²). The ω_2 above the payload's own counts that moves K_s most, as identification states it.
+    """
+    s = _s(sweep.frequency_hz())
+    payload, impedance = _gradients(values, s)
+    flange = sweep.command_speed_m_s(values.robot) / np.abs(s) * values.robot.position_response(s.imag)
+    late = -s * values.sample_time_s.value * impedance
+    columns = np.column_stack([payload, late]) * flange[:, None]
+    rows = columns / np.sqrt(_force_spread(values, sweep, impedance * flange))[:, None]
+    known = np.diag([0.0, 0.0, 0.0, 0.0, _LATENCY_SAMPLES**-2.0])
+    covariance = covariance_of(np.real(np.conj(rows).T @ rows) / len(s) + known)
+    worst = np.zeros(4)
+    if not np.all(np.isfinite(covariance)):
+        return worst
+    own_hz = min(values.payload_frequency_hz, HIGHEST_PART_HZ)
+    for omega in 2.0 * np.pi * np.geomspace(own_hz, HIGHEST_PART_HZ, _PARTS):
+        lag = 2.0 * _PART_RATIO * omega * s + omega**2
+        column = rows[:, 3] * values.theta[3] * (lag / (s**2 + lag) - 1.0)
+        follows = -covariance @ np.real(np.conj(rows).T @ column) / len(s)
+        left = float(np.real(np.conj(column) @ (column + rows @ follows))) / len(s)
+        move = follows[:4] * (max(left, 0.0) + UNSEEN_SHARE**-2.0) ** -0.5
+        worst = move if abs(move[0]) > abs(worst[0]) else worst
+    return worst
 
 
 def _robot_gradients(robot: RobotModel, s: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
@@ -302,7 +337,7 @@ def _std_after(values: PlanValues, sweep: Sweep) -> dict[str, float]:
     covariance = covariance_of(sweep_information(values, sweep))
     std = np.sqrt(np.diag(covariance))
     shared = [shared_std(symbol, entry.value) for symbol, entry in zip(_SYMBOLS, known.values(), strict=True)]
-    alone = np.hypot(np.hypot(std[:4], model), shared)
+    alone = np.hypot(np.hypot(np.hypot(std[:4], model), shared), unseen_part(values, sweep))
     found = {
         name: entry.std_after(float(own), symbol)
         for (name, entry), symbol, own in zip(known.items(), _SYMBOLS, alone, strict=True)

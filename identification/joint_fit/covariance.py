@@ -23,6 +23,8 @@ _SMOOTH_SHARE, EXACT_SHARE = 0.003, 0.0003
 _RESTING_SHARE, _MOVING_SHARE = 0.003, 0.02
 _UNKNOWN_SHARE = 0.25
 SHARPEST_DELAY_SAMPLES = 1e-3
+# What swings on a payload, before anything is known of it: hardly more than a tenth of its mass, at up to 120 Hz.
+UNSEEN_SHARE, HIGHEST_PART_HZ = 0.05, 120.0
 _SWING_STIFFNESS_SHARE, _SWING_DAMPING_SHARE = 0.02, 0.1
 _FREE_MISFITS, _CONTACT_MISFITS = 40, 10
 _LEVEL = 3.841  # the 95 % quantile of χ² with one degree of freedom

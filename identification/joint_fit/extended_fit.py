@@ -338,12 +338,13 @@ def without(of: ExtendedProblem, more: PayloadFit, kind: PayloadKind) -> Payload
 
 def unexplained(of: ExtendedProblem, more: PayloadFit, less: PayloadFit) -> float:
     """Return what `more` leaves of the misfit of `less` beyond the noise, as a share of the mean square."""
-    before, after = (_mean_square(of, each) for each in (less, more))
+    before, after = (mean_square(of, each) for each in (less, more))
     noise = of.quiet_rms_n**2
     return max(after - noise, 0.0) / max(before - noise, 1e-300)
 
 
-def _mean_square(of: ExtendedProblem, at: PayloadFit) -> float:
+def mean_square(of: ExtendedProblem, at: PayloadFit) -> float:
+    """Return the mean square of what a fit leaves of the force [N²]."""
     return float(np.mean(np.concatenate(of.errors(at.theta, at.own, at.kind)) ** 2))
 
 
@@ -355,7 +356,7 @@ def explains_misfit(of: ExtendedProblem, more: PayloadFit, less: PayloadFit) -> 
     """
     squares = np.concatenate(of.errors(less.theta, less.own, less.kind)) ** 2
     left = float(np.mean(squares))
-    beyond, explained = left - of.quiet_rms_n**2, left - _mean_square(of, more)
+    beyond, explained = left - of.quiet_rms_n**2, left - mean_square(of, more)
     # At rest and in motion n samples each show a mean of squares, each with a deviation of √(2/n) of it.
     if beyond <= _BEYOND_DEVIATIONS * 2.0 * left / np.sqrt(len(squares)) or explained <= _LEAST_EXPLAINED * beyond:
         return False
@@ -386,14 +387,22 @@ def with_more(of: ExtendedProblem, at: PayloadFit, kind: PayloadKind, beside: tu
     return replace(at, kind=kind, theta=theta, own=own, cost=np.inf)
 
 
-Score = tuple[float, float]
+@dataclass(frozen=True, kw_only=True)
+class Score:
+    """To first order, what moving θ from one end to another does, everything else following.
+
+    `fall` is by how much the sum of squares falls, `way` the share of the way that it takes; `std` is the deviation of
+    that share, and `follows` (p,) by how much θ moves per whole way.
+    """
+
+    fall: float
+    way: float
+    std: float
+    follows: FloatArray
 
 
 def scorer(of: ExtendedProblem, at: PayloadFit) -> Callable[[PayloadFit, PayloadFit], Score]:
-    """Return the function of how much the sum of squares falls, to first order, where θ moves from one end to another.
-
-    It returns that and the share of the way that it takes, everything in `at` following.
-    """
+    """Return the function of what moving θ from one end to another does, everything in `at` following."""
     here = linearised(of, at)
     values, vectors = np.linalg.eigh(here.matrix)
     root = vectors / np.sqrt(np.maximum(values, 1e-9 * float(values[-1])))
@@ -411,7 +420,10 @@ def scorer(of: ExtendedProblem, at: PayloadFit) -> Callable[[PayloadFit, Payload
         part = root.T @ coupled
         square -= float(part @ part)
         along -= float(part @ (root.T @ here.slope))
-        return (along**2 / square, -along / square) if square > 0.0 and along < 0.0 else (0.0, 0.0)
+        std = float(square**-0.5) if square > 0.0 else np.inf
+        if not (square > 0.0 and along < 0.0):
+            return Score(fall=0.0, way=0.0, std=std, follows=-(root @ part))
+        return Score(fall=along**2 / square, way=-along / square, std=std, follows=-(root @ part))
 
     own_bases = [np.linalg.qr(at.noise.apply(owned))[0] for owned in of.own_slopes(at)]
     return score

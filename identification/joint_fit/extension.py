@@ -7,18 +7,20 @@ import numpy as np
 from problems.arrays import FloatArray
 
 from ..verdicts import TWO_SIDED, WEAK_SHARE
-from .covariance import EXACT_SHARE, SHARPEST_DELAY_SAMPLES, widened
+from .covariance import EXACT_SHARE, HIGHEST_PART_HZ, SHARPEST_DELAY_SAMPLES, UNSEEN_SHARE, widened
 from .extended_fit import (
     MOST_RATIO,
     MOST_SHARE,
     ExtendedProblem,
     PayloadFit,
     PayloadKind,
+    Score,
     beginning,
     descended,
     explains_misfit,
     gained,
     linearised,
+    mean_square,
     scorer,
     unexplained,
     with_more,
@@ -30,7 +32,7 @@ from .noise import Whitener
 from .result import JointFit, JointSurface, PayloadPart, secant_of
 from .solve import Block, Point, Problem
 
-_FREQUENCIES, _LOWEST_HZ, _HIGHEST_HZ, _HIGHEST_SHARE = 24, 6.0, 120.0, 0.4
+_FREQUENCIES, _LOWEST_HZ, _HIGHEST_SHARE = 24, 6.0, 0.4
 _STARTS_HZ = (15.0, 22.0, 30.0, 38.0, 46.0, 55.0, 70.0)
 _START_SHARE, _START_RATIO, _START_FRICTION_N, _NUDGE, _NUDGE_N = 0.08, 0.03, 0.3, 1e-3, 0.02
 _STEPS, _TRIED = 15, 2
@@ -54,12 +56,15 @@ class Extended:
     """By how much a wider payload moves coupling and robot, (a,), and what their covariance (a, a) gains [SI].
 
     `move` is 0 where nothing is reported; `part` and `friction_n`, value and deviation, are what is, `latency` is the
-    wrench's beside them. Where it `explains` the misfit, that covariance takes the place of the joint fit's.
+    wrench's beside them. Where it `explains` the misfit, that covariance takes the place of the joint fit's. `is_wider`
+    is False where one mass on one spring is enough. `unseen` (a,) is what a part may move that the log cannot show.
     """
 
     move: FloatArray
     covariance: FloatArray
     latency: WrenchLatency
+    unseen: FloatArray
+    is_wider: bool
     explains: bool = False
     part: PayloadPart | None = None
     friction_n: tuple[float, float] | None = None
@@ -67,14 +72,15 @@ class Extended:
 
 def extend_payload(
     problem: Problem, point: Point, latency: WrenchLatency, *, quiet_rms_n: float, is_held: bool
-) -> Extended | None:
-    """Return what a part that swings, and dry friction in the coupling, change of a joint fit; None where nothing.
+) -> Extended:
+    """Return what a part that swings, and dry friction in the coupling, change of a joint fit.
 
     Each is fitted to free motion beside everything else. Reported is what −2 log L prefers by 60 under the noise that
-    it leaves, and only a part of less than three tenths of the mass and 15 % of critical damping: a wider one may be
-    anything. From 30 on, and where the part is none, the values stay, and hold the move in their deviations. What
-    explains less than a quarter of the misfit beyond `quiet_rms_n` is no part. Where no command `is_held`, that, and
-    what explains no more than the path within a sample may do, leaves the deviations, too: it is another misfit.
+    it leaves, and only a part of less than three tenths of the mass and 15 % of critical damping, since a wider one
+    may be anything. From 30 on, and where the part is none, the values stay, and hold the move in their deviations.
+    What explains less than a quarter of the misfit beyond `quiet_rms_n` is no part. Where no command `is_held`, that,
+    and what explains no more than the path within a sample may do, leaves the deviations, too: it is another misfit.
+    Where no part is reported, the deviations hold one that the log cannot show (`_unseen`).
     """
     period = problem.signals.period_s
     # What was taken for a latency may be the part's, or friction's.
@@ -93,7 +99,9 @@ def extend_payload(
     if rubbing is not None:
         moves.append(_open_share(of, rubbing, begun, _MOVED_BY_FRICTION) * _moved(of, rubbing, begun))
         here = rubbing
-    swinging, gain = _part(of, here)
+    looks = _looks(of, here)
+    unseen = _unseen(of, here, looks)
+    swinging, gain = _part(of, here, looks)
     if swinging is not None:
         is_part = gain >= _TOLD and not _is_at_bound(of, swinging) and explains_misfit(of, swinging, here)
         share = 1.0
@@ -104,9 +112,8 @@ def extend_payload(
             share = float(np.sqrt(max(1.0 - unexplained(of, swinging, here), 0.0)))
         moves.append(share * _moved(of, swinging, here))
         here = swinging if is_part else here
-    if not moves:
-        return None
-    found = _extended(of, here, moves, _latency(of, here, latency))
+    unseen = np.zeros(of.shared) if here.kind.part else unseen
+    found = replace(_extended(of, here, moves, _latency(of, here, latency)), unseen=unseen, is_wider=bool(moves))
     # A filter that a driver computes leaves something, too, of which a part may explain most: none explains a filter.
     is_one = here.kind.part != here.kind.friction and (here.kind.friction or not latency.is_filter)
     return replace(found, explains=is_one and unexplained(of, here, begun) < _LEFT_OPEN)
@@ -125,7 +132,7 @@ def _moved_by_yielding(of: ExtendedProblem, begun: PayloadFit) -> list[FloatArra
 def _friction(of: ExtendedProblem, at: PayloadFit) -> PayloadFit | None:
     """Return the fit with dry friction, None where that is not clearly better."""
     kind, score = PayloadKind(friction=True), scorer(of, at)
-    if score(with_more(of, at, kind, (0.0,)), with_more(of, at, kind, (_NUDGE_N,)))[0] < _WORTH_A_LOOK:
+    if score(with_more(of, at, kind, (0.0,)), with_more(of, at, kind, (_NUDGE_N,))).fall < _WORTH_A_LOOK:
         return None
     found = with_own_noise(of, descended(of, with_more(of, at, kind, (_START_FRICTION_N,)), _STEPS))
     # Less than the noise does not show in any one motion: it is what the path leaves.
@@ -133,27 +140,51 @@ def _friction(of: ExtendedProblem, at: PayloadFit) -> PayloadFit | None:
     return found if is_seen and gained(of, found, at) >= _TOLD else None
 
 
-def _part(of: ExtendedProblem, at: PayloadFit) -> tuple[PayloadFit | None, float]:
+def _looks(of: ExtendedProblem, at: PayloadFit) -> list[tuple[Score, float]]:
+    """Return what a thousandth of the mass that swings does to first order, with its frequency [Hz], for each."""
+    kind, score = replace(at.kind, part=True), scorer(of, at)
+    highest = min(HIGHEST_PART_HZ, _HIGHEST_SHARE / of.problem.signals.period_s)
+    frequencies = np.geomspace(_LOWEST_HZ, highest, _FREQUENCIES).tolist()
+    return [(score(*(_begun(of, at, kind, share, f) for share in (0.0, _NUDGE))), f) for f in frequencies]
+
+
+def _begun(of: ExtendedProblem, at: PayloadFit, kind: PayloadKind, share: float, frequency_hz: float) -> PayloadFit:
+    return with_more(of, at, kind, (share, float(np.log(frequency_hz)), _START_RATIO))
+
+
+def _unseen(of: ExtendedProblem, at: PayloadFit, looks: list[tuple[Score, float]]) -> FloatArray:
+    """Return by how much a part that the log cannot show may move the shared parameters (a,) [SI], one deviation.
+
+    Below its own frequency ω_2 a share μ of the mass gives way as the spring does: K_s looks softer by μ ω_0²/ω_2². Of
+    each frequency the share is known as the log shows it, and 0 ± 5 % beforehand, which makes its mean and deviation.
+    The frequency counts that moves K_s most, of those above ω_0: what swings slower than the payload itself is loose.
+    """
+    values = of.values(at.theta)
+    units, own_hz = np.where(of.in_log, values, of.sizes), float(np.sqrt(values[0] / values[3])) / (2.0 * np.pi)
+    moves = []
+    for score in (each for each, frequency_hz in looks if frequency_hz >= min(own_hz, looks[-1][1])):
+        beforehand = 1.0 / (1.0 + (score.std * _NUDGE / UNSEEN_SHARE) ** 2)
+        mean, std = score.way * beforehand, score.std * beforehand**0.5
+        moves.append(float(np.hypot(mean, std)) * score.follows[: of.shared] * units)
+    return max(moves, key=lambda move: abs(float(move[0])))
+
+
+def _part(
+    of: ExtendedProblem, at: PayloadFit, found_by_score: list[tuple[Score, float]]
+) -> tuple[PayloadFit | None, float]:
     """Return the best fit with a part and by how much it is better, None where that is not worth a look.
 
     Both under the noise that one mass leaves, coloured by what it does not explain, and under white noise; each begins
     at several frequencies. One inside its bounds goes before one at them.
     """
-    kind, score = replace(at.kind, part=True), scorer(of, at)
-
-    def begun(share: float, frequency_hz: float) -> PayloadFit:
-        return with_more(of, at, kind, (share, float(np.log(frequency_hz)), _START_RATIO))
-
-    highest = min(_HIGHEST_HZ, _HIGHEST_SHARE / of.problem.signals.period_s)
-    looks = [
-        (*score(begun(0.0, f), begun(_NUDGE, f)), float(f)) for f in np.geomspace(_LOWEST_HZ, highest, _FREQUENCIES)
-    ]
-    looks.sort(reverse=True)
+    kind = replace(at.kind, part=True)
+    looks = sorted(found_by_score, key=lambda each: (each[0].fall, each[0].way, each[1]), reverse=True)
     # Beside friction what is left is no noise, and a first order says little.
-    if looks[0][0] < _WORTH_A_LOOK and not at.kind.friction:
+    if looks[0][0].fall < _WORTH_A_LOOK and not at.kind.friction:
         return None, 0.0
-    starts = [begun(float(np.clip(_NUDGE * step, 0.01, 0.15)), f) for _, step, f in looks[:_TRIED]]
-    starts += [begun(_START_SHARE, f) for f in _STARTS_HZ if f < highest]
+    shares = [(float(np.clip(_NUDGE * score.way, 0.01, 0.15)), f) for score, f in looks[:_TRIED]]
+    shares += [(_START_SHARE, f) for f in _STARTS_HZ if f < max(f for _, f in looks)]
+    starts = [_begun(of, at, kind, share, f) for share, f in shares]
     rms = float(np.std(np.concatenate(of.errors(at.theta, at.own, at.kind))))
     found = []
     for noise in (at.noise, Whitener(coefficients=np.ones(1), rms=rms)):
@@ -188,7 +219,8 @@ def _moved(of: ExtendedProblem, to: PayloadFit, since: PayloadFit) -> FloatArray
 def _extended(of: ExtendedProblem, here: PayloadFit, moves: list[FloatArray], latency: WrenchLatency) -> Extended:
     covariance = sum((np.outer(move, move) for move in moves), np.zeros((of.shared, of.shared)))
     if here.kind == PayloadKind():
-        return Extended(move=np.zeros(of.shared), covariance=covariance, latency=latency)
+        none = np.zeros(of.shared)
+        return Extended(move=none, covariance=covariance, latency=latency, unseen=none, is_wider=False)
     spread = _spread(of, here)
     stds, first = np.sqrt(np.diag(spread)), of.shared + of.lags
     units = np.where(of.in_log, of.values(here.theta), of.sizes)
@@ -203,6 +235,8 @@ def _extended(of: ExtendedProblem, here: PayloadFit, moves: list[FloatArray], la
         move=of.values(here.theta) - of.point.values[: of.shared],
         covariance=covariance + spread[: of.shared, : of.shared] * np.outer(units, units) + np.diag(_least(of) ** 2),
         latency=latency,
+        unseen=np.zeros(of.shared),
+        is_wider=True,
         part=part,
         friction_n=(found.friction_n, float(np.hypot(stds[-1], _FRICTION_KNOWN * found.friction_n)))
         if here.kind.friction
@@ -219,14 +253,18 @@ def _least(of: ExtendedProblem) -> FloatArray:
 
 
 def _spread(of: ExtendedProblem, at: PayloadFit) -> FloatArray:
-    """Return the covariance of θ (p, p), wider where the scores of pieces scatter: see `widened`."""
+    """Return the covariance of θ (p, p), wider where the scores of pieces scatter: see `widened`.
+
+    What is left beyond the noise at rest multiplies it, as χ² by its degrees of freedom: that has a law of its own.
+    """
     rows, known = linearised(of, at).rows, of.prior(len(at.theta))[0]
     values, vectors = np.linalg.eigh(known)
     prior = (vectors * np.sqrt(np.maximum(values, 0.0))).T
     indices = np.arange(len(at.theta))
     blocks = [Block(residual=row[:, 0], jacobian=row[:, 1:], indices=indices, own=None) for row in rows]
     blocks.append(Block(residual=np.zeros(len(prior)), jacobian=prior, indices=indices, own=None))
-    return widened(blocks, len(at.theta), of.problem.signals.period_s).covariance
+    left = max(mean_square(of, at) / of.quiet_rms_n**2, 1.0)
+    return left * widened(blocks, len(at.theta), of.problem.signals.period_s).covariance
 
 
 def _latency(of: ExtendedProblem, here: PayloadFit, before: WrenchLatency) -> WrenchLatency:
@@ -242,13 +280,12 @@ def _latency(of: ExtendedProblem, here: PayloadFit, before: WrenchLatency) -> Wr
     return replace(beside, std_s=float(np.hypot(before.std_s, beside.seconds - before.seconds)))
 
 
-def with_extension(fit: JointFit, found: Extended | None) -> JointFit:
+def with_extension(fit: JointFit, found: Extended) -> JointFit:
     """Return the joint fit with what a wider payload changes.
 
-    The surfaces follow as the covariance says they go with coupling and robot.
+    The surfaces follow as the covariance says they go with coupling and robot; a part that the log cannot show looks
+    like a softer spring, beside which only their stiffness is another one.
     """
-    if found is None:
-        return fit
     count = len(found.move)
     mine = fit.covariance[:count, :count]
     scale = 1.0 / np.sqrt(np.diag(mine))
@@ -261,6 +298,9 @@ def with_extension(fit: JointFit, found: Extended | None) -> JointFit:
     if found.explains:
         # The misfit of one mass on one spring, which made its deviations wider, is gone.
         covariance = covariance - follows @ mine @ follows.T
+    beside = follows @ found.unseen
+    beside[[surface.first_parameter + i for surface in fit.surfaces for i in (1, 2)]] = 0.0
+    covariance = covariance + np.outer(beside, beside)
     stds = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     ci95 = {}
     for name, interval in fit.ci95.items():

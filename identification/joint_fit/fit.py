@@ -106,7 +106,7 @@ def _identify(data: JointData, begin: _Beginning, progress: ProgressSlice) -> Jo
     is_held = data.robot_order > 0 and not blurred
     wider = extend_payload(problem, point, latency, quiet_rms_n=rest_rms_n, is_held=is_held)
     fit = with_extension(fit, wider)
-    if data.robot_order and (wider is not None or fit.quality.noise_ratio_free > _MORE_THAN_NOISE):
+    if data.robot_order and (wider.is_wider or fit.quality.noise_ratio_free > _MORE_THAN_NOISE):
         fit = with_robot_of_pose(fit, *robot_of_pose(data, base, start[problem.layout.robot]))
     return fit
 

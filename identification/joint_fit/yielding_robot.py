@@ -13,6 +13,8 @@ from .path import given_way, path_slope
 from .solve import Point, Problem, minimise, sizes_of
 
 _ROUNDS, _STEPS, _PIECE_S, _CLEAR_STDS = 4, 4, 0.5, 5.0
+# How well each way is known at best: a spring is a spring, but the law of dry friction is another one in every joint.
+_LAW_KNOWN = np.array([0.0, 0.2])
 _FIRST_M, _LEAST_M, _FAR = 5e-6, 1e-9, 20.0
 
 
@@ -39,7 +41,8 @@ def with_yielding_robot(problem: Problem, point: Point) -> tuple[Problem, Point]
         problem = _yielding(problem, ways, total[shown] if step else np.zeros(len(shown)), np.zeros(len(shown)))
         more = _amounts(problem, point, ways)
         total[shown] = np.maximum((total[shown] if step else 0.0) + more.values, 0.0)
-        problem = _yielding(problem, _ways(problem, point, total)[shown], total[shown], more.stds)
+        stds = np.hypot(more.stds, (_LAW_KNOWN * total)[shown])
+        problem = _yielding(problem, _ways(problem, point, total)[shown], total[shown], stds)
         point, _ = minimise(problem, point, _STEPS)
     return problem, point
 

@@ -164,6 +164,8 @@ def test_friction_has_no_value_beside_a_part_or_a_coupling_without_one(both: boo
         latency=fit.latency,
         part=part if both else None,
         friction_n=(0.23, 0.05),
+        unseen=np.zeros(size),
+        is_wider=True,
     )
     reported = with_extension(fit, found)
     assert (reported.part, reported.friction_n) == (None, None)
@@ -210,7 +212,12 @@ def test_deviations_are_those_of_a_fit_that_explains_the_misfit_and_else_wider(e
     fit = plain()
     size = len(fit.values)
     found = Extended(
-        move=np.zeros(size), covariance=np.diag((1e-5 * fit.values) ** 2), latency=fit.latency, explains=explains
+        move=np.zeros(size),
+        covariance=np.diag((1e-5 * fit.values) ** 2),
+        latency=fit.latency,
+        explains=explains,
+        unseen=np.zeros(size),
+        is_wider=True,
     )
     expected = found.covariance if explains else fit.covariance + found.covariance
     np.testing.assert_allclose(with_extension(fit, found).covariance, expected, atol=1e-9 * np.max(expected))
@@ -224,9 +231,20 @@ def test_a_robot_that_gives_way_leaves_the_joint_covariance() -> None:
     signals = replace(problem.signals, yielded_stds=(np.full((len(data.position_m), 4), 1e-9),))
     problem = replace(problem, signals=signals)
     found = extend_payload(problem, point, plain().latency, quiet_rms_n=0.1, is_held=True)
-    assert found is not None
+    assert found.is_wider
     assert not found.explains
     assert (found.part, found.friction_n) == (None, None)
+
+
+@pytest.mark.parametrize("part_hz", [60.0, 80.0, 110.0])
+def test_a_part_above_the_sweep_looks_like_a_softer_spring_and_is_in_the_deviations(part_hz: float) -> None:
+    """K_s is off by the share times (ω_0/ω_2)² at least, in a sweep to 55 Hz that shows no part."""
+    fit = identify_joint(logged(Cell(share=0.1, part_hz=part_hz)))
+    assert fit.part is None
+    softer = 0.1 * STIFFNESS / MASS / (2.0 * np.pi * part_hz) ** 2
+    assert fit.values[0] < (1.0 - 0.9 * softer) * STIFFNESS
+    assert np.all(np.abs(deviations(fit)) < 2.0)
+    assert fit.std[0] < 0.04 * STIFFNESS
 
 
 @dataclass(frozen=True, kw_only=True)
