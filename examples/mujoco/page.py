@@ -35,9 +35,9 @@ Every eighth cell has none of these four. Cell by cell: [errors in stated
 deviations](independent_physics_deviations.csv) (in brackets what is `weak`), [predicted → measured peaks in
 N](independent_physics_peaks.csv).
 
-A simulator's step is part of its physics: semi-implicit Euler with steps dt makes K_s and B_s of a payload M_p larger by
-a share B_s dt/(2 M_p) and the delay shorter by dt/2. One log of another simulator, with steps of 50 µs, shows T_d 3.8 and K_s 3.0
-deviations off the numbers that were typed into it, and 2.4 and 0.5 off those that its steps make
+A simulator's step is part of its physics: semi-implicit Euler with steps dt makes K_s and B_s of a payload M_p
+larger by a share B_s dt/(2 M_p) and the delay shorter by dt/2. One log of another simulator, with steps of 50 µs, shows
+T_d 3.8 and K_s 3.0 deviations off the numbers that were typed into it, and 2.4 and 0.5 off those that its steps make
 (`tests/autotune/test_seen_contacts.py` computes them). The cells here are integrated to fourth order.
 """
 
