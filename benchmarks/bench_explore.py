@@ -20,23 +20,42 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
+from autotune.explore.design_map import build_window, compute_map
 from autotune.explore.sliders import nominal_values, scenario_at
 from autotune.explore.source import AxisStart, read_exploration
-from autotune.explore.view import build_window, compute_map, compute_view, prepare_view
+from autotune.explore.view import compute_view, prepare_view
 from benchmarks.timing import best
 
 COLUMNS, ROWS = 10, 8
 RUNS = 20
 RESTS_S = 1.0
 # A slider is moved in the page, and the clock stops when the loop's new curve (or the new map) has arrived, and again
-# once a frame with it has been drawn.
-MOVE = """([slider, source, share]) => new Promise(done => {
+# when the first frame is done whose picture of the figure holds it: the frame in which the figure is painted, or, where
+# that happens outside of one, the next.
+WATCH = """() => {
+  const ask = window.requestAnimationFrame.bind(window);
+  window.isInFrame = false;
+  window.requestAnimationFrame = call => ask(time => {
+    window.isInFrame = true;
+    try { call(time); } finally { window.isInFrame = false; }
+  });
+}"""
+MOVE = """([slider, source, figure, share]) => new Promise(done => {
   const page = Bokeh.documents[0], control = page.get_model_by_name(slider), shown = page.get_model_by_name(source);
+  const view = Bokeh.index.get(page.get_model_by_name(figure)), frame = new MessageChannel();
   const begin = performance.now(), gone = () => performance.now() - begin;
+  let has = null;
   const arrived = () => {
     shown.properties.data.change.disconnect(arrived);
-    const has = gone();
-    requestAnimationFrame(() => requestAnimationFrame(() => done([has, gone()])));
+    has = gone();
+  };
+  frame.port1.onmessage = () => done([has, gone()]);
+  view.paint = () => {
+    Object.getPrototypeOf(view).paint.call(view);
+    if (has === null) return;
+    delete view.paint;
+    const painted = () => frame.port2.postMessage(null);
+    if (window.isInFrame) painted(); else requestAnimationFrame(painted);
   };
   shown.properties.data.change.connect(arrived);
   control.value = control.start + share * (control.end - control.start);
@@ -79,18 +98,18 @@ def steps(start: AxisStart) -> dict[str, Callable[[], object]]:
     def plant() -> None:
         other = prepare_view(problem, moved, start.scenarios)
         compute_view(other, design)
-        compute_map(other, design, window)
+        compute_map(other.screen, design, window)
 
     def gain() -> None:
         compute_view(ready, design)
-        compute_map(ready, design, window)
+        compute_map(ready.screen, design, window)
 
     return {
         "a gain of the map's axes: the view": lambda: compute_view(ready, design),
         "another gain: view and map": gain,
         "the plant: sampling, view and map": plant,
-        "a moment later: the map twice as fine": lambda: compute_map(ready, design, window.finer(2)),
-        "at rest: the map four times as fine": lambda: compute_map(ready, design, window.finer(4)),
+        "a moment later: the map twice as fine": lambda: compute_map(ready.screen, design, window.finer(2)),
+        "at rest: the map four times as fine": lambda: compute_map(ready.screen, design, window.finer(4)),
     }
 
 
@@ -105,6 +124,7 @@ def round_trips(source: Path, folder: Path) -> dict[str, list[list[float]]]:
         with sync_playwright() as tools:
             browser = tools.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
             page = browser.new_page(viewport={"width": 1280, "height": 900})
+            page.add_init_script(f"({WATCH})()")
             page.goto(json.loads(answer)["url"])
             page.wait_for_function(READY)
             found: dict[str, list[list[float]]] = {}
@@ -117,7 +137,7 @@ def round_trips(source: Path, folder: Path) -> dict[str, list[list[float]]]:
                 # What is in view is drawn first.
                 page.evaluate("key => document.getElementById(key).scrollIntoView()", figure)
                 for share in np.linspace(0.3, 0.6, RUNS):
-                    found[name].append(page.evaluate(MOVE, [slider, shown, float(share)]))
+                    found[name].append(page.evaluate(MOVE, [slider, shown, figure, float(share)]))
                     # Until the finer maps of this move are there, of which none may be taken for that of the next one.
                     time.sleep(RESTS_S)
             browser.close()

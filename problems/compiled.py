@@ -114,6 +114,11 @@ def compiled(function: _Function) -> _Function:
     return _compile(function)
 
 
+def released(function: _Function) -> _Function:
+    """Compile a kernel that lets go of the interpreter's lock and, unlike an `unlocked` one, makes arrays itself."""
+    return _compile(function, nogil=True)
+
+
 def unlocked(function: _Function) -> _Function:
     """Compile a kernel that lets go of the interpreter's lock, so that threads may run beside each other.
 

@@ -214,7 +214,7 @@ def test_a_public_class_name_has_one_meaning(repository: Path) -> None:
     assert {name: found for name, found in shared.items() if name not in NAMES_WITH_TWO_MEANINGS} == {}
 
 
-KERNELS = ("compiled", "equation", "inlined", "unlocked")
+KERNELS = ("compiled", "equation", "inlined", "released", "unlocked")
 # Where a position is what it says: a power of a polynomial or a place in Routh's array; the only entry there is; the
 # first of a series.
 POSITIONS = {

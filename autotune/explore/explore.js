@@ -136,11 +136,60 @@ const explore = (() => {
     }
   }
 
+  // An array of the message is where it begins in `numbers`, and its shape.
+  function unpack({ text, numbers }) {
+    const { ndarray } = Bokeh.require("core/util/ndarray");
+    const arrayAt = ([begin, shape]) => {
+      const count = shape.reduce((product, length) => product * length, 1);
+      const array = new Float64Array(numbers.buffer, numbers.byteOffset + 8 * begin, count);
+      return shape.length > 1 ? ndarray(array, { dtype: "float64", shape }) : array;
+    };
+    return JSON.parse(text, (_key, value) => (value && value.numbers ? arrayAt(value.numbers) : value));
+  }
+
+  // Tasks of their own: the engine takes data in in microtasks, all of which are done when a message to ourselves comes.
+  const channel = new MessageChannel();
+  const tasks = [];
+  channel.port1.onmessage = () => tasks.shift()();
+  function soon(task) {
+    tasks.push(task);
+    channel.port2.postMessage(null);
+  }
+
+  // A figure is held until all of its data are there, and then drawn at once and not in the next frame. A new map comes
+  // first, and the rest once the frame with it is done.
   function handOn(content) {
-    for (const [name, values] of Object.entries(content)) {
+    const changes = Object.entries(unpack(content)).map(([name, values]) => {
       const [place] = page().get_model_by_name(name).tags;
-      if (typeof place !== "string" || inView.has(place)) give(name, values);
-      else waiting.set(name, [place, { ...(waiting.get(name) || [place, {}])[1], ...values }]);
+      return { name, values, place: typeof place === "string" ? place : null };
+    });
+    const seen = new Set(changes.map(each => each.place).filter(place => inView.has(place)));
+    const views = new Map([...seen].map(key => [key, Bokeh.index.get(page().get_model_by_name(key))]));
+    for (const view of views.values()) view.pause();
+    const givePart = isPart => {
+      for (const { name, values, place } of changes.filter(each => isPart(each.place))) {
+        if (place === null || seen.has(place)) give(name, values);
+        else waiting.set(name, [place, { ...(waiting.get(name) || [place, {}])[1], ...values }]);
+      }
+    };
+    const draw = key => {
+      views.get(key).unpause(true);
+      views.get(key).repaint();
+    };
+    const drawRest = () => {
+      givePart(place => place !== "map");
+      soon(() => [...seen].filter(key => key !== "map").forEach(draw));
+    };
+    if (seen.has("map") && changes.some(each => each.name === "data-map")) {
+      givePart(place => place === "map");
+      soon(() => {
+        draw("map");
+        requestAnimationFrame(() => soon(drawRest));
+      });
+    } else {
+      givePart(place => place === "map");
+      if (seen.has("map")) soon(() => draw("map"));
+      drawRest();
     }
     clearTimeout(rest);
     rest = setTimeout(giveWaiting, REST_MS);

@@ -1,5 +1,6 @@
 """The figures of the page: drawn once, then given a new view, in one message, whenever a slider moves."""
 
+import json
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -34,8 +35,9 @@ from problems.arrays import RealArray
 from problems.design.problem import DesignProblem
 from problems.design.requirements import Requirements
 
+from .design_map import DesignMap, MapWindow
 from .sliders import SliderRange
-from .view import DesignMap, MapWindow, View
+from .view import View
 from .words import requirement_title
 
 KEYS = ("contact", "admittance", "nyquist", "requirements", "map")
@@ -71,11 +73,27 @@ Changes = dict[str, dict[str, Any]]
 class BatchedUpdate(DataModel):
     """One message to the browser for all that a slider changes: for each named model, properties and their values.
 
-    Bokeh sends a message for every property that is set, and the browser draws between them. A script in the page hands
-    on what is put into this one property.
+    Bokeh sends a message for every property that is set, two more for every array, and the browser draws between them.
+    A script in the page hands on what is put into this one property: `text` is JSON, in which an array is
+    {"numbers": [begin, shape]}, its place in the one array `numbers` (n,).
     """
 
-    content: Any = Dict(String, Dict(String, Anything), default={})
+    content: Any = Dict(String, Anything, default={})
+
+
+def pack(changes: "Changes") -> dict[str, Any]:
+    """Return changes as the content of a `BatchedUpdate`."""
+    arrays: list[RealArray] = []
+    begin = 0
+
+    def place(array: RealArray) -> dict[str, Any]:
+        nonlocal begin
+        arrays.append(np.asarray(array, dtype=np.float64).reshape(-1))
+        begin += array.size
+        return {"numbers": [begin - array.size, list(array.shape)]}
+
+    text = json.dumps(changes, default=place, allow_nan=False, ensure_ascii=False, separators=(",", ":"))
+    return {"text": text, "numbers": np.concatenate([np.empty(0), *arrays])}
 
 
 class Sender:
@@ -106,7 +124,7 @@ class Sender:
         """Send what was put since the last time."""
         changes, self._changes = self._changes, {}
         if self._is_shown:
-            self._update.content = changes
+            self._update.content = pack(changes)
             return
         for name, values in changes.items():
             self._models[name].update(**values)
@@ -350,7 +368,7 @@ class Figures:
         peak = own.cost if own.is_feasible else math.nan
         cell: dict[str, Any] = {"left": x / ratio, "right": x * ratio, "bottom": y - step, "top": y + step}
         cell |= {"x": x, "y": y, "stable": float(own.is_stable), "peak": peak}
-        sender.put(self.sources["own"], data={key: [float(value)] for key, value in cell.items()})
+        sender.put(self.sources["own"], data={key: np.array([value], dtype=np.float64) for key, value in cell.items()})
         seen = [each for each in (*(self.mapped or ()), peak) if math.isfinite(each)]
         sender.put(self.bar, visible=bool(seen))
         if seen:

@@ -19,8 +19,10 @@ from problems.design.problem import DesignProblem
 from problems.errors import AutotuneError
 
 from . import words
+from .design_map import map_pairs
 from .figures import KEYS, Figures, Sender
 from .kept import Keeper
+from .map_panel import MapPanel
 from .saving import Saver, Target, refused_line
 from .searching import Searcher, SearchTask
 from .sliders import (
@@ -37,21 +39,13 @@ from .sliders import (
 )
 from .source import AxisStart, Exploration, with_requirements, worst_few
 from .view import (
-    DesignMap,
-    MapWindow,
     PreparedView,
     View,
-    build_window,
-    compute_map,
     compute_view,
     find_way_back,
-    map_pairs,
     prepare_view,
 )
 
-_COLUMNS, _ROWS = 10, 8
-# How many times as fine the map becomes, and how long the hand rests before that.
-_FINER_AFTER_MS = {1: 0, 2: 60, 4: 350}
 _LOGARITHMIC = "return String(Number((10 ** tick).toPrecision(4)));"
 _PLAIN = "return String(Number(tick.toPrecision(4)));"
 _MAP_CAPTION = (
@@ -104,13 +98,10 @@ class ExplorePage:
         self.scenarios = {name: start.scenarios for name, start in exploration.axes.items()}
         self.figures = Figures()
         self.ranges: dict[str, SliderRange] = {}
-        self.window: MapWindow | None = None
+        self.map_panel = MapPanel(document, self.figures)
         self.prepared: tuple[object, PreparedView] | None = None
-        self.mapped: tuple[PreparedView, object, int] | None = None
-        self.map: DesignMap | None = None
         self.limits: object = None
         self.asked = self.is_updating = False
-        self.resting: Any = None
         look: dict[str, Any] = {"sizing_mode": "stretch_width", "stylesheets": [InlineStyleSheet(css=_STYLE)]}
         self._build_widgets(look)
         self.saver = Saver(self.present, target, document, self.designs, look)
@@ -119,6 +110,7 @@ class ExplorePage:
         changing = [self.verdict, self.facts, self.saver.status, self.saver.held, self.way_back, self.keeper.table]
         self.sender = Sender(document, [*self.figures.changing(), *changing], self.verdict)
         self.saver.connect(self.sender)
+        self.map_panel.connect(self.sender)
         self._show_axis()
 
     @property
@@ -180,7 +172,7 @@ class ExplorePage:
         self.saver.note(self.start.note)
         view = compute_view(self._prepare(), self.start.design)
         self.figures.begin(problem, self.axis, view)
-        self.window = self.map = None
+        self.map_panel.begin_axis()
         self._set_ranges()
         self._set_sliders()
         self.update()
@@ -241,15 +233,17 @@ class ExplorePage:
         """Compute and show the view of the present design and plant, and the map if another one is due."""
         try:
             prepared = self._prepare()
+            if self.over.value:
+                x, y = str(self.over.value).split(",")
+                self.map_panel.begin(prepared, self.designs[self.axis], (x, y), self.ranges)
             view = compute_view(prepared, self.designs[self.axis])
+            # The map comes first: what is sent first is drawn first.
+            self.map_panel.show(view)
             self._show_limits(prepared)
             self.figures.show(view, self.sender)
             self._show_words(view, len(prepared.scenarios))
-            self._show_map(prepared)
-            self._show_own(view)
             self._show_kept(prepared)
             self.sender.put(self.way_back, visible=not view.evaluation.is_feasible)
-            self.view = view
         except AutotuneError as error:
             refused = refused_line(str(error)).replace("Not written.", "No picture.")
             self.sender.put(self.verdict, text=refused)
@@ -284,47 +278,6 @@ class ExplorePage:
             self.prepared = key, prepare_view(problem, scenario, scenarios)
         return self.prepared[1]
 
-    def _show_map(self, prepared: PreparedView, finer: int = 1) -> None:
-        if not self.over.value:
-            return
-        x, y = str(self.over.value).split(",")
-        problem, design = self.start.problem, self.designs[self.axis]
-        values = dict(zip(problem.variables, design.tolist(), strict=True))
-        if (
-            self.window is None
-            or (self.window.x, self.window.y) != (x, y)
-            or not self.window.holds(values[x], values[y])
-        ):
-            self.window = build_window(problem, design, (x, y), columns=_COLUMNS, rows=_ROWS)
-            self.figures.show_window(self.window, self.ranges[x], self.ranges[y])
-        key = self.window, tuple(v for name, v in values.items() if name not in {x, y})
-        if self.mapped is not None:
-            of, known, level = self.mapped
-            if of is prepared and known == key and level >= finer:
-                return
-        self.map = compute_map(prepared, design, self.window.finer(finer))
-        self.figures.show_map(self.map, self.sender)
-        self.mapped = prepared, key, finer
-        if self.resting is not None:
-            self.document.remove_timeout_callback(self.resting)
-        waits = _FINER_AFTER_MS.get(2 * finer)
-        self.resting = None if waits is None else self.document.add_timeout_callback(self._rest, waits)
-
-    def _show_own(self, view: View) -> None:
-        """Show what the design itself is, on the plants of the map: a cell is judged elsewhere than at the star."""
-        if self.window is not None:
-            x, y = (
-                float(view.design[self.start.problem.variables.index(name)]) for name in (self.window.x, self.window.y)
-            )
-            self.figures.show_own(view, (x, y), self.window.finer(2), self.sender)
-
-    def _rest(self) -> None:
-        self.resting = None
-        if not self.asked and self.mapped is not None:
-            self._show_map(self._prepare(), 2 * self.mapped[2])
-            self._show_own(self.view)
-            self.sender.send()
-
     def _axis_chosen(self, _name: str, _old: str, new: str) -> None:
         self.axis = new
         self._show_axis()
@@ -348,13 +301,18 @@ class ExplorePage:
         self._set_sliders()
         self.update()
 
+    def end(self) -> None:
+        """End what is under way: nobody looks any more."""
+        self.searcher.cancel()
+        self.map_panel.stop()
+
     def _keep(self) -> None:
         self.searcher.say(words.plain_line(self.keeper.keep(self.axis, self.designs[self.axis])))
         self.update()
 
     def _go_to_feasible(self) -> None:
         prepared, design = self._prepare(), self.designs[self.axis]
-        found = find_way_back(prepared, design, self.start.design, self.map)
+        found = find_way_back(prepared, design, self.start.design, self.map_panel.map)
         if found is None:
             warning = (
                 "Neither the way to the start nor the map has a design that meets everything: search, or ask for less."
@@ -397,7 +355,7 @@ def build_page(exploration: Exploration, target: Target, document: Document) -> 
         document.add_root(root)
     asked = [name for name in page.sliders if name.startswith(ASKED)]
     gains = [name for name in page.sliders if name not in {*page.plants[page.axis], *asked}]
-    document.on_session_destroyed(lambda _context: page.searcher.cancel())
+    document.on_session_destroyed(lambda _context: page.end())
     document.title = f"autotune explore {exploration.path.name}"
     # A page whose server has gone says so and stops; a new server would know nothing of its designs.
     document.config.update(reconnect_session=False, notify_connection_status=False)

@@ -13,8 +13,11 @@ from typing import Any
 from bokeh.application import Application
 from bokeh.application.handlers.function import FunctionHandler
 from bokeh.document import Document
+from bokeh.protocol import Protocol
+from bokeh.server.connection import ServerConnection
 from bokeh.server.server import BaseServer
 from bokeh.server.tornado import BokehTornado
+from bokeh.server.views.ws import WSHandler
 from bokeh.settings import settings
 from bokeh.util.token import check_token_signature, get_session_id, get_token_payload
 from tornado.httpserver import HTTPServer
@@ -169,6 +172,13 @@ class HostCheckedApplication(BokehTornado):
         if is_ours and (not request.path.endswith("/ws") or _is_from_page(request)):
             return super().find_handler(request, **kwargs)
         return self.get_handler_delegate(request, ErrorHandler, {"status_code": _FORBIDDEN})
+
+    def new_connection(self, protocol: Protocol, socket: WSHandler, *more: Any) -> ServerConnection:
+        """Return the connection of a page, whose small messages do not wait for the answer to the last one (Nagle)."""
+        # A page that has gone again has none to set.
+        if socket.ws_connection is not None:
+            socket.set_nodelay(True)
+        return super().new_connection(protocol, socket, *more)
 
 
 def _is_from_page(request: HTTPServerRequest) -> bool:

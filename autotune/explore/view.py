@@ -1,13 +1,14 @@
-"""What one design does on one plant, and which designs around it hold: everything that the page shows, as numbers."""
+"""What one design does on one plant, and the way back to one that meets everything: what the page shows, as numbers."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from autotune.tuning.bounds import Box
 from autotune.tuning.search import presentable
-from problems.arrays import BoolArray, ComplexArray, FloatArray
+from problems.arrays import ComplexArray, FloatArray
 from problems.contact.transient import ContactTransient, SampledContact, transient_from
 from problems.design.batch_evaluation import BatchEvaluator, build_batch_evaluator
 from problems.design.evaluation import Evaluation, build_scenarios
@@ -18,9 +19,10 @@ from problems.model.response import PlantResponse, loop_at, plant_response, rend
 from problems.model.sampled import build_loop, spectral_radius
 from problems.stability.margins import Margins, PreparedMargins, frequency_grid
 
+from .design_map import DesignMap
+
 _POINTS = 300
 _LOWEST_HZ, _HIGHEST_HZ = 0.02, 100.0
-_SMALLER, _LARGER, _LEAST = 0.6, 1.6, 0.1
 # How long an unstable contact is followed.
 _DIVERGES_S = 0.5
 
@@ -38,8 +40,18 @@ class PreparedView:
     scenario: Scenario
     screen: BatchEvaluator
     own: int
-    response: PlantResponse
-    band: PlantResponse
+
+    @cached_property
+    def response(self) -> PlantResponse:
+        """The plant that is looked at, over the frequencies of the loops: a map may be begun before it is needed."""
+        contact = self.pair.contact
+        return plant_response(contact, frequency_grid(contact, _POINTS))
+
+    @cached_property
+    def band(self) -> PlantResponse:
+        """The same in free space, over the frequencies of |G|."""
+        highest = min(_HIGHEST_HZ, 0.45 / self.problem.sample_time_s)
+        return plant_response(self.pair.free, 2.0 * np.pi * np.geomspace(_LOWEST_HZ, highest, _POINTS))
 
     @property
     def pair(self) -> SampledContact:
@@ -54,15 +66,16 @@ class PreparedView:
 
 @dataclass(frozen=True, kw_only=True)
 class View:
-    """One design (n,) on one plant: forces over time, G and both open loops over frequency, margins, requirements.
+    """One design (n,), the values of `variables`, on one plant: forces, loops, margins, requirements.
 
-    `admittance_m_s_per_n` (k,) at `admittance_hz`; `at_force`, `at_command` (l,) at `frequency_hz`. `radius` is the
-    largest |z| of the plant that is looked at; `transient` and `margins` are None where that is unstable. `margins` are
-    the smaller ones of contact and free space. `diverging` is the contact's beginning where the loop in contact is
+    `admittance_m_s_per_n` (k,), |G|, at `admittance_hz`; `at_force`, `at_command` (l,) at `frequency_hz`. `radius` is
+    the largest |z| of the plant that is looked at; `transient` and `margins` are None where that is unstable. `margins`
+    are the smaller ones of contact and free space. `diverging` is the contact's beginning where the loop in contact is
     unstable: it has no peak. `evaluation` is over all plants on which designs are judged.
     """
 
     design: FloatArray
+    variables: tuple[str, ...]
     scenario: Scenario
     radius: float
     transient: ContactTransient | None
@@ -86,48 +99,6 @@ class View:
         return FrozenDict({name: value for name, value in self.evaluation.requirements.items() if value > 1.0})
 
 
-@dataclass(frozen=True, kw_only=True)
-class MapWindow:
-    """Two variables and where they are looked at, ends included: `columns` values of x by equal ratios, `rows` of y."""
-
-    x: str
-    y: str
-    x_ends: tuple[float, float]
-    y_ends: tuple[float, float]
-    columns: int
-    rows: int
-
-    def x_values(self) -> FloatArray:
-        """Return the values (columns,) of x."""
-        return np.asarray(np.geomspace(*self.x_ends, self.columns), dtype=np.float64)
-
-    def y_values(self) -> FloatArray:
-        """Return the values (rows,) of y."""
-        return np.linspace(*self.y_ends, self.rows)
-
-    def finer(self, factor: int) -> "MapWindow":
-        """Return the same window with so many times as many values each way."""
-        return replace(self, columns=factor * self.columns, rows=factor * self.rows)
-
-    def holds(self, x: float, y: float) -> bool:
-        """Whether a point lies in the window."""
-        return self.x_ends[0] <= x <= self.x_ends[1] and self.y_ends[0] <= y <= self.y_ends[1]
-
-
-@dataclass(frozen=True, kw_only=True)
-class DesignMap:
-    """What designs are, rows over y and columns over x: stable or not, and the worst peak [N], NaN unless feasible."""
-
-    window: MapWindow
-    is_stable: BoolArray
-    peak_n: FloatArray
-
-    @property
-    def is_feasible(self) -> BoolArray:
-        """Which designs meet every requirement on every plant."""
-        return np.isfinite(self.peak_n)
-
-
 def prepare_view(problem: DesignProblem, scenario: Scenario, around: Sequence[Scenario]) -> PreparedView:
     """Sample the plant that is looked at and those around it.
 
@@ -146,16 +117,11 @@ def prepare_view(problem: DesignProblem, scenario: Scenario, around: Sequence[Sc
         )
     scenarios = tuple(dict.fromkeys((*around, scenario)))
     prepared = build_scenarios(problem, scenarios)
-    own = scenarios.index(scenario)
-    pair, h = prepared.pairs[own], problem.sample_time_s
-    highest = min(_HIGHEST_HZ, 0.45 / h)
     return PreparedView(
         problem=problem,
         scenario=scenario,
         screen=build_batch_evaluator(prepared),
-        own=own,
-        response=plant_response(pair.contact, frequency_grid(pair.contact, _POINTS)),
-        band=plant_response(pair.free, 2.0 * np.pi * np.geomspace(_LOWEST_HZ, highest, _POINTS)),
+        own=scenarios.index(scenario),
     )
 
 
@@ -171,6 +137,7 @@ def compute_view(prepared: PreparedView, design: FloatArray) -> View:
     samples = max(2, round(_DIVERGES_S / h))
     return View(
         design=np.array(design),
+        variables=problem.variables,
         scenario=prepared.scenario,
         radius=max(radii),
         transient=transient_from(pair, law, problem.approach) if is_stable else None,
@@ -182,48 +149,6 @@ def compute_view(prepared: PreparedView, design: FloatArray) -> View:
         at_force=loop.at_force,
         at_command=loop.at_command,
         evaluation=prepared.screen.prepared.evaluate(design, peaks_if_missed=True),
-    )
-
-
-def compute_map(prepared: PreparedView, design: FloatArray, window: MapWindow) -> DesignMap:
-    """Judge the designs that differ from `design` (n,) in two variables, on all plants of the view."""
-    columns = [prepared.problem.variables.index(name) for name in (window.x, window.y)]
-    x, y = np.meshgrid(window.x_values(), window.y_values())
-    designs = np.tile(design, (x.size, 1))
-    designs[:, columns[0]], designs[:, columns[1]] = x.reshape(-1), y.reshape(-1)
-    found = prepared.screen.evaluate(designs)
-    worst = np.where(found.violation <= 0.0, np.max(found.objective_rows, axis=1), np.nan)
-    return DesignMap(
-        window=window,
-        is_stable=found.is_stable.reshape(x.shape),
-        peak_n=np.where(np.isfinite(worst), worst, np.nan).reshape(x.shape),
-    )
-
-
-def map_pairs(problem: DesignProblem) -> tuple[tuple[str, str], ...]:
-    """Return which variables a map can be over, (x, y): those with bounds of some width."""
-    turned = {name for name, (low, high) in problem.bounds.items() if high > low}
-    pairs = ((x, y) for x in ("damping", "mass") for y in ("lead_s", "feedback_damping_s"))
-    return tuple(pair for pair in pairs if turned.issuperset(pair))
-
-
-def build_window(
-    problem: DesignProblem, design: FloatArray, pair: tuple[str, str], *, columns: int, rows: int
-) -> MapWindow:
-    """Return a window around a design (n,): from 0.6 to 1.6 times each of two values (x, y), within their bounds."""
-    ends = []
-    for name in pair:
-        low, high = problem.bounds[name]
-        value = float(design[problem.variables.index(name)])
-        # A gain of nothing would have a window of no width.
-        ends.append((max(low, _SMALLER * value), min(high, max(_LARGER * value, _LEAST * high))))
-    return MapWindow(
-        x=pair[0],
-        y=pair[1],
-        x_ends=ends[0],
-        y_ends=ends[1],
-        columns=columns,
-        rows=rows,
     )
 
 

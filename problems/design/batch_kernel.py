@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import ComplexArray, FloatArray, IntArray
-from ..compiled import compiled
+from ..compiled import compiled, released
 from ..contact.kernel import contact_forces, run_contact, steady_start
 from ..contact.kernel_types import (
     CONTACT_PEAK,
@@ -163,7 +163,7 @@ def simulate_pair(
     out[TIME_OF_PEAK] = found[CONTACT_TIME] * h
 
 
-@compiled
+@released
 def evaluate_designs(
     plants: Plants,
     contacts: Contacts,

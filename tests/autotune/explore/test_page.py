@@ -1,5 +1,6 @@
 """The page without a browser: what happens in its document when something is turned."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -52,7 +53,9 @@ def test_the_map_is_computed_again_only_where_it_is_another_one(page: ExplorePag
 
 def test_a_finer_map_follows_when_the_hand_rests(page: ExplorePage) -> None:
     rows, columns = page.figures.sources["map"].data["peak"][0].shape
-    page._rest()
+    page.map_panel.refine()
+    while page.map_panel.map is None or page.map_panel.map.window.rows == rows:
+        page.map_panel.look()
     assert page.figures.sources["map"].data["peak"][0].shape == (2 * rows, 2 * columns)
 
 
@@ -64,8 +67,10 @@ def test_a_page_that_is_shown_gets_one_message_for_all_that_a_turn_changes(page:
     turn(page, "damping", 1310.0)
     by_hand, (sent,) = seen[:1], seen[1:]
     assert (by_hand[0].model, sent.attr) == (page.sliders["damping"], "content")
-    assert {"data-contact", "data-command", "data-bars", "data-own", "verdict", "facts"} <= set(sent.new)
-    assert not np.array_equal(sent.new["data-contact"]["data"]["y"], before)
+    changed = json.loads(sent.new["text"])
+    assert {"data-contact", "data-command", "data-bars", "data-own", "verdict", "facts"} <= set(changed)
+    begin, (count,) = changed["data-contact"]["data"]["y"]["numbers"]
+    assert not np.array_equal(sent.new["numbers"][begin : begin + count], before)
     assert np.array_equal(data(page, "contact"), before)
 
 

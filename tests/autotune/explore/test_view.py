@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from autotune.explore.design_map import build_window, compute_map, map_pairs
 from autotune.explore.sliders import nominal_values, scenario_at
-from autotune.explore.view import PreparedView, build_window, compute_map, compute_view, map_pairs, prepare_view
+from autotune.explore.view import PreparedView, compute_view, prepare_view
 from problems.contact.transient import build_sampled_contact, simulate_contact
 from problems.design.evaluation import build_scenarios
 from problems.errors import ParameterError
@@ -83,7 +84,7 @@ def test_a_plant_that_cannot_be_sampled_is_refused() -> None:
 def test_the_map_shows_of_each_design_what_an_evaluation_shows() -> None:
     ready = prepared()
     window = build_window(ready.problem, DESIGN, PAIR, columns=7, rows=5)
-    found = compute_map(ready, DESIGN, window)
+    found = compute_map(ready.screen, DESIGN, window)
     assert 0 < np.sum(found.is_feasible) < found.is_feasible.size
     for j, damping in enumerate(window.x_values()):
         for i, lead in enumerate(window.y_values()):

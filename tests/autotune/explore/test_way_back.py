@@ -2,8 +2,9 @@
 
 import numpy as np
 
+from autotune.explore.design_map import build_window, compute_map
 from autotune.explore.sliders import nominal_values, scenario_at
-from autotune.explore.view import build_window, compute_map, find_way_back, prepare_view
+from autotune.explore.view import find_way_back, prepare_view
 from autotune.tuning.bounds import Box
 from problems.design.evaluation import build_scenarios
 from tests.autotune.explore.start import DESIGN, small_exploration
@@ -40,7 +41,9 @@ def test_the_line_to_the_start_ends_where_everything_is_met() -> None:
 def test_a_cell_of_the_map_that_is_nearer_is_taken() -> None:
     near = np.array([6.0, 1900.0, 0.018, 0.005])
     assert not judged(near)
-    around = compute_map(PREPARED, near, build_window(START.problem, near, ("damping", "lead_s"), columns=40, rows=30))
+    around = compute_map(
+        PREPARED.screen, near, build_window(START.problem, near, ("damping", "lead_s"), columns=40, rows=30)
+    )
     by_line, by_both = (
         find_way_back(PREPARED, near, np.array([6.0, 1250.0, 0.018, 0.04]), each) for each in (None, around)
     )
