@@ -71,8 +71,14 @@ def explain(
         causes=causes,
         suggestion=suggestion,
         found=found,
-        is_known_too_little=bool(problem.plants.further) and is_feasible(_nominal(problem), seed=seed),
+        is_known_too_little=_is_known_too_little(problem, seed),
     )
+
+
+def _is_known_too_little(problem: DesignProblem, seed: int) -> bool:
+    """Return whether the requirements can be met with all but K_e and M_p at its value; a short look comes first."""
+    nominal = _nominal(problem)
+    return bool(problem.plants.further) and can_meet(nominal, seed=seed) and is_feasible(nominal, seed=seed)
 
 
 def find_causes(problem: DesignProblem, *, seed: int) -> tuple[Cause, ...]:

@@ -25,6 +25,8 @@ _ROUNDS = 6
 _GENERATIONS, _NEARBY_GENERATIONS, _EXPLORED = 30, 15, 0.6
 _DIGITS = 3
 _HAIR = 2e-3
+# Of all together only which ones bind is asked, and where to begin.
+_ROUGHLY = 0.03
 _BINDS = 0.9
 
 
@@ -89,7 +91,7 @@ def find_relaxations(
 
     def least(goal: str, start: FloatArray | None = None) -> _Least | None:
         part = ProgressSlice(report, 1.0 / (len(asked) + 1))
-        found = _least(problem, goal, seed, part, start)
+        found = _least(problem, goal, seed, part, start, _HAIR if start is not None else _ROUGHLY)
         part.finish()
         return found
 
@@ -181,11 +183,12 @@ def _least(
     seed: int,
     report: Callable[[float], None] = no_progress,
     start: FloatArray | None = None,
+    hair: float = _HAIR,
 ) -> _Least | None:
     """Return the least required/achieved of one requirement over the whole uncertainty; None if others are missed.
 
-    `start` is a design (n,) that joins the search, which then looks around less. `report` gets the share of the work
-    done since the last call.
+    `start` is a design (n,) that joins the search, which then looks around less; it ends where it gains less than the
+    share `hair`. `report` gets the share of the work done since the last call.
     """
     generations = _GENERATIONS if start is None else _NEARBY_GENERATIONS
     search, whole = Search(problem, seed, start, goal=goal, generations=generations), WholeSet(problem, seed)
@@ -212,8 +215,8 @@ def _least(
                 if before is None or reached < before.ratio:
                     best = _Least(ratio=reached, design=design, ratios=ratios)
                 # What more scenarios no longer change is not worth another look at the whole uncertainty.
-                no_better = before is not None and reached >= before.ratio * (1.0 - _HAIR)
-                if reached <= expected * (1.0 + _HAIR) or no_better:
+                no_better = before is not None and reached >= before.ratio * (1.0 - hair)
+                if reached <= expected * (1.0 + hair) or no_better:
                     break
             worse = margin_scenarios(others, exact.margins)
             worse = (*worse, *margin_scenarios(sought, exact.margins, limit=expected))
