@@ -1,7 +1,6 @@
 """Estimates of one straight axis out of a recording: robot, coupling, payload, surfaces."""
 
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -10,8 +9,9 @@ import numpy as np
 from problems.arrays import FloatArray
 from problems.progress import ProgressSlice
 
-from .axes.straight import AXIS_NAMES, AxisMotion, commanded_motion, free_motions, unguided_spans
-from .axes.turning import AxisTurn, rests_after
+from .axes.straight import AXIS_NAMES, AxisMotion, free_motions, unguided_spans
+from .axes.turning import rests_after
+from .axis_command import AxisKnowledge, CellSignals, behind_command, fit_behind_command
 from .axis_findings import (
     contact_findings,
     first_rests,
@@ -24,20 +24,17 @@ from .errors import EstimateError
 from .evidence import AxisEvidence
 from .fit_quality import HeldOutPeak
 from .given import Given, axis_keys, settle_axis
-from .joint_fit.data import JointData, build_joint_data, usual_coupling
-from .joint_fit.estimates import COARSE_COMMAND, NO_COMMAND, JointEstimates
+from .joint_fit.data import USUAL_MASS_KG, usual_coupling
+from .joint_fit.estimates import COARSE_COMMAND, LOOSEST_DELAY, NO_COMMAND, JointEstimates
 from .joint_fit.fit import identify_joint
 from .joint_fit.model import COUPLING_NAMES
-from .joint_fit.result import JointFit, with_gain_error, with_longer_delay, with_robot_shift
+from .joint_fit.result import JointFit, with_gain_error
 from .joint_fit.segments import find_holds
-from .payload.gravity import GravityFit
 from .result import AxisEstimate, CouplingEstimate, Finding, RobotEstimate, Status
 from .robot.coupling import CouplingFit, Noise, identify_coupling
-from .robot.logged_command import LoggedRobot, identify_logged_robot
-from .signals.aligned import AlignedLog
+from .robot.logged_command import LoggedRobot
 from .signals.contact_rule import CONTACT
-from .signals.recording import PoseSignal, Recording
-from .signals.segments import MotionSpans, Span
+from .signals.segments import Span
 from .timeline.payload import AxisContacts
 from .verdicts import (
     IDENTIFIED_SHARE,
@@ -54,37 +51,9 @@ _OBLIQUE_CONTACT_DEG = 10.0
 # The continuous model is fitted to signals sampled behind a hold: measured on simulated cells, this is what it costs.
 _MODEL_STD_SHARE = 0.003
 _EXACT_SHARE = 1e-6
-_LOOSEST_DELAY = 0.6
 _MOST_LAG_STDS = 3.0
-_USUAL_MASS_KG = 10.0
 _REBUILT = "under the command that the known gains make of the wrench"
-# Swings of the payload per period of the log up to which it does not matter how long each command was held: measured on
-# simulated cells whose controller ran two and three times as fast as the log.
-_SLOW_MODE = 0.15
 _STAGES_SHARE = 0.27  # of the time that an axis takes
-
-
-@dataclass(frozen=True, kw_only=True)
-class CellSignals:
-    """What the axes of a recording share; `force_S_n` (n, 3) is free of weight and bias.
-
-    `gravity` is None where the weight was taken off before recording; `noise_rms_n` is the force's at rest, and
-    `rest_residual_n` what weight and bias leave of it. `robots` are those that the admittance's known gains show where
-    no command was logged, and `rebuilt` the command that they make of the wrench; `turns`, the axes about which the
-    tool turned.
-    """
-
-    recording: Recording
-    log: AlignedLog
-    motion: MotionSpans
-    gravity: GravityFit | None
-    noise_rms_n: float
-    rest_residual_n: float
-    force_S_n: FloatArray
-    given: Mapping[str, Given]
-    robots: Mapping[str, RobotEstimate]
-    rebuilt: PoseSignal | None = None
-    turns: tuple[AxisTurn, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,19 +67,6 @@ class AxisResult:
     findings: tuple[Finding, ...]
     contacts: AxisContacts
     fit: JointFit | None
-
-
-@dataclass(frozen=True, kw_only=True)
-class AxisKnowledge:
-    """What is known of an axis before its fit: `mass_kg` is where the search for M_p starts, `priors` what is given.
-
-    `in_units` turns the fit into the units of the axis; `weighed` is M_p from gravity with its deviation.
-    """
-
-    mass_kg: float | None
-    priors: Mapping[str, tuple[float, float]]
-    in_units: Callable[[JointFit], JointFit]
-    weighed: tuple[float, float] | None = None
 
 
 def identify_axis(cell: CellSignals, axis: AxisMotion, progress: ProgressSlice | None = None) -> AxisResult:
@@ -161,23 +117,20 @@ def fit_axis(
     progress.advance_to(_STAGES_SHARE)
     try:
         mass_kg = start.mass_kg if coupling is None or start.mass_kg is not None else coupling.mass_kg
-        if mass_kg is None:
-            raise EstimateError(
-                "What moves is not known well enough to begin; record a commanded sweep along or about the axis, hands "
-                "off."
-            )
         part = progress.part((0.5 if start.priors else 1.0) - _STAGES_SHARE)
-        data, found = _joint_fit(cell, axis, holds, coupling, behind, replace(start, mass_kg=mass_kg), part)
+        commanded = fit_behind_command(cell, axis, holds, coupling, behind, replace(start, mass_kg=mass_kg), part)
+        data, found = commanded.data, commanded.fit
         if cell.gravity is None:
             _check_lag(found, cell.recording.wrench_lag_s)
-        fit = _with_robot_errors(start.in_units(found), behind)
+        fit = commanded.with_robot_errors(start.in_units(found))
         with_priors = None
         if start.priors:
-            with_priors = _with_robot_errors(start.in_units(identify_joint(replace(data, priors=start.priors))), behind)
+            known = identify_joint(replace(data, priors=start.priors))
+            with_priors = commanded.with_robot_errors(start.in_units(known))
     except EstimateError as error:
         findings.append(missing("coupling", f"Axis {axis.name}: {error}"))
         estimate, contradictions = settle_axis(axis.name, without_coupling(robot, str(error)), None, cell.given)
-        mass_kg = _USUAL_MASS_KG if cell.gravity is None else cell.gravity.mass_kg
+        mass_kg = USUAL_MASS_KG if cell.gravity is None else cell.gravity.mass_kg
         contacts = AxisContacts(axis=axis, holds=holds, coupling=usual_coupling(mass_kg))
         return AxisResult(estimate=estimate, findings=(*findings, *contradictions), contacts=contacts, fit=None)
     left_n = force_beside(axis, cell.motion.still, holds)
@@ -187,7 +140,14 @@ def fit_axis(
     is_logged = cell.recording.command is not None and robot.denominator.value is not None
     why = COARSE_COMMAND if is_logged else NO_COMMAND
     note = "" if behind is None else behind.note
-    of = partial(JointEstimates, name=axis.name, period_s=data.period_s, without_command=why, delay_note=note)
+    of = partial(
+        JointEstimates,
+        name=axis.name,
+        period_s=data.period_s,
+        without_command=why,
+        delay_note=note,
+        is_smooth=data.command is not None and data.command.is_smooth,
+    )
     alone = _estimate(of(fit=fit), robot)
     both = alone if with_priors is None else _estimate(of(fit=with_priors), robot)
     if data.command is not None and cell.recording.command is None:
@@ -200,61 +160,6 @@ def fit_axis(
     estimate, contradictions = settle_axis(axis.name, alone, both, cell.given)
     contacts = AxisContacts(axis=axis, holds=holds, coupling=found.values[: len(COUPLING_NAMES)])
     return AxisResult(estimate=estimate, findings=(*findings, *contradictions), contacts=contacts, fit=fit)
-
-
-def _joint_fit(
-    cell: CellSignals,
-    axis: AxisMotion,
-    holds: tuple[Span, ...],
-    coupling: CouplingFit | None,
-    behind: LoggedRobot | None,
-    start: AxisKnowledge,
-    progress: ProgressSlice,
-) -> tuple[JointData, JointFit]:
-    """Fit everything together, under the command that gains make of the wrench where that explains the motion."""
-
-    def joined(robot: LoggedRobot | None, command: PoseSignal | None) -> tuple[JointData, JointFit]:
-        robot_fit = None if robot is None else robot.behind_hold
-        data = build_joint_data(
-            cell.log,
-            cell.motion,
-            axis,
-            holds,
-            coupling,
-            None if robot_fit is None else robot_fit.model,
-            command,
-            _USUAL_MASS_KG if start.mass_kg is None else start.mass_kg,
-            cell.noise_rms_n,
-            cell.recording.wrench_lag_s,
-            cell.recording.pose.stamp_ns,
-        )
-        data = replace(
-            data,
-            weighed=start.weighed,
-            shifted_s=cell.recording.wrench_shifted_s,
-            least_noise_n=cell.noise_rms_n if cell.gravity is None else 0.0,
-        )
-        return data, identify_joint(data, progress)
-
-    if cell.rebuilt is not None and axis.name in cell.robots and axis.name in AXIS_NAMES:
-        with suppress(EstimateError):
-            rebuilt = _behind_command(cell, axis, cell.rebuilt)[0]
-            if rebuilt.is_held:
-                return joined(rebuilt, cell.rebuilt)
-    if behind is None or behind.is_held or behind.behind_hold is None:
-        return joined(behind, cell.recording.command)
-    with suppress(EstimateError):
-        data, fit = joined(behind, cell.recording.command)
-        if fit.own_frequency_hz * data.period_s < _SLOW_MODE:
-            return data, fit
-    return joined(None, cell.recording.command)
-
-
-def _with_robot_errors(fit: JointFit, behind: LoggedRobot | None) -> JointFit:
-    """Return the fit with what dry friction of the robot and an unknown hold of the command leave open of r(s), T_d."""
-    if behind is None or behind.behind_hold is None:
-        return fit
-    return with_longer_delay(with_robot_shift(fit, behind.behind_hold.friction_shift), *behind.longer_s)
 
 
 def _of_rebuilt(estimate: AxisEstimate, led: RobotEstimate, fit: JointFit) -> AxisEstimate:
@@ -283,20 +188,6 @@ def _of_rebuilt(estimate: AxisEstimate, led: RobotEstimate, fit: JointFit) -> Ax
             bandwidth_hz=weak_at_best(robot.bandwidth_hz, f"{_REBUILT}, which {led.bandwidth_hz.note}"),
         ),
     )
-
-
-def _behind_command(cell: CellSignals, axis: AxisMotion, command: PoseSignal) -> tuple[LoggedRobot, float]:
-    """Return the robot behind a command, and the command's period [s]."""
-    period = cell.given.get("sample_time_s")
-    moved = commanded_motion(cell.recording, command, cell.log, axis)
-    found = identify_logged_robot(
-        moved.command_m,
-        moved.position_m,
-        moved.period_s,
-        is_uniform=moved.is_uniform,
-        control_period_s=None if period is None else period.value,
-    )
-    return found, moved.period_s
 
 
 def _check_lag(fit: JointFit, known_s: tuple[float, float] | None) -> None:
@@ -356,7 +247,7 @@ def _robot(cell: CellSignals, axis: AxisMotion, findings: list[Finding]) -> tupl
         )
         return None, unidentifiable_robot("no commanded pose in the log")
     try:
-        found, period_s = _behind_command(cell, axis, recording.command)
+        found, period_s = behind_command(cell, axis, recording.command)
     except EstimateError as error:
         findings.append(missing("robot", f"Axis {axis.name}: {error}"))
         return None, unidentifiable_robot(str(error))
@@ -367,7 +258,7 @@ def identify_axis_robot(cell: CellSignals, axis: AxisMotion) -> AxisResult:
     """Estimate the robot alone along an axis, from command and pose."""
     findings: list[Finding] = []
     _, robot = _robot(cell, axis, findings)
-    contacts = AxisContacts(axis=axis, holds=(), coupling=usual_coupling(_USUAL_MASS_KG))
+    contacts = AxisContacts(axis=axis, holds=(), coupling=usual_coupling(USUAL_MASS_KG))
     estimate = without_coupling(robot, "no motion along this axis alone, with the force on it")
     return AxisResult(estimate=estimate, findings=tuple(findings), contacts=contacts, fit=None)
 
@@ -386,7 +277,7 @@ def _logged_robot(found: LoggedRobot, period_s: float) -> RobotEstimate:
             method=method,
             note=found.note,
             identified=np.inf if found.is_held and fit.delay_std_s < 0.2 * period_s else IDENTIFIED_SHARE,
-            weak=WEAK_SHARE if found.is_held else _LOOSEST_DELAY,
+            weak=WEAK_SHARE if found.is_held else LOOSEST_DELAY,
         ),
         bandwidth_hz=judged(fit.bandwidth_hz, bandwidth_std, method=method),
     )

@@ -9,7 +9,8 @@ from scipy.spatial.transform import Rotation
 from problems.arrays import FloatArray
 
 from .axes.straight import AXIS_NAMES, AxisMotion, find_axes
-from .axis_estimate import AxisResult, CellSignals, identify_axis, identify_axis_robot
+from .axis_command import CellSignals
+from .axis_estimate import AxisResult, identify_axis, identify_axis_robot
 from .errors import LogError
 from .given import Given
 from .payload.gravity import orientation_spread_rad
@@ -17,7 +18,7 @@ from .rebuilt_command import rebuilt_command
 from .result import AxisEstimate, Finding
 from .robot.admittance_estimates import AdmittanceRobots
 from .signals.aligned import AlignedLog, edges_of, on_one_clock
-from .signals.recording import AXES, AppliedDeadband, Recording
+from .signals.recording import AXES, AppliedDeadband, Recording, WrenchSignal
 from .signals.repairs import restore_commands, without_spikes
 from .signals.segments import MotionSpans, find_motion
 
@@ -41,8 +42,10 @@ class CompensatedAxes:
 
     @property
     def fitted(self) -> Mapping[str, AxisResult]:
-        """Return the axes on which a fit behind the logged command knows moving mass and coupling."""
-        if self.cell is None or self.cell.recording.command is None or self.cell.recording.keeps_holes:
+        """Return the axes on which a fit behind the command, logged or rebuilt, knows moving mass and coupling."""
+        if self.cell is None or self.cell.recording.keeps_holes:
+            return {}
+        if self.cell.recording.command is None and self.cell.rebuilt is None:
             return {}
         return {name: axis for name, axis in self.axes.items() if axis.fit is not None and _is_fitted(axis.estimate)}
 
@@ -68,11 +71,11 @@ def identify_compensated_axes(
         recording, findings = without_spikes(recording)
     try:
         complete = _complete(recording)
-        log = on_one_clock(complete)
+        log = on_one_clock(replace(complete, wrench=_restored(complete.wrench)))
     except LogError as error:
         return CompensatedAxes(axes={}, findings=(Finding.warning("no-motion", str(error), ""),))
     motion = find_motion(log)
-    force = _restored(log.force_S_n, recording.wrench.deadband, log.period_s)
+    force = log.force_S_n
     cell = CellSignals(
         recording=complete,
         log=log,
@@ -89,7 +92,7 @@ def identify_compensated_axes(
     measured = [name for name in AXIS_NAMES if name in recording.pose.measured_axes]
     if motion.still and _is_force_known(recording.wrench.deadband):
         straight = [axis for axis in find_axes(log, motion, force).axes if axis.name in measured]
-        felt = [a for a in straight if a.name in recording.wrench.measured_axes and _is_mostly_felt(log, a, recording)]
+        felt = [a for a in straight if a.name in recording.wrench.measured_axes and _is_mostly_felt(log, a, complete)]
         axes = {a.name: identify_axis(cell, a) for a in felt}
     if recording.command is not None:
         for axis in _other_axes(log, motion, force, [name for name in measured if name not in axes]):
@@ -105,8 +108,12 @@ def _is_force_known(deadband: AppliedDeadband | None) -> bool:
 
 def _is_mostly_felt(log: AlignedLog, axis: AxisMotion, recording: Recording) -> bool:
     """Return whether no deadband took so much of the force in motion that what is drawn across it would be fitted."""
-    force = np.concatenate([log.force_S_n[span.slice, AXES.index(axis.name)] for span in axis.spans])
-    return recording.wrench.deadband is None or float(np.mean(force == 0.0)) <= _MOST_HIDDEN
+    wrench = recording.wrench
+    edges = [log.start_ns + 1e9 * log.time_s[[span.start, span.stop - 1]] for span in axis.spans]
+    force = np.concatenate(
+        [wrench.force_n[slice(*np.searchsorted(wrench.stamp_ns, each)), AXES.index(axis.name)] for each in edges]
+    )
+    return wrench.deadband is None or float(np.mean(force == 0.0)) <= _MOST_HIDDEN
 
 
 def _complete(recording: Recording) -> Recording:
@@ -128,19 +135,20 @@ def _complete(recording: Recording) -> Recording:
     )
 
 
-def _restored(force_S_n: FloatArray, deadband: AppliedDeadband | None, period_s: float) -> FloatArray:
-    """Return the force (n, 3) before the deadband, straight lines across it where it was crossed within 0.1 s."""
+def _restored(wrench: WrenchSignal) -> WrenchSignal:
+    """Return the wrench before the deadband, straight lines across it where it was crossed within 0.1 s."""
+    deadband = wrench.deadband
     if deadband is None:
-        return force_S_n
+        return wrench
     width = (deadband.force_n or 0.0) if deadband.type == "subtractive" else 0.0
-    out = force_S_n + width * np.sign(force_S_n)
-    longest = max(round(_LONGEST_CROSSING_S / period_s), 1)
+    out = wrench.force_n + width * np.sign(wrench.force_n)
+    longest = max(round(_LONGEST_CROSSING_S * 1e9 / float(np.median(np.diff(wrench.stamp_ns)))), 1)
     for column in out.T:
         starts, stops = edges_of(column == 0.0)
         for start, stop in zip(starts.tolist(), stops.tolist(), strict=True):
             if start > 0 and stop < len(column) and stop - start <= longest:
                 column[start - 1 : stop + 1] = np.linspace(column[start - 1], column[stop], stop - start + 2)
-    return out
+    return replace(wrench, force_n=out, deadband=None)
 
 
 def _noise_n(force_S_n: FloatArray, motion: MotionSpans) -> float:

@@ -7,7 +7,8 @@ import numpy as np
 
 from .axes.straight import AXIS_NAMES
 from .axes.turning import LEVER_M
-from .axis_estimate import AxisResult, CellSignals
+from .axis_command import CellSignals
+from .axis_estimate import AxisResult
 from .result import AxisEstimate, EnvironmentEstimate, Finding, LogPhase, Timeline, Touch, TouchCause
 from .signals.aligned import AlignedLog
 from .signals.recording import AXES, Recording

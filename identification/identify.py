@@ -10,7 +10,8 @@ from problems.progress import ProgressSlice, no_progress
 
 from .axes.straight import find_axes
 from .axes.turning import find_turns
-from .axis_estimate import AxisResult, CellSignals, axis_evidence, identify_axis
+from .axis_command import CellSignals
+from .axis_estimate import AxisResult, axis_evidence, identify_axis
 from .conventions.choice import read_by_weight
 from .evidence import Evidence
 from .fitted_timeline import account_for_log, hand_findings, with_surfaces, without_surface

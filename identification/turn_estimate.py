@@ -9,7 +9,8 @@ from scipy.signal import detrend
 from problems.progress import ProgressSlice
 
 from .axes.turning import LEVER_M, AxisTurn, Unrolled, rests_after, unroll
-from .axis_estimate import AxisKnowledge, AxisResult, CellSignals, axis_priors, fit_axis
+from .axis_command import AxisKnowledge, CellSignals
+from .axis_estimate import AxisResult, axis_priors, fit_axis
 from .errors import EstimateError
 from .joint_fit.model import COUPLING_NAMES
 from .joint_fit.result import MECHANICAL_NAMES, JointFit

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.interpolate import make_interp_spline
 
 from problems.arrays import FloatArray
 from problems.model.robot import RobotModel
@@ -18,6 +19,7 @@ _SAME_PHASE = 0.05
 _ROUNDING = 1e-3
 _USUAL_RESONANCE_HZ = 25.0
 _USUAL_DRAG_N_S_PER_M = 200.0
+USUAL_MASS_KG = 10.0
 _USUAL_LAG_S = 1e-3
 _USUAL_LAG_PERIODS = 1.5
 _SETTLED_S = 1.5
@@ -32,12 +34,15 @@ class HeldCommand:
     """The command on the log's clock: `command_m[k]` (n,) is what was issued from tick k until before the next.
 
     It was issued `shift_s` after the tick, always, so a delay counted from the ticks is `shift_s` too long. With
-    `is_mean` each is the mean of what was issued in that sample.
+    `is_mean` each is the mean of what was issued in that sample; with `is_smooth` it is the command at the tick, which
+    is a spline between, and leaves the flange's speed open by `untimed_share` of half a sample.
     """
 
     command_m: FloatArray
     shift_s: float
     is_mean: bool = False
+    is_smooth: bool = False
+    untimed_share: float = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,17 +88,21 @@ class JointData:
         return 0 if self.robot is None or self.command is None else self.robot.order
 
 
-def hold_command(command: PoseSignal, log: AlignedLog, axis: AxisMotion) -> HeldCommand:
+def hold_command(command: PoseSignal, log: AlignedLog, axis: AxisMotion, *, is_smooth: bool = False) -> HeldCommand:
     """Put the command on the log's clock.
 
     A command at the log's rate or at a whole fraction of it changes always at one phase of a sample, and the robot's
     answer is exact. Any other is replaced by its mean over every sample: the same push at slightly another time, which
     makes the delay wrong by about ω h²/12. Before its first message the command is that one; `uncovered` shows where it
-    says nothing.
+    says nothing. One that `is_smooth` between its samples is a spline through them.
     """
     period = log.period_s
     ticks = (command.stamp_ns - log.start_ns) * 1e-9 / period
     issued = (command.position_m - log.position_B_m[0]) @ axis.direction_B
+    if is_smooth:
+        path = make_interp_spline(ticks, issued, k=3)
+        at_ticks = path(np.clip(np.arange(len(log)), ticks[0], ticks[-1]))
+        return HeldCommand(command_m=np.asarray(at_ticks), shift_s=0.0, is_smooth=True)
     inside = (ticks >= 0.0) & (ticks <= len(log) - 1)
     # A stamp that rounding puts just before its tick belongs to that tick.
     phase = np.mod(ticks[inside] + _ROUNDING, 1.0) - _ROUNDING
@@ -125,15 +134,18 @@ def build_joint_data(
     coupling: CouplingFit | None,
     robot: RobotModel | None,
     command: PoseSignal | None,
-    mass_kg: float,
+    mass_kg: float | None,
     noise_rms_n: float = 0.0,
     latency_s: tuple[float, float] | None = None,
     pose_stamp_ns: StampArray | None = None,
+    *,
+    is_smooth: bool = False,
 ) -> JointData:
     """Gather what `identify_joint` needs.
 
-    `holds` are the rests that press along this axis, `mass_kg` is from gravity, `noise_rms_n` the force's at
-    rest. Where the stage refused the coupling (None), the refinement starts from the mass and a usual resonance.
+    `holds` are the rests that press along this axis, `mass_kg` is from gravity if that is known, `noise_rms_n` the
+    force's at rest; a command that `is_smooth` is one between its samples. Where the stage refused the coupling (None),
+    the refinement starts from the mass and a usual resonance.
     """
     known = command is not None and robot is not None
     holes = (*log.holes, *(uncovered(command, log) if known and command is not None else ()))
@@ -145,14 +157,14 @@ def build_joint_data(
         period_s=log.period_s,
         position_m=_without_holes(axis.position_m, log.holes),
         force_n=_without_holes(axis.force_n, log.holes),
-        command=hold_command(command, log, axis) if known and command is not None else None,
+        command=hold_command(command, log, axis, is_smooth=is_smooth) if known and command is not None else None,
         rests=tuple(s for s in motion.still if (s.start, s.stop) not in pressed),
         moving=_most_telling(_off_holes(axis.spans, holes, log.period_s), axis, log.period_s, _MOST_MOVING_S),
         free=_most_telling(_off_holes(free, holes, log.period_s), axis, log.period_s, _MOST_FREE_S),
         mixed=_off_holes(mixed, holes, log.period_s),
         rings=_off_holes(find_ringing(axis, steady, free, holds, noise_rms_n, log.period_s), holes, log.period_s),
         holds=_few_of_each_place(_approached(holds, holes, log.period_s), axis),
-        coupling=usual_coupling(mass_kg) if coupling is None else _values(coupling),
+        coupling=usual_coupling(mass_kg or USUAL_MASS_KG) if coupling is None else _values(coupling),
         robot=robot,
         mass_kg=mass_kg,
         measured=(0, 1) if pose_stamp_ns is None else _measured(pose_stamp_ns, log),

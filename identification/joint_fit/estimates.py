@@ -1,6 +1,6 @@
 """Estimates with verdicts from the joint fit of one axis."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -17,7 +17,16 @@ from ..result import (
     Status,
 )
 from ..robot.position_loop import find_bandwidth_hz
-from ..verdicts import IDENTIFIED_SHARE, TWO_SIDED, judged, judged_damping, unidentifiable, vector, weak_at_best
+from ..verdicts import (
+    IDENTIFIED_SHARE,
+    TWO_SIDED,
+    WEAK_SHARE,
+    judged,
+    judged_damping,
+    unidentifiable,
+    vector,
+    weak_at_best,
+)
 from .model import COUPLING_NAMES, SURFACE_NAMES, robot_model
 from .result import JointFit, JointSurface
 
@@ -25,6 +34,7 @@ from .result import JointFit, JointSurface
 DAMPING_FLOOR = 0.1
 MASS_FLOOR = 0.1
 _DELAY_SAMPLES = 0.2
+LOOSEST_DELAY = 0.6
 # Of a second mode and of friction no controller is made: what shows half of them is worth reporting.
 _LOOSEST, _RATIO_FLOOR = 0.5, 0.03
 SYMBOLS = {
@@ -44,7 +54,8 @@ COARSE_COMMAND = "the log does not show that each command was held until the nex
 class JointEstimates:
     """What the joint fit of axis `name` shows, parameter by parameter; `period_s` judges the delay.
 
-    `without_command` says why no command took part, where none did, `delay_note` what the log leaves open of the delay.
+    `without_command` says why no command took part, where none did, `delay_note` what the log leaves open of the delay;
+    behind a command that `is_smooth` between its samples the period is none of the controller.
     """
 
     name: str
@@ -52,6 +63,7 @@ class JointEstimates:
     period_s: float
     without_command: str = NO_COMMAND
     delay_note: str = ""
+    is_smooth: bool = False
 
     @cached_property
     def method(self) -> str:
@@ -85,8 +97,11 @@ class JointEstimates:
         if self.fit.robot is None:
             return None
         mine = slice(len(COUPLING_NAMES), names.index("delay_s") + 1)
-        robot = describe_robot(self.fit.values[mine], self.fit.covariance[mine, mine], self.period_s, self.method)
-        return replace(robot, delay_s=replace(robot.delay_s, note=self.delay_note)) if self.delay_note else robot
+        values, covariance = self.fit.values[mine], self.fit.covariance[mine, mine]
+        # Half a control period that is not known leaves a delay open that the log shows well.
+        weak = LOOSEST_DELAY if self.delay_note else WEAK_SHARE
+        period_s = 0.0 if self.is_smooth else self.period_s
+        return describe_robot(values, covariance, period_s, self.method, note=self.delay_note, weak_delay=weak)
 
     @property
     def second_mode(self) -> SecondModeEstimate | None:
@@ -178,8 +193,16 @@ class JointEstimates:
         return interval if interval is not None and bool(np.all(np.isfinite(interval))) else None
 
 
-def describe_robot(values: FloatArray, covariance: FloatArray, period_s: float, method: str) -> RobotEstimate:
-    """Return r(s) and T_d of ω, (ζ,) T_d (p,) with their covariance (p, p), verdicts included."""
+def describe_robot(
+    values: FloatArray,
+    covariance: FloatArray,
+    period_s: float,
+    method: str,
+    *,
+    note: str = "",
+    weak_delay: float = WEAK_SHARE,
+) -> RobotEstimate:
+    """Return r(s) and T_d of ω, (ζ,) T_d (p,) with their covariance (p, p), with verdicts; `note` is the delay's."""
     model, (here, std) = robot_model(values), _poles(values, covariance)
     delay_std = float(np.sqrt(covariance[-1, -1]))
     return RobotEstimate(
@@ -190,7 +213,9 @@ def describe_robot(values: FloatArray, covariance: FloatArray, period_s: float, 
             model.delay_s,
             delay_std,
             method=method,
+            note=note,
             identified=np.inf if delay_std < _DELAY_SAMPLES * period_s else IDENTIFIED_SHARE,
+            weak=weak_delay,
         ),
         bandwidth_hz=judged(float(here[-1]), float(std[-1]), method=method),
     )

@@ -34,7 +34,7 @@ _ROUNDS = 2
 _SAME_SECANT = 1.12
 _LEAST_EXPLAINED = 0.8
 _AT_LIMIT = 0.2
-_MORE_THAN_NOISE = 1.5
+_MORE_THAN_NOISE, _VAGUE_SAMPLES = 1.5, 0.05
 _OUTLYING, _ENOUGH_TO_TELL = 8.0, 3
 # Shares of the time, as measured: free motion, each contact alone, all of them together, the last rounds.
 _BEGUN, _TOUCHED, _JOINED, _ROUNDED = 0.4, 0.55, 0.72, 0.8
@@ -88,7 +88,9 @@ def _identify(data: JointData, begin: _Beginning, progress: ProgressSlice) -> Jo
     progress.advance_to(_ROUNDED)
     problem, point = deepest_surfaces(problem, deepest_stiffness(problem, point))
     problem = with_fitted_noise(problem, point)
-    point, competing = compare_delay_hypotheses(problem, point)
+    competing = None
+    if not problem.signals.is_smooth:  # else nothing jumps
+        point, competing = compare_delay_hypotheses(problem, point)
     _require_mass(problem, float(point.values[3]))
     resting = np.concatenate([detrended(data.force_n[s]) for s in quiet_rests(data)])
     rest_rms_n = max(float(np.std(resting)), data.least_noise_n)
@@ -103,10 +105,11 @@ def _identify(data: JointData, begin: _Beginning, progress: ProgressSlice) -> Jo
             "without a hand on the payload, with the command that the robot receives. If the log has one: a filter in "
             "the sensor or its driver, or a robot that is not one of one or two poles, does this too."
         )
-    is_held = data.robot_order > 0 and not blurred
+    is_held = data.robot_order > 0 and not blurred and not problem.signals.is_smooth
     wider = extend_payload(problem, point, latency, quiet_rms_n=rest_rms_n, is_held=is_held)
     fit = with_extension(fit, wider)
-    if data.robot_order and (wider.is_wider or fit.quality.noise_ratio_free > _MORE_THAN_NOISE):
+    is_vague = data.robot_order > 0 and not blurred and fit.value("delay_s")[1] > _VAGUE_SAMPLES * data.period_s
+    if data.robot_order and (is_vague or wider.is_wider or fit.quality.noise_ratio_free > _MORE_THAN_NOISE):
         fit = with_robot_of_pose(fit, *robot_of_pose(data, base, start[problem.layout.robot]))
     return fit
 

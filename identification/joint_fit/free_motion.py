@@ -15,7 +15,7 @@ from .data import JointData
 from .latency import forces_left
 from .model import ParameterLayout
 from .noise import Smoother, Whitener, fit_smoother, fit_whitener
-from .segments import Segment, contact_segment
+from .segments import Segment, contact_segment, predict_force
 from .solve import Block, Point, Problem, Signals, linearise, minimise, sizes_of
 from .start import start_coupling
 from .windows import SHORTEST_S, joined, outside, telling_pieces, windows_of
@@ -67,6 +67,8 @@ def fit_robot(data: JointData) -> tuple[Problem, FloatArray]:
         command_m=None if data.command is None or data.robot is None else data.command.command_m,
         smoother=Smoother(taps=None),
         measured=data.measured,
+        is_smooth=data.command is not None and data.command.is_smooth,
+        untimed_share=1.0 if data.command is None else data.command.untimed_share,
     )
     rest_noise = fit_whitener([detrended(data.force_n[s]) for s in rests])
     if rest_noise.rms < data.least_noise_n:
@@ -86,13 +88,28 @@ def fit_robot(data: JointData) -> tuple[Problem, FloatArray]:
     point = Point(values=start[: len(layout)], nuisances=())
     if layout.robot_order:
         point, _ = minimise(problem, point, STEPS_FIRST)
-        problem, point = with_yielding_robot(problem, point)
+        if not signals.is_smooth:
+            problem, point = with_yielding_robot(problem, point)
         signals = problem.signals
     misfit = problem.path(point.values).misfit
     moving, resting = [misfit(s.slice) for s in data.moving], [misfit(s) for s in rests]
     smoother = fit_smoother(moving, resting, data.period_s)
     problem = replace(problem, signals=replace(signals, smoother=smoother), fixed=())
+    if smoother.taps is not None:
+        noise = _noise_of_both(problem, point, rests)
+        problem = replace(problem, free_noise=noise, contact_noise=noise)
     return problem, np.concatenate([point.values, start[len(layout) :]])
+
+
+def _noise_of_both(problem: Problem, point: Point, rests: Sequence[slice]) -> Whitener:
+    """Return the noise of the force with what that of the pose makes of it through the coupling, both as at rest."""
+    path, left = problem.path(point.values), []
+    for rest in rests:
+        segment = Segment(start=rest.start, stop=rest.stop)
+        felt = predict_force(point.values, np.zeros(3), segment, path, problem.layout, problem.signals.period_s)
+        left.append(detrended(problem.signals.force_n[rest] - felt))
+    both = fit_whitener(left)
+    return both if both.rms > problem.free_noise.rms else problem.free_noise
 
 
 def robot_of_pose(data: JointData, base: Problem, robot: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -257,10 +274,18 @@ def _start(
     if least < _LARGEST_MISFIT:
         return best
     windows = windows_of([*whole, *mixed], data.period_s)
-    most = 0
-    for piece in telling_pieces([*whole, *mixed], data.position_m, data.force_n, data.period_s)[:_PIECE_STARTS]:
+
+    def shown_by(start: FloatArray) -> list[Segment]:
+        return [window for window in windows if _misfit(base, start, window) < _LARGEST_WINDOW_MISFIT]
+
+    # What the frequency domain shows up to where the log resolves the motion may explain more than any piece does.
+    best, shown = values, shown_by(values)
+    holding = max(whole, key=lambda span: sum(not outside(window, [span]) for window in shown), default=None)
+    pieces = telling_pieces([*whole, *mixed], data.position_m, data.force_n, data.period_s)[:_PIECE_STARTS]
+    most = len(shown)
+    for piece in [*([] if holding is None or not shown else [holding]), *pieces]:
         start = start_coupling(base, values, piece, data.mass_kg)[0]
-        count = sum(_misfit(base, start, window) < _LARGEST_WINDOW_MISFIT for window in windows)
+        count = len(shown_by(start))
         if count > most:
             best, most = start, count
     return best

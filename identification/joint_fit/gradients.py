@@ -104,6 +104,8 @@ def _step_derivatives(
     width = 4 + (0 if of_robot is None else len(of_robot) + 2)
     out = StepDerivatives(np.zeros((2, 2 + width, 2, count)), np.zeros((2, 2, count)), np.zeros((7, count)))
     for i in range(len(values)):
+        if of_robot is None and _COUPLING <= i < last:
+            continue  # behind a smooth command the robot is in the path alone
         turned = [complex(value, TINY if i == j else 0.0) for j, value in enumerate(values)]
         of = body(turned[:_COUPLING], turned[last:] if touches else surface, period_s)
         rate, held_for = of_robot, complex(fraction)

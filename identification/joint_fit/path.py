@@ -2,9 +2,10 @@
 
 import math
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
+from scipy.interpolate import CubicSpline, make_interp_spline
 from scipy.signal import cont2discrete, lfilter
 
 from problems.arrays import FloatArray
@@ -14,6 +15,7 @@ from .model import Hold, held, held_step, robot_rate
 from .noise import Smoother
 
 _MARK_EVERY = 256
+_FINER, _DIFFERENCE = 12, 1e-4
 MOST_CUTS = 64
 _DIED_AWAY, _LONGEST_S = 6.0, 0.1
 
@@ -70,7 +72,8 @@ class FlangePath:
 
     `run` is the robot's answer and `robot` the rows of its equation, both None without a command; `mean_m` is the mean
     of measured − robot. `yielded` (n, 4), value and derivatives over factorials, is how far the robot gives way to the
-    payload, which `position_m` is without. `keeps` is how many cuts are kept for who asks again.
+    payload, which `position_m` is without; behind a `smooth_command` (n,) it holds the robot's answer to that, too.
+    `keeps` is how many cuts are kept for who asks again.
     """
 
     position_m: FloatArray
@@ -80,6 +83,7 @@ class FlangePath:
     robot: FloatArray | None
     hold: Hold
     yielded: FloatArray | None = None
+    smooth_command: FloatArray | None = None
     keeps: int = MOST_CUTS
     _cuts: dict[tuple[int, int], PathSegment] = field(default_factory=dict, init=False, repr=False, compare=False)
 
@@ -185,12 +189,74 @@ def commanded_path(
     )
 
 
+def smooth_path(
+    values: FloatArray,
+    command_m: FloatArray,
+    position_m: FloatArray,
+    smoother: Smoother,
+    period_s: float,
+    keeps: int = MOST_CUTS,
+    yielded: FloatArray | None = None,
+) -> FlangePath:
+    """Take the robot's answer to a command (n,) that is smooth between its samples, and what the pose shows beside it.
+
+    `yielded` (n, 4) is as in `commanded_path`.
+    """
+    answer = smooth_answer(values, command_m, period_s)
+    if yielded is not None:
+        answer = answer + yielded
+    beside = position_m - answer[:, 0]
+    return FlangePath(
+        position_m=beside,
+        smoother=smoother,
+        mean_m=float(np.mean(beside)),
+        run=None,
+        robot=None,
+        hold=Hold(older=1, fraction=0.0),
+        yielded=answer,
+        smooth_command=command_m,
+        keeps=keeps,
+    )
+
+
+def smooth_answer(values: FloatArray, command_m: FloatArray, period_s: float) -> FloatArray:
+    """Return the robot's answer to the cubic spline through a command (n,), (n, 4) as `FlangePath.yielded`.
+
+    The robot is at rest at the first command. Between the ticks the answer is a cubic with place and speed of both.
+    """
+    omega, delay_s = float(values[0]), float(values[-1])
+    poles = np.array([1.0, omega] if len(values) == 2 else [1.0, 2.0 * float(values[1]) * omega, omega**2])
+    count, path = len(command_m), _spline_through(command_m.tobytes())
+    ticks = np.arange((count - 1) * _FINER + 1) / _FINER
+    late = path(np.clip(ticks - delay_s / period_s, 0.0, count - 1.0)) - command_m[0]
+    answers = []
+    for numerator in (poles[-1:], np.append(poles[-1:], 0.0)):
+        b, a, _ = cont2discrete((numerator, poles), period_s / _FINER, method="foh")
+        answers.append(lfilter(np.ravel(b), a, late)[::_FINER])
+    place, speed = command_m[0] + answers[0], period_s * answers[1]
+    out = np.column_stack([place, speed, np.zeros(count), np.zeros(count)])
+    way = np.diff(place)
+    out[:-1, 2] = 3.0 * way - 2.0 * speed[:-1] - speed[1:]
+    out[:-1, 3] = speed[:-1] + speed[1:] - 2.0 * way
+    return out
+
+
+# Every path of a fit asks for the same one.
+@lru_cache(maxsize=4)
+def _spline_through(command: bytes) -> CubicSpline:
+    values = np.frombuffer(command)
+    return CubicSpline(np.arange(len(values)), values)
+
+
 def path_slope(path: FlangePath, values: FloatArray, index: int, period_s: float) -> FlangePath:
     """Return the derivative of a commanded path by one of the robot's parameters, as a path of its own, exactly.
 
     The derivative s' of the robot's state s moves by S s' + S' (s, commands): (s', s) is the state of one more system
-    under the same command. What the pose shows beside the robot is linear in it.
+    under the same command. What the pose shows beside the robot is linear in it. Behind a smooth command it is a
+    central difference.
     """
+    if path.smooth_command is not None:
+        return _smooth_slope(path, path.smooth_command, values, index, period_s)
     if path.run is None or path.robot is None:
         raise ValueError("A path without a command does not depend on the robot.")
     turned = [complex(value, TINY if i == index else 0.0) for i, value in enumerate(values)]
@@ -209,6 +275,26 @@ def path_slope(path: FlangePath, values: FloatArray, index: int, period_s: float
         run=RobotRun(step=both, command_m=command, older=path.run.older, marks=marks),
         robot=np.concatenate([row.real[:-1], row.imag / TINY])[None],
         hold=path.hold,
+        keeps=1,
+    )
+
+
+def _smooth_slope(
+    path: FlangePath, command_m: FloatArray, values: FloatArray, index: int, period_s: float
+) -> FlangePath:
+    """Return the derivative of a path behind a smooth command by one of the robot's parameters."""
+    step = np.zeros(len(values))
+    step[index] = _DIFFERENCE * (period_s if index == len(values) - 1 else float(values[index]))
+    ahead, behind = (smooth_answer(values + way * step, command_m, period_s) for way in (1.0, -1.0))
+    slope = (ahead - behind) / (2.0 * step[index])
+    return FlangePath(
+        position_m=-slope[:, 0],
+        smoother=path.smoother,
+        mean_m=-float(np.mean(slope[:, 0])),
+        run=None,
+        robot=None,
+        hold=path.hold,
+        yielded=slope,
         keeps=1,
     )
 

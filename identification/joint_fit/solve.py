@@ -12,7 +12,16 @@ from problems.arrays import BoolArray, FloatArray
 from .gradients import force_jacobian
 from .model import ParameterLayout
 from .noise import Smoother, Whitener
-from .path import MOST_CUTS, FlangePath, SensorDynamics, commanded_path, low_passed, measured_path, path_slope
+from .path import (
+    MOST_CUTS,
+    FlangePath,
+    SensorDynamics,
+    commanded_path,
+    low_passed,
+    measured_path,
+    path_slope,
+    smooth_path,
+)
 from .segments import Segment, predict_force, shared_indices
 
 _KEPT = 2
@@ -44,10 +53,12 @@ class Paths:
 class Signals:
     """One axis on one clock: flange position, force without weight and bias, command; (n,) each, the last or None.
 
-    `command_m[k]` is the command issued at or after tick k and before the next; `smoother` belongs to the pose. The
+    `command_m[k]` is the command issued at or after tick k and before the next, or where it `is_smooth`, at tick k on a
+    spline through all; `smoother` belongs to the pose. The
     force passes `sensor_dynamics`, whose time constant, or without one delay, may be off by `latency_std_s`; the pose
     was measured at tick `measured[0]` and every `measured[1]` ticks; `yielded` is that of `FlangePath`,
-    each of `yielded_stds` (n, 4) what one deviation of a part of it moves.
+    each of `yielded_stds` (n, 4) what one deviation of a part of it moves. Without a held command the flange may take
+    its speed `untimed_share` of half a sample early or late.
     """
 
     period_s: float
@@ -60,6 +71,8 @@ class Signals:
     measured: tuple[int, int] = (0, 1)
     yielded: FloatArray | None = None
     yielded_stds: tuple[FloatArray, ...] = ()
+    is_smooth: bool = False
+    untimed_share: float = 1.0
     paths: Paths = field(default_factory=Paths, init=False, repr=False, compare=False)
 
     def at_poses(self, span: slice) -> slice:
@@ -75,7 +88,8 @@ class Signals:
         """Return the flange's path for robot parameters (ω, (ζ,) T_d), that of the pose alone without them."""
         if self.command_m is None or robot.size == 0:
             return measured_path(self.position_m, self.smoother)
-        return commanded_path(robot, self.command_m, self.position_m, self.smoother, self.period_s, keeps, self.yielded)
+        of = smooth_path if self.is_smooth else commanded_path
+        return of(robot, self.command_m, self.position_m, self.smoother, self.period_s, keeps, self.yielded)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -219,7 +233,7 @@ def _force_block(
         jacobian = signals.sensor_dynamics.felt(jacobian, period)
     lines = [(predicted - signals.force_n[segment.slice])[None], jacobian]
     if here.robot is None:
-        lines.append(_untimed(values, segment, here, signals.period_s))
+        lines.append(signals.untimed_share * _untimed(values, segment, here, signals.period_s))
     if signals.latency_std_s > 0.0:
         constant = signals.sensor_dynamics.time_constant_s
         moved = predicted if constant == 0.0 else low_passed(predicted, constant, period)

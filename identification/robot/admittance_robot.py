@@ -19,6 +19,8 @@ from .position_loop import find_bandwidth_hz
 
 _SMALLEST_TRAVEL, _SMALLEST_TRACE_TRAVEL = 5e-3, 1e-3  # m or rad
 _FEWEST_STEPS = 100
+_MEAN_S = 0.1
+_AGAINST_STDS = 3.0
 _CONSTANT_SHARE = 1e-9  # rounding of a constant
 _SMALLEST_TURN_RAD_S = 2e-4
 _LONGEST_DELAY_S = 0.3
@@ -143,7 +145,7 @@ def identify_admittance_robot(motion: AdmittanceMotion) -> AdmittanceRobotFit:
     such robot explains the motion.
     """
     moved = motion.moved_m_s[motion.used]
-    travel = float(np.sum(np.abs(moved) * np.diff(motion.edge_s)[motion.used]))
+    travel = _travel(motion)
     if (
         travel < (_SMALLEST_TRACE_TRAVEL if motion.is_trace else _SMALLEST_TRAVEL)
         or len(moved) < _FEWEST_STEPS
@@ -170,6 +172,16 @@ def identify_admittance_robot(motion: AdmittanceMotion) -> AdmittanceRobotFit:
     rivals = [fit for fit in fits if len(fit.linear) == len(chosen.linear) and fit.rivals(chosen)]
     between = spread_of_parts(*_without_lever(motion, chosen), motion.edge_s[:-1][motion.used])
     return _described(chosen, rivals, error, motion.period_s, between)
+
+
+def _travel(motion: AdmittanceMotion) -> float:
+    """Return how far the axis travels to and fro [m or rad], over means of 0.1 s: noise of the pose adds little."""
+    steps = (motion.moved_m_s * np.diff(motion.edge_s))[motion.used]
+    if motion.is_trace or len(steps) < _FEWEST_STEPS:
+        return float(np.sum(np.abs(steps)))
+    width = max(1, round(_MEAN_S / float(np.median(np.diff(motion.edge_s)))))
+    places = np.cumsum(steps)[: len(steps) // width * width].reshape(-1, width).mean(axis=1)
+    return float(np.sum(np.abs(np.diff(places))))
 
 
 def _identify_trace(motion: AdmittanceMotion) -> AdmittanceRobotFit:
@@ -245,7 +257,13 @@ def _check(fit: _Fit, error: float, poor: float) -> None:
             f"{100.0 * error:.0f} % of it, {100.0 * poor:.0f} % at most); check that these gains ran throughout, "
             "with no other force, constraint or point of control than the logged ones."
         )
-    if fit.linear[0] <= 0.0:
+    gain, gain_std = float(fit.linear[0]), float(np.sqrt(fit.covariance[len(fit.parameters), len(fit.parameters)]))
+    if -_AGAINST_STDS * gain_std < gain <= 0.0:
+        raise EstimateError(
+            "The motion on this axis does not follow its force, so it shows no response; lead the tool by hand along "
+            "it, in quick pushes."
+        )
+    if gain <= 0.0:
         raise EstimateError(
             "The robot moves against the force that should drive it; check the sign of the wrench (`exerted_by`)."
         )

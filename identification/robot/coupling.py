@@ -21,6 +21,8 @@ _SLOW_HZ = 5.0
 _RESONANCES_HZ = (8.0, 20.0, 50.0)
 _NOISE_ALONE = 1.1
 _INDEPENDENT_MISFITS = 40.0
+# The least energy of a force, in that of its noise, of which a share explained says something.
+_ABOVE_NOISE = 2.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,7 +35,7 @@ class FreeMotion:
 
 @dataclass(frozen=True, kw_only=True)
 class CouplingFit:
-    """K_s, B_s, B_p and M_p with their covariance, in that order; `fit_error` is residual over force."""
+    """K_s, B_s, B_p and M_p with their covariance, in that order; `fit_error` is residual over force beyond noise."""
 
     stiffness_n_per_m: float
     damping_n_s_per_m: float
@@ -111,8 +113,18 @@ def prediction_error(fit: CouplingFit, motion: FreeMotion, period_s: float, nois
     s, position, force = _spectra([motion], period_s, fit.band_hz[1])
     parameters = np.array([fit.stiffness_n_per_m, fit.damping_n_s_per_m, fit.drag_n_s_per_m, fit.mass_kg])
     weight = _weights(parameters, s, noise)
-    residual = weight * (force - felt_impedance(parameters, s) * position)
-    return float(np.linalg.norm(residual) / np.linalg.norm(weight * force))
+    return _unexplained(weight * (force - felt_impedance(parameters, s) * position), weight * force)
+
+
+def _unexplained(residual: ComplexArray, force: ComplexArray) -> float:
+    """Return residual over force (m,), both in units of their noise, as energies beyond it; 1 of a force that is noise.
+
+    Each bin has two values of variance 1.
+    """
+    noise, all_of = 2.0 * len(force), float(np.linalg.norm(force)) ** 2
+    if all_of < _ABOVE_NOISE * noise:
+        return 1.0
+    return float(np.sqrt(max(float(np.linalg.norm(residual)) ** 2 - noise, 0.0) / (all_of - noise)))
 
 
 def _weights(parameters: FloatArray, s: ComplexArray, noise: Noise) -> FloatArray:
@@ -165,7 +177,7 @@ def _fit_coupling(motions: Sequence[FreeMotion], period_s: float, highest: float
         drag_n_s_per_m=float(values[2]),
         mass_kg=float(values[3]),
         covariance=np.asarray(variance * np.linalg.pinv(jacobian.T @ jacobian, hermitian=True), dtype=np.float64),
-        fit_error=float(np.linalg.norm(residuals) / np.linalg.norm(_weights(values, s, noise) * force)),
+        fit_error=_unexplained(residuals[: len(s)] + 1j * residuals[len(s) :], _weights(values, s, noise) * force),
         band_hz=(_LOWEST_HZ, highest),
     )
 

@@ -28,12 +28,16 @@ class LoggedRobot:
     `fit` is r(s) with the delay behind the controller's own hold. `behind_hold` is the robot behind a command that is
     held for the log's period, None where the log contradicts such a hold. Where the controller may hold for less, its
     delay is longer than that of `behind_hold` by `longer_s` (mean, standard deviation), since a log shows the delay and
-    half a hold together. `note` says what of the delay the log leaves open.
+    half a hold together. `behind_samples` is the robot behind a command that is smooth between its samples, with half
+    the controller's own hold in its delay, None where each command was held until the next; the delay is longer than
+    that by `longer_than_samples_s`, less than 0. `note` says what of the delay the log leaves open.
     """
 
     fit: RobotFit
     behind_hold: RobotFit | None
     longer_s: tuple[float, float] = (0.0, 0.0)
+    behind_samples: RobotFit | None = None
+    longer_than_samples_s: tuple[float, float] = (0.0, 0.0)
     note: str = ""
 
     @property
@@ -119,5 +123,7 @@ def _without_hold(
         ),
         behind_hold=behind_hold,
         longer_s=(0.5 * period_s - hold, longer_std),
+        behind_samples=fit,
+        longer_than_samples_s=(-hold, longer_std),
         note=note,
     )

@@ -12,6 +12,7 @@ from problems.arrays import BoolArray, FloatArray, IntArray
 from ..errors import LogError
 from .recording import PoseSignal, Recording, StampArray, WrenchSignal, slerp
 
+_FAST_PERIOD_S = 1.5e-3
 _SHORTEST_OVERLAP_S = 2.0
 _FEWEST_SAMPLES = 30
 _LONGEST_POSE_PERIOD_S = 0.5
@@ -129,7 +130,7 @@ def on_one_clock(recording: Recording) -> AlignedLog:
     def on_clock(pieces: _Pieces, values: FloatArray, degree: int, *, is_whole: bool = True) -> FloatArray:
         if not is_whole:
             return np.full((count, values.shape[1]), np.nan)
-        found = pieces.interpolated(values, degree)
+        found = pieces.interpolated(values, degree) if degree > 1 else pieces.felt(values)
         if holes and found is values:
             found = np.array(values)
         for hole in holes:
@@ -254,6 +255,17 @@ class _Pieces:
         for held, inside in self.parts:
             found[inside] = _interpolated(self.time[held], values[held], self.at[inside], degree=degree)
         return found
+
+    def felt(self, values: FloatArray) -> FloatArray:
+        """Return forces (n, k) as `interpolated`: along lines between fast samples, along cubics between slow ones.
+
+        Straight lines between slow samples take (ω h)²/12 of a force that swings, between fast ones less than its
+        noise. What a deadband swallowed, and is 0 along a line, stays 0.
+        """
+        straight = self.interpolated(values, 1)
+        if straight is values or float(self.at[1] - self.at[0]) <= _FAST_PERIOD_S:
+            return straight
+        return np.where(straight == 0.0, 0.0, self.interpolated(values, 3))
 
     def turned(self, pose: PoseSignal) -> Rotation:
         """Return n orientations by slerp within each part, elsewhere the last one before."""

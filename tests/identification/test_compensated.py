@@ -58,6 +58,26 @@ def test_robot_coupling_and_moving_mass_follow_from_command_pose_and_force(
     assert result.timelines[0].touches == ()
 
 
+@pytest.mark.parametrize(("rate_hz", "robot"), [(150.0, (38.0,)), (125.0, (28.0, 0.9))], ids=["one pole", "two poles"])
+def test_a_log_several_times_slower_than_the_controller_shows_the_coupling(
+    rate_hz: float, robot: tuple[float, ...]
+) -> None:
+    """No command was held from sample to sample, and the payload swings at 23 Hz, six samples long."""
+    cell = CommandedCell(robot=robot)
+    logger = Logger(rate_hz=rate_hz, axis=2, force_noise_n=0.1, pose_noise_m=2e-6)
+    result = identify_cell(logged(cell, swept(cell, 35.0), logger))
+    axis, mass = result.axes["z"], result.payload.mass_kg
+    assert axis.coupling.stiffness_n_per_m.std is not None
+    assert axis.coupling.stiffness_n_per_m.std < 0.03 * cell.stiffness
+    assert covers(axis.coupling.stiffness_n_per_m, cell.stiffness)
+    assert covers(axis.coupling.damping_n_s_per_m, cell.damping)
+    assert covers(axis.drag_n_s_per_m, cell.drag)
+    assert covers(mass, cell.mass)
+    assert covers(axis.robot.bandwidth_hz, cell.bandwidth_hz)
+    # Anything up to half of the longest control period may be part of the lag.
+    assert covers(axis.robot.delay_s, cell.delay_s)
+
+
 def test_a_robot_that_gives_way_to_its_payload_biases_nothing() -> None:
     """Its servo yields by micrometres, which no filter for the pose's noise keeps: 8 deviations of K_s as it was."""
     cell = CommandedCell(robot=(45.0, 0.9), robot_mass=2000.0)

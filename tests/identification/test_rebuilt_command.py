@@ -90,6 +90,45 @@ def test_coupling_follows_from_the_command_that_wrench_and_gains_make() -> None:
     assert axis.robot.denominator.status is Status.WEAK
 
 
+def every(recording: Recording, count: int) -> Recording:
+    """Return what a logger that keeps one of `count` samples writes."""
+    wrench, pose, desired = recording.wrench, recording.pose, recording.desired_force
+    assert desired is not None
+    kept = slice(None, None, count)
+
+    def fewer(signal: WrenchSignal) -> WrenchSignal:
+        return replace(
+            signal,
+            stamp_ns=signal.stamp_ns[kept],
+            force_n=signal.force_n[kept],
+            torque_n_m=signal.torque_n_m[kept],
+        )
+
+    return replace(
+        recording,
+        wrench=fewer(wrench),
+        desired_force=fewer(desired),
+        pose=replace(
+            pose,
+            stamp_ns=pose.stamp_ns[kept],
+            position_m=pose.position_m[kept],
+            quaternion_xyzw=pose.quaternion_xyzw[kept],
+        ),
+    )
+
+
+def test_a_log_ten_times_slower_than_the_controller_shows_the_coupling_from_wrench_and_gains() -> None:
+    """At 125 Hz nothing was held from sample to sample, and the axes that do not move hold only noise."""
+    cell = CommandedCell(robot=(28.0, 0.9))
+    recording = every(replace(led(cell, 20.0), command=None), 10)
+    result = identify_cell(recording)
+    axis = result.axes["y"]
+    assert covers(axis.coupling.stiffness_n_per_m, cell.stiffness)
+    assert covers(result.payload.mass_kg, cell.mass)
+    assert covers(axis.robot.bandwidth_hz, cell.bandwidth_hz)
+    assert not any("against the force" in finding.message for finding in result.findings)
+
+
 def test_the_command_that_wrench_and_gains_make_is_the_one_that_ran() -> None:
     cell = CommandedCell()
     recording = led(cell, 5.0)

@@ -128,3 +128,13 @@ def test_a_wrench_that_never_changes_is_refused_for_what_it_is(force: float) -> 
     moved = led(ONE_POLE, DELAY_S, lively())
     with pytest.raises(EstimateError, match="no change of speed on this axis"):
         fitted(recorded(replace(moved, force_n=np.full(len(moved.force_n), force))))
+
+
+def test_an_axis_that_holds_noise_alone_did_not_move() -> None:
+    """A minute of 2 µm of noise is 13 mm of steps of 10 ms; whichever way it seems to go, it follows no force."""
+    recording = recorded(led(ONE_POLE, DELAY_S, lively(duration_s=60.0)))
+    noise = np.random.default_rng(8).standard_normal((len(recording.wrench.force_n), 3))
+    wrench = replace(recording.wrench, force_n=recording.wrench.force_n + 0.1 * noise)
+    for axis in (1, 2):
+        with pytest.raises(EstimateError, match="too little to identify"):
+            fitted(replace(recording, wrench=wrench), axis)

@@ -212,3 +212,19 @@ def test_the_longest_time_without_a_hole_is_cut_out() -> None:
     assert align(cut).holes == ()
     unbroken = salvaged(stamps, stamps)
     assert longest_whole(unbroken) is unbroken
+
+
+def test_a_slow_force_keeps_its_size_on_the_even_clock_and_its_zeros() -> None:
+    """Straight lines between stamps that are off by up to half a period take a tenth of a swing of 25 Hz."""
+    pose = clock(200.0, 10.0)
+    late = np.round(2.4e6 * np.sin(np.arange(len(pose)))).astype(np.int64)
+    wrench = pose + late
+    time = (wrench - pose[0]) * 1e-9
+    felt = np.column_stack([10.0 * np.sin(2.0 * np.pi * 25.0 * time), np.zeros(len(time)), np.zeros(len(time))])
+    felt[(time > 4.0) & (time < 5.0)] = 0.0
+    both = recording(wrench, pose)
+    log = align(dataclasses.replace(both, wrench=dataclasses.replace(both.wrench, force_n=felt)))
+    at = log.time_s + (log.start_ns - pose[0]) * 1e-9
+    moving = (at > 0.5) & (at < 3.5)
+    assert log.force_S_n[moving, 0] == pytest.approx(10.0 * np.sin(2.0 * np.pi * 25.0 * at[moving]), abs=0.6)
+    assert np.all(log.force_S_n[(at > 4.05) & (at < 4.95)] == 0.0)
