@@ -105,11 +105,6 @@ class SweepPlan:
         """The largest force amplitude of the first sweep on a cell within what is known."""
         return self.worst.force_per_speed_n_s_per_m * self.sweep.flange_speed_m_s
 
-    @property
-    def last_sweep(self) -> Sweep:
-        """The repeat with its expected factor, or the only sweep."""
-        return self.sweep if self.repeat is None else _louder(self.sweep, self.repeat.expected_factor)
-
 
 @dataclass(frozen=True, kw_only=True)
 class FastestSweep:

@@ -337,14 +337,6 @@ def controller_matrix(law: Controller, sample_time_s: float) -> FloatArray:
     return law.matrix
 
 
-def linear_controller(controller: AdmittanceController, sample_time_s: float) -> LinearController:
-    """Return the sampled form of an admittance controller as a law like any other."""
-    blocks = controller_blocks(controller, sample_time_s)
-    kept = needed_states(blocks)
-    matrix = controller_matrices(blocks, kept)
-    return LinearController(matrix=matrix, rest=controller_rest(blocks)[kept], sample_time_s=sample_time_s)
-
-
 def build_cut_loop(sampled: SampledPlant, controller: Controller) -> CutLoop:
     """Lay out plant and sampled controller as one system that is cut at the force signal and at the command.
 

@@ -38,11 +38,6 @@ class ModalAnalysis:
         """Whether every mode decays."""
         return self.distance > 0.0
 
-    @property
-    def dominant(self) -> Mode:
-        """The mode that decays last."""
-        return self.modes[0]
-
 
 def analyse_modes(loop: SampledLoop) -> ModalAnalysis:
     """Return the modes of the loop from the eigenvalues of its stability matrix."""

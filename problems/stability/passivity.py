@@ -37,11 +37,6 @@ class Passivity:
     worst_real_m_s_per_n: float
     worst_hz: float
 
-    @property
-    def is_passive(self) -> bool:
-        """Whether the port is passive at every frequency below the Nyquist frequency."""
-        return self.fails_above_hz is None
-
 
 @dataclass(frozen=True, kw_only=True)
 class PreparedPort:

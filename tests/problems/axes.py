@@ -10,10 +10,17 @@ from hypothesis import strategies as st
 from problems.contact.transient import Approach, SampledContact, build_sampled_contact
 from problems.design.problem import DesignProblem
 from problems.design.uncertainty import PlantSet
-from problems.model.controller import AdmittanceController, Compensation, Discretization
+from problems.model.controller import (
+    AdmittanceController,
+    Compensation,
+    Discretization,
+    controller_blocks,
+    needed_states,
+)
+from problems.model.linear_controllers import LinearController
 from problems.model.plant import Coupling, Environment, PayloadDynamics, Plant
 from problems.model.robot import RobotModel
-from problems.model.sampled import build_sampled_plant
+from problems.model.sampled import build_sampled_plant, controller_matrix, controller_rest
 
 PERIOD_S = 8e-4
 DELAY_S = 2.4e-3
@@ -25,6 +32,13 @@ LAW = settings(deadline=None, max_examples=30)
 
 def one_pole(delay_s: float = DELAY_S, bandwidth_rad_per_s: float = 20.0) -> RobotModel:
     return RobotModel.from_bandwidth(bandwidth_rad_per_s=bandwidth_rad_per_s, delay_s=delay_s)
+
+
+def linear_controller(controller: AdmittanceController, sample_time_s: float) -> LinearController:
+    """Return the sampled form of an admittance controller as a law like any other."""
+    blocks = controller_blocks(controller, sample_time_s)
+    matrix, kept = controller_matrix(controller, sample_time_s), needed_states(blocks)
+    return LinearController(matrix=matrix, rest=controller_rest(blocks)[kept], sample_time_s=sample_time_s)
 
 
 def pair_of(plant: Plant) -> SampledContact:

@@ -18,11 +18,11 @@ from problems.model.controller import AdmittanceController
 from problems.model.linear_controllers import LinearController
 from problems.model.plant import WrenchFilter
 from problems.model.robot import RobotModel
-from problems.model.sampled import Controller, linear_controller
+from problems.model.sampled import Controller
 from problems.model.third_party_controllers import ForwardDynamics, SpringAdmittance
 from tests.autotune.certificate.lyapunov import lyapunov_stability
 from tests.autotune.certificate.plants import radii, radius_at, random_points, uncertain, uncertain_plants
-from tests.problems.axes import PERIOD_S, admittance, between, controllers, one_pole, or_zero
+from tests.problems.axes import PERIOD_S, admittance, between, controllers, linear_controller, one_pole, or_zero
 
 TWO_POLES = RobotModel(numerator=np.array([900.0]), denominator=np.array([1.0, 42.0, 900.0]), delay_s=2.0e-3)
 # Heavily damped enough for both robots over the whole set.

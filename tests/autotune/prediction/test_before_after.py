@@ -22,11 +22,11 @@ from autotune.prediction.said_gains import present_gains
 from autotune.validation.law import check_targets, of_own_law
 from identification.result import Timeline, Touch, TouchCause
 from problems.errors import ParameterError
-from problems.model.sampled import linear_controller
 from tests.autotune.formats.samples import make_identified
 from tests.autotune.prediction.pressing import Cell, contact_peak
 from tests.autotune.prediction.test_contact import plant_of
 from tests.autotune.tuning.cases import small_controller
+from tests.problems.axes import linear_controller
 
 CELL, SPEED, FORCE = Cell(wall=1e5), 0.02, 30.0
 NEW = {"mass": 8.0, "damping": 1200.0, "lead_s": 0.02, "feedback_damping_s": 0.0, "deadband": 0.0}

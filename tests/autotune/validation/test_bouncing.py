@@ -22,9 +22,9 @@ from autotune.validation.bouncing import (
     search_bouncing,
 )
 from autotune.validation.validate import validate_controller
-from problems.model.sampled import linear_controller
 from tests.autotune.tuning.cases import small_controller, uncertain_optimized
 from tests.autotune.validation.bouncing_cases import bouncing_controller, written
+from tests.problems.axes import linear_controller
 from tests.problems.contact.test_bouncing import BOUNCY, CALMED, PERIOD_S
 
 RunCli = Callable[..., "subprocess.CompletedProcess[str]"]

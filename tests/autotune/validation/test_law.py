@@ -10,11 +10,11 @@ from autotune.validation.law import AxisTask, certify_law, prove_law, spring_sha
 from problems.design.requirements import NoiseLimit, PassivityTarget
 from problems.model.controller import AdmittanceController
 from problems.model.linear_controllers import LinearController
-from problems.model.sampled import build_loop, build_sampled_plant, linear_controller, spectral_radius
+from problems.model.sampled import build_loop, build_sampled_plant, spectral_radius
 from problems.model.third_party_controllers import ForwardDynamics, SpringAdmittance
 from problems.stability.margins import find_margins
 from tests.autotune.export.peer_cases import CELL, LEAD, PERIOD_S, peer_controller, requirements, task_of
-from tests.problems.axes import paper_plant
+from tests.problems.axes import linear_controller, paper_plant
 
 
 def sprung(damping: float, stiffness: float, mass: float = 8.0) -> LinearController:

@@ -81,6 +81,7 @@ def test_the_planned_recording_gives_the_predicted_deviations() -> None:
     sweep, contacts = settings_of(plan, StepKind.SWEEP), settings_of(plan, StepKind.CONTACTS)
     assert isinstance(sweep, SweepPlan)
     assert isinstance(contacts, ContactPlan)
+    assert sweep.repeat is not None
     # The program's command grows as sqrt(1 + (f/3 Hz)²), which is 1/|r| of the cell's robot of 3.2 Hz within 6 %.
     program = Program(
         pose_count=6,
@@ -89,7 +90,7 @@ def test_the_planned_recording_gives_the_predicted_deviations() -> None:
         jogging_s=0.0,
         sweep_s=sweep.sweep.duration_s,
         sweep_hz=(sweep.sweep.low_hz, sweep.sweep.high_hz),
-        sweep_speed_m_s=sweep.last_sweep.flange_speed_m_s,
+        sweep_speed_m_s=sweep.repeat.expected_factor * sweep.sweep.flange_speed_m_s,
         contact_count=contacts.count,
         contact_force_n=contacts.hold_force_n,
     )

@@ -15,8 +15,9 @@ from problems.contact.transient import Approach, SampledContact, build_sampled_c
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Coupling, Environment, PayloadDynamics, Plant
 from problems.model.robot import RobotModel
-from problems.model.sampled import build_loop, build_sampled_plant, linear_controller, spectral_radius
+from problems.model.sampled import build_loop, build_sampled_plant, spectral_radius
 from problems.stability.margins import UnstableLoopError
+from tests.problems.axes import linear_controller
 
 PERIOD_S = 8e-4
 # The shared case `bounce`: stable in contact and in free space, with a modulus margin of a third and more.

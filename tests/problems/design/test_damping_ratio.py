@@ -12,9 +12,9 @@ from problems.design.requirements import Requirements
 from problems.design.requirements.damping_ratio import DampingRatio, slowest_damping_ratio
 from problems.design.stable_design import StableDesign
 from problems.errors import ParameterError
-from problems.model.sampled import build_sampled_plant, linear_controller
+from problems.model.sampled import build_sampled_plant
 from tests.autotune.tuning.cases import design_problem
-from tests.problems.axes import LAW, PERIOD_S, paper_plant
+from tests.problems.axes import LAW, PERIOD_S, linear_controller, paper_plant
 
 GOOD, RINGING = (6.0, 1500.0, 0.02, 0.005), (8.0, 1600.0, 0.01, 0.0)
 

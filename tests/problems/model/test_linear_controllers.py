@@ -14,12 +14,12 @@ from problems.model.controller import AdmittanceController
 from problems.model.linear_controllers import LinearController
 from problems.model.plant import FREE_SPACE
 from problems.model.response import controller_response, loop_response, plant_response, rendered_admittance
-from problems.model.sampled import build_cut_loop, build_loop, build_sampled_plant, linear_controller, spectral_radius
+from problems.model.sampled import build_cut_loop, build_loop, build_sampled_plant, spectral_radius
 from problems.model.third_party_controllers import ForwardDynamics, SpringAdmittance
 from problems.stability.margins import UnstableLoopError
 from problems.stability.noise import command_speed_gain
 from problems.stability.passivity import passive_below_hz
-from tests.problems.axes import PERIOD_S, admittance, one_pole, paper_plant
+from tests.problems.axes import PERIOD_S, admittance, linear_controller, one_pole, paper_plant
 
 CONTROLLERS = {
     "plain": AdmittanceController(mass_kg=13.0, damping_n_s_per_m=1400.0),

@@ -31,10 +31,10 @@ from problems.model.controller import AdmittanceController
 from problems.model.plant import FREE_SPACE, Plant, WrenchFilter
 from problems.model.python_control import to_control
 from problems.model.response import free_space_admittance, loop_response
-from problems.model.sampled import build_loop, build_sampled_plant, linear_controller, spectral_radius
+from problems.model.sampled import build_loop, build_sampled_plant, spectral_radius
 from problems.stability.margins import UnstableLoopError, find_margins, margins_on_grid
 from problems.stability.passivity import check_passivity
-from tests.problems.axes import PERIOD_S, admittance, one_pole, paper_plant
+from tests.problems.axes import PERIOD_S, admittance, linear_controller, one_pole, paper_plant
 from tests.problems.filtered_cell import press
 
 # The demo's cell, with a sensor that filters at 50 Hz.

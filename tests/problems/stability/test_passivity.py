@@ -62,7 +62,6 @@ def test_a_port_fails_just_above_its_frequency_and_nowhere_below_it() -> None:
     rng, failing = np.random.default_rng(51), 0
     for sampled, controller in random_ports(52, 60):
         found = check_passivity(sampled, controller)
-        assert found.is_passive == (found.fails_above_hz is None)
         if found.fails_above_hz is None:
             continue
         failing += 1
@@ -122,7 +121,6 @@ def test_an_unstable_port_is_passive_nowhere() -> None:
             if not stable:
                 unstable += 1
                 assert found.fails_above_hz == 0.0
-                assert not found.is_passive
     assert 3 <= unstable <= 9
 
 
