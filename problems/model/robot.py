@@ -137,6 +137,7 @@ def bandwidth_share(ratio: float) -> float:
     return math.sqrt(middle + root if middle >= 0.0 else 1.0 / (root - middle))
 
 
+@lru_cache(maxsize=1024)
 def vary_robot(
     robot: RobotModel,
     *,

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -114,11 +115,7 @@ def margins_on_grid(frequency_rad_per_s: FloatArray, loop: ComplexArray) -> RawM
 def frequency_grid(sampled: SampledPlant, points: int = _BASE_POINTS) -> FloatArray:
     """Return frequencies (n,) [rad/s] to just short of the Nyquist frequency, denser around the plant's resonances."""
     nyquist = (1.0 - _SHORT_OF_NYQUIST) * np.pi / sampled.sample_time_s
-    # Below the robot's bandwidth nothing happens quickly.
-    slow = points // _SLOW_SHARE
-    low, middle = 2.0 * np.pi * _LOWEST_HZ, min(2.0 * np.pi * _SLOW_HZ, 0.5 * nyquist)
-    base = np.concatenate([np.geomspace(low, middle, slow), np.geomspace(middle, nyquist, points - slow)])
-    extra = []
+    base, extra = _base_grid(nyquist, points), []
     for pole in np.linalg.eigvals(sampled.rate) / sampled.sample_time_s:
         if pole.imag > 0.0:
             width = max(-pole.real, 1e-4 * abs(pole))
@@ -130,13 +127,33 @@ def frequency_grid(sampled: SampledPlant, points: int = _BASE_POINTS) -> FloatAr
     return np.unique(np.append(grid[(grid >= base[0]) & (grid < nyquist)], nyquist))
 
 
+@lru_cache(maxsize=16)
+def _base_grid(nyquist: float, points: int) -> FloatArray:
+    """Return the part of the grid that all plants of a sample time share."""
+    # Below the robot's bandwidth nothing happens quickly.
+    slow = points // _SLOW_SHARE
+    low, middle = 2.0 * np.pi * _LOWEST_HZ, min(2.0 * np.pi * _SLOW_HZ, 0.5 * nyquist)
+    return np.concatenate([np.geomspace(low, middle, slow), np.geomspace(middle, nyquist, points - slow)])
+
+
 @dataclass(frozen=True, kw_only=True)
 class PreparedMargins:
-    """What the margins of one plant need and no controller changes, see `find_loop_margins`."""
+    """What the margins of one plant need and no controller changes, computed when they are first asked for.
+
+    Of many plants only radii and contacts are looked at. See `find_loop_margins`.
+    """
 
     sampled: SampledPlant
-    polynomials: FloatArray
-    grid: Grid
+
+    @cached_property
+    def polynomials(self) -> FloatArray:
+        """The plant's polynomials without the whole samples of delay, and how many those are."""
+        return response_polynomials(self.sampled)
+
+    @cached_property
+    def grid(self) -> Grid:
+        """Frequencies, and the plant's responses there."""
+        return margin_grid(self.sampled)
 
     def find(self, controller: AdmittanceController, spectral_radius: float) -> Margins:
         """Find the margins of a loop that is known to be stable, with this spectral radius.
@@ -162,9 +179,9 @@ class PreparedMargins:
 
 
 def prepare_margins(sampled: SampledPlant) -> PreparedMargins:
-    """Compute what the margins of a sampled plant need, once for all controllers."""
+    """Return what the margins of a sampled plant need, once for all controllers; raises where it is not finite."""
     check_finite(sampled)
-    return PreparedMargins(sampled=sampled, polynomials=response_polynomials(sampled), grid=margin_grid(sampled))
+    return PreparedMargins(sampled=sampled)
 
 
 def find_margins(sampled: SampledPlant, controller: AdmittanceController) -> Margins:

@@ -31,7 +31,8 @@ def test_every_plant_of_the_case_has_a_finite_response_where_it_is_looked_at() -
             sampled = build_sampled_plant(plant(float(stiffness), float(mass)), PERIOD_S)
             seen = plant_response(sampled, frequency_grid(sampled))
             assert np.all(np.isfinite(seen.force))
-            prepare_margins(sampled)
+            omega, *_ = prepare_margins(sampled).grid
+            assert np.all(np.isfinite(omega))
 
 
 def test_margins_without_damping_are_the_limit_of_those_with_little() -> None:
