@@ -11,7 +11,7 @@ import pytest
 
 import autotune as at
 from tests.autotune.simulation.runs import shorten_logs
-from tests.autotune.tuning.cases import share_results, shorten_proofs
+from tests.autotune.tuning.cases import share_results, shorten_checks
 
 
 def _python_blocks(page: Path) -> list[str]:
@@ -45,7 +45,7 @@ def test_the_examples_of_the_python_page_run(
     chain, written, below = _python_blocks(repository / "docs" / "python.md")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(mpl.rcParams, "backend", "agg")
-    shorten_proofs(monkeypatch)
+    shorten_checks(monkeypatch)
     share_results(monkeypatch)
     shorten_logs(monkeypatch)
 

@@ -23,7 +23,7 @@ from autotune.runtime.load import load_controller
 from problems.contact.transient import build_sampled_contact, simulate_contact
 from problems.model.sampled import build_sampled_plant
 from tests.autotune.simulation.runs import shorten_logs
-from tests.autotune.tuning.cases import shorten_proofs
+from tests.autotune.tuning.cases import shorten_checks
 
 RunCli = Callable[..., "subprocess.CompletedProcess[str]"]
 PUBLIC = (
@@ -101,7 +101,7 @@ def test_what_types_see_is_what_there_is() -> None:
 )
 def test_the_examples_of_docstrings_run(module: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    shorten_proofs(monkeypatch)
+    shorten_checks(monkeypatch)
     shorten_logs(monkeypatch)
     found = doctest.testmod(importlib.import_module(module))
     assert found.attempted > 0

@@ -22,7 +22,7 @@ from problems.model.plant import FREE_SPACE
 from problems.model.robot import bandwidth_hz
 from problems.model.sampled import build_loop, build_sampled_plant, spectral_radius
 from tests.autotune.cli.conftest import SHORT
-from tests.autotune.tuning.cases import FAST_SPEC, shorten_proofs
+from tests.autotune.tuning.cases import FAST_SPEC, shorten_checks
 
 RunCli = Callable[..., "subprocess.CompletedProcess[str]"]
 
@@ -60,7 +60,7 @@ def brief(tmp_path_factory: pytest.TempPathFactory) -> tuple[DemoResult, list[st
     MadeHere(folder, []).add(folder / "controller.yaml")
     steps, shares = list[str](), list[float]()
     with pytest.MonkeyPatch.context() as patch:
-        shorten_proofs(patch)
+        shorten_checks(patch)
         patch.setattr(demo_module, "Program", lambda: SHORT)
         patch.setattr(demo_module, "CELLS", {"standard": (SimulatedCell, FAST_SPEC)})
         return run_demo(folder, seed=3, step=steps.append, progress=shares.append), steps, shares

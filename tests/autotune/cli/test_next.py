@@ -10,7 +10,7 @@ import pytest
 from autotune.cli.main import main
 from autotune.formats.identified import write_identified
 from identification.result import Finding
-from tests.autotune.tuning.cases import identified_plant, share_results, shorten_proofs
+from tests.autotune.tuning.cases import identified_plant, share_results, shorten_checks
 
 PLANT_TEXT = """format: autotune/plant
 version: 1
@@ -36,7 +36,7 @@ def test_the_named_commands_lead_from_a_log_to_an_export(
     good_log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    shorten_proofs(monkeypatch)
+    shorten_checks(monkeypatch)
     share_results(monkeypatch)
     log = tmp_path / "run 7.mcap"
     log.symlink_to(good_log)

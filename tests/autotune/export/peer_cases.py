@@ -1,15 +1,13 @@
 """Controller files for the tests of other controllers: real predictions of plain laws, made without a search."""
 
-import pickle
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import pytest
 from ruamel.yaml import YAML
 
-from autotune.export import fzi_cartesian, retune, ros2_control, third_party
+from autotune.export import fzi_cartesian, ros2_control
 from autotune.export.fzi_cartesian import FziOptions
 from autotune.export.ros2_control import Ros2Options
 from autotune.export.third_party import Translation
@@ -25,8 +23,7 @@ from autotune.formats.controller_record import (
     ScenarioPrediction,
 )
 from autotune.formats.limits import CollisionResponse
-from autotune.validation.bouncing import search_bouncing
-from autotune.validation.law import AxisTask, certify_law
+from autotune.validation.law import AxisTask
 from problems.contact.nonlinearities import DeadbandType
 from problems.contact.transient import Approach, build_sampled_contact, simulate_contact
 from problems.design.requirements import AdmittanceTarget
@@ -107,29 +104,10 @@ def translated(source: ControllerFile, options: Ros2Options | FziOptions) -> Tra
     return fzi_cartesian.translate(source, options)
 
 
-def _remembered(function: Callable[..., Any]) -> Callable[..., Any]:
-    known: dict[bytes, Any] = {}
-
-    def answer(*arguments: Any) -> Any:
-        key = pickle.dumps(arguments)
-        if key not in known:
-            known[key] = function(*arguments)
-        return known[key]
-
-    return answer
-
-
-_REMEMBERED = {each: _remembered(each) for each in (certify_law, search_bouncing)}
-
-
 def exported(folder: Path, controller: Controller, options: Ros2Options | FziOptions) -> Translation:
-    """Write, read and translate a file; one law on one domain is certified once for all tests of a process."""
+    """Write, read and translate a file."""
     write_controller(folder / "controller.yaml", controller)
-    with pytest.MonkeyPatch.context() as patch:
-        for module, name in ((third_party, "certify_law"), (third_party, "search_bouncing"), (retune, "certify_law")):
-            asked = getattr(module, name)
-            patch.setattr(module, name, _REMEMBERED.get(asked, asked))
-        return translated(read_controller(folder / "controller.yaml"), options)
+    return translated(read_controller(folder / "controller.yaml"), options)
 
 
 def load_as_ros(text: str) -> dict[str, Any]:

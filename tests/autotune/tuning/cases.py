@@ -3,7 +3,7 @@
 import hashlib
 import importlib
 import pickle
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -192,6 +192,17 @@ def uncertain_optimized() -> Optimized:
     return optimize(plant, FURTHER_SPEC, seed=1, proof=ProofOptions(further_s=1.0))
 
 
+_LESS_WORK = {
+    "autotune.validation.bouncing.RUNS": 64,
+    "autotune.validation.bouncing._FEWEST_RUNS": 1,
+    "autotune.validation.validation_samples._SAMPLES": 8,
+    "autotune.validation.validate._STIFFNESS_POINTS": 7,
+    "autotune.validation.law._STIFFNESS_POINTS": 7,
+    "autotune.export.easing._EASIER": (0.2,),
+    "autotune.export.retune._LEVELS": 5,
+}
+
+
 def shorten_proofs(patch: pytest.MonkeyPatch) -> None:
     """Leave a proof over everything that is uncertain one second instead of ten: enough to show that it is there."""
     defaults = ProofOptions.__init__.__kwdefaults__
@@ -199,28 +210,44 @@ def shorten_proofs(patch: pytest.MonkeyPatch) -> None:
     patch.setitem(defaults, "further_s", 1.0)
 
 
+def shorten_checks(patch: pytest.MonkeyPatch) -> None:
+    """Also look at fewer plants, impacts and designs, where the files that are verified are made in the same test."""
+    shorten_proofs(patch)
+    for name, value in _LESS_WORK.items():
+        patch.setattr(name, value)
+
+
+OF_TARGETS = (
+    *("autotune.export.third_party.certify_law", "autotune.export.retune.certify_law"),
+    *("autotune.export.third_party.retune", "autotune.export.easing.retune"),
+    "autotune.export.third_party.search_bouncing",
+)
+"""What the laws of export targets are found and certified by."""
 _PURE = (
     *("autotune.pipeline.identify_with_evidence", "autotune.tuning.optimize.solve_design"),
     *("autotune.tuning.optimize.settle", "autotune.studies.front.trace_front"),
     *("autotune.validation.contacts.replay_contact", "autotune.validation.requirements.sampled_admittance"),
-    "autotune.validation.validate.sweep_margins",
+    *("autotune.validation.validate.sweep_margins", "autotune.validation.law.sweep_margins"),
+    *("autotune.validation.validate.search_bouncing", "autotune.tuning.optimize.search_bouncing"),
+    *("autotune.certificate.certify.certify", "autotune.validation.law.certify_law", *OF_TARGETS),
 )
 
 
-def share_results(patch: pytest.MonkeyPatch) -> None:
-    """Compute what takes long once for the same arguments, where many commands follow each other on the same files."""
-    for name in _PURE:
-        module, _, function = name.rpartition(".")
-        patch.setattr(name, _remembered(getattr(importlib.import_module(module), function)))
-
-
-def _remembered(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a pure function that keeps its results by the content of its arguments; functions hear of progress."""
+def share_results(patch: pytest.MonkeyPatch, names: Sequence[str] = _PURE) -> None:
+    """Compute what takes long once for the same arguments, where much is done to the same files."""
     kept: dict[bytes, Any] = {}
+    for name in names:
+        module, _, function = name.rpartition(".")
+        patch.setattr(name, _remembered(getattr(importlib.import_module(module), function), kept))
+
+
+def _remembered(function: Callable[..., Any], kept: dict[bytes, Any]) -> Callable[..., Any]:
+    """Return a pure function that keeps its results by the content of its arguments; functions hear of progress."""
 
     def call(*arguments: Any, **options: Any) -> Any:
         named = {name: value for name, value in sorted(options.items()) if not callable(value)}
-        key = hashlib.sha256(pickle.dumps(([each for each in arguments if not callable(each)], named))).digest()
+        given = function.__qualname__, [each for each in arguments if not callable(each)], named
+        key = hashlib.sha256(pickle.dumps(given)).digest()
         if key not in kept:
             kept[key] = function(*arguments, **options)
         return kept[key]
