@@ -23,8 +23,8 @@ _MISSED = 1e-3
 class MeasuredModulus:
     """The smallest |1 + L| of free motion as it was measured, at `frequency_hz`, and the 95 % interval of that value.
 
-    It is that of both break points, `at` force or command, over the frequencies of `band_hz` that were measured;
-    `certified` is the certificate's, of every plant of the domain.
+    It is that of both break points, `at` force or command, over the `count` frequencies of `band_hz` that were
+    measured; `certified` is the certificate's, of every plant of the domain.
     """
 
     axis: str
@@ -33,6 +33,7 @@ class MeasuredModulus:
     frequency_hz: float
     at: Literal["force", "command"]
     band_hz: tuple[float, float]
+    count: int
     certified: float
 
     @property
@@ -45,8 +46,9 @@ class MeasuredModulus:
         low, high = self.interval_95
         text = (
             f"smallest |1 + L| on the measured response of free motion {self.modulus:.4f} ({low:.4f} to {high:.4f}) at "
-            f"{self.frequency_hz:.3g} Hz, of {self.band_hz[0]:.2g} to {self.band_hz[1]:.3g} Hz; certified "
-            f"{self.certified:.4f}, of every plant and contact"
+            f"{self.frequency_hz:.3g} Hz, of {self.count} frequencies from {self.band_hz[0]:.2g} to "
+            f"{self.band_hz[1]:.3g} Hz, between which nothing was measured; certified {self.certified:.4f}, of every "
+            "plant and contact"
         )
         if self.is_refuted:
             text += ": this cell is none of the certified plants"
@@ -83,6 +85,7 @@ def measured_moduli(controller: Controller, identified: Identified) -> tuple[Mea
                 frequency_hz=float(frequency[point]),
                 at="force" if place == 0 else "command",
                 band_hz=(float(frequency[0]), float(frequency[-1])),
+                count=len(frequency),
                 certified=margins.modulus,
             )
         )
