@@ -174,7 +174,7 @@ class Design(Shown):
             )
         certificate = self.controller.certificate
         for title, claims in (
-            ("proved", (*certificate.proved, *certificate.proved_of_held)),
+            ("proved", (*certificate.proved, *certificate.proved_further)),
             ("sampled, not proved", certificate.sampled),
         ):
             yield ResultTable(

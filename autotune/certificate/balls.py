@@ -56,6 +56,10 @@ class Balls:
         """Return an upper bound of |value|."""
         return _out(np.abs(self.mid) + self.rad)
 
+    def shaped(self, *shape: int) -> "Balls":
+        """Return the same balls in another shape."""
+        return Balls(mid=self.mid.reshape(shape), rad=self.rad.reshape(shape))
+
     def __getitem__(self, index: Any) -> "Balls":
         return Balls(mid=self.mid[index], rad=self.rad[index])
 
@@ -215,3 +219,33 @@ def turn(angles: FloatArray, half: FloatArray) -> tuple[Balls, Balls]:
     """Return z = e^{jφ} and w = z − 1 (m,) for all φ within `half` of `angles`; w keeps its digits near z = 1."""
     found = [flint.acb(0, flint.arb(a, r)).exp() for a, r in zip(angles.tolist(), half.tolist(), strict=True)]
     return enclose_complex(found), enclose_complex([z - 1 for z in found])
+
+
+def solved(matrix: Any, right: Any) -> Any:
+    """Return x (n,) of A x = b as series: the derivative is that of A x = b, A x' = b' − A' x.
+
+    Both sides are multiplied by the inverse of the middle of A, without which balls of some per cent grow.
+    """
+    n = len(right)
+    entries = [as_series(each) for row in matrix for each in row]
+    near = flint.arb_mat(n, n, [each.value.mid() for each in entries]).inv()
+    numbers = near * flint.arb_mat(n, n, [each.value for each in entries])
+    found = numbers.solve(near * flint.arb_mat(n, 1, [as_series(each).value for each in right]))
+    slopes = near * flint.arb_mat(n, n, [derivative_of(each) for each in entries])
+    rest = near * flint.arb_mat(n, 1, [derivative_of(as_series(each)) for each in right]) - slopes * found
+    change = numbers.solve(rest)
+    return np.array([DualBall(found[i, 0], change[i, 0]) for i in range(n)], dtype=object)
+
+
+def similar(matrix: Any, basis: NDArray[Any]) -> tuple[Balls, Balls]:
+    """Return W A V and W, the inverse of the exact complex matrix V (n, n), for an object array A of numbers.
+
+    Raises ZeroDivisionError for a V that has no inverse at this precision.
+    """
+    n = len(basis)
+    entries = [as_series(each).value for row in matrix for each in row]
+    exact_basis = flint.acb_mat(n, n, [flint.acb(complex(each)) for each in basis.ravel()])
+    inverse = exact_basis.inv()
+    product = inverse * flint.acb_mat(n, n, [flint.acb(each) for each in entries]) * exact_basis
+    found = [enclose_complex([each[i, j] for i in range(n) for j in range(n)]) for each in (product, inverse)]
+    return found[0].shaped(n, n), found[1].shaped(n, n)

@@ -52,7 +52,7 @@ def law_polynomials(law: Controller, sample_time_s: float) -> LawPolynomials:
         rows, settle = _matrix(law, sample_time_s), _without_rounding
         follows, holds = law.follows_position, law.holds_position
     else:
-        rows = _answers(law, sample_time_s)
+        rows = controller_rows(law, sample_time_s)
     r = len(rows) - 1
     change = rows[:r, :r] - np.array([[int(i == j) for j in range(r)] for i in range(r)], dtype=object).reshape(r, r)
     alpha, adjugate = rational.resolvent(change)
@@ -84,13 +84,18 @@ def _matrix(law: LinearController, sample_time_s: float) -> Any:
     return rows
 
 
-def _answers(law: AdmittanceController, sample_time_s: float) -> Any:
-    """Return the same rows of a controller: what its equations answer to unit states and inputs."""
-    kept = needed_states(controller_blocks(law, sample_time_s))
+def blocks_in_balls(law: AdmittanceController, sample_time_s: float) -> Any:
+    """Return the blocks of a controller's difference equation, from its physical numbers."""
     blocks = np.empty((6, 3), dtype=object)
     blocks.fill(number(0))
     numbers = [number(value) for value in law.numbers()]
     write_blocks(blocks, numbers, number(sample_time_s), law.theta, law.is_ideal)
+    return blocks
+
+
+def controller_rows(law: AdmittanceController, sample_time_s: float) -> Any:
+    """Return the same rows of a controller: what its equations answer to unit states and inputs."""
+    kept, blocks = needed_states(controller_blocks(law, sample_time_s)), blocks_in_balls(law, sample_time_s)
     r = len(kept)
     rows = np.empty((r + 1, r + 2), dtype=object)
     for j in range(r + 2):

@@ -23,9 +23,9 @@ def plant_polynomials(family: Family, cell: FloatArray, along: int | None = None
     X = n_x/(z^c d) X^d and F = n_F/(z^c d) X^d with d = det(zI − φ) and c commands in the delay chain. Every number
     carries its derivative along coordinate `along`, over the whole cell.
     """
-    values = _values(family, cell, along)
+    values = parameter_values(family, cell, along)
     whole, has_fraction = family.delay()
-    augmented, position, force, direct = _continuous(family, values)
+    augmented, position, force, direct = continuous_plant(family, values)
     size = len(position)
     full = exponential(augmented)
     gamma = full[:size, size]
@@ -96,7 +96,7 @@ def _filter_unit(family: Family) -> float:
     return coupling.stiffness_n_per_m + coupling.damping_n_s_per_m / family.sample_time_s
 
 
-def _values(family: Family, cell: FloatArray, along: int | None) -> dict[str, Any]:
+def parameter_values(family: Family, cell: FloatArray, along: int | None) -> dict[str, Any]:
     """Return every parameter as a series; the payload's is 1/M_p."""
     found = {name: as_series(family.range_of(name)[0]) for name in PROVABLE}
     found[MASS] = 1 / found[MASS]
@@ -105,7 +105,7 @@ def _values(family: Family, cell: FloatArray, along: int | None) -> dict[str, An
     return found
 
 
-def _continuous(family: Family, values: Mapping[str, Any]) -> tuple[Any, Any, Any, Any]:
+def continuous_plant(family: Family, values: Mapping[str, Any]) -> tuple[Any, Any, Any, Any]:
     """Return the augmented continuous plant by sample, square, the rows of x and F, and F's direct part.
 
     The equations are those of `write_plant`; the payload's position is relative to the flange, e = x_p − x, as

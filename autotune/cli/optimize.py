@@ -11,7 +11,6 @@ import click
 from autotune.export.targets import TARGETS
 from autotune.formats.kinds import PLANTS
 
-from ._by_hand import held_lines, led_lines
 from ._common import Output, output_options
 from ._optimized import (
     active_lines,
@@ -27,6 +26,7 @@ from ._optimized import (
 )
 from ._options import SETTINGS, FilePath, GroupedCommand, PresentType, fields_with_unit, typed_range
 from ._pareto import FrontWriter, pareto_options, proof_options
+from ._proved import held_lines, led_lines, peak_lines
 from ._report import check_report, print_report_path, report_option, report_refusal, write_report
 from ._schedule import schedule_options
 from ._terminal import detect_terminal, echo, print_message, print_table
@@ -319,6 +319,7 @@ def print_optimized(
             print_message(f"  {line}")
     for line in (
         *response_lines(controller),
+        *peak_lines(controller),
         *held_lines(controller),
         *led_lines(controller),
         *limit_lines(controller),

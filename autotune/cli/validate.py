@@ -11,10 +11,10 @@ import click
 from autotune.formats.kinds import LOG
 from autotune.formats.units import ROTATIONAL_AXES, axis_units
 
-from ._by_hand import led_lines
 from ._common import Output, output_options
 from ._optimized import limit_lines
 from ._options import KEYS, LOGS, SETTINGS, FilePath, GroupedCommand, cell_option, span_options, urdf_options
+from ._proved import led_lines
 from ._report import check_report, print_report_path, report_option, report_refusal, write_report
 from ._schedule import validate_schedule
 from ._terminal import echo, painted, print_message, print_table, printable

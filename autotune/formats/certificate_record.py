@@ -25,7 +25,7 @@ from problems.model.plant import NO_FILTER, WrenchFilter
 from problems.model.plant_parameters import PARAMETERS
 from problems.model.robot import RobotModel
 
-from .units import AXES, ROTATIONAL_AXES
+from .units import AXES, ROTATIONAL_AXES, axis_units
 
 Interval = tuple[float, float]
 Axis = Annotated[str, Rule(enum=AXES)]
@@ -291,6 +291,24 @@ class HeldProof:
     run_time_s: NotNegative
 
 
+@dataclass(frozen=True, kw_only=True)
+class PeakProof:
+    """That no first contact exceeds `force_n`, wherever between two ticks it begins.
+
+    K_e and M_p vary in their whole ranges, the rest is nominal.
+    `staying` is the share in which the payload stays on the wall, so that its first contact is all of the contact. The
+    other fields are those of `ProvenRegion`.
+    """
+
+    force_n: Annotated[float, Rule(description="What no first contact exceeds", exclusiveMinimum=0)]
+    method: Text
+    share: Annotated[float, Rule(description="Share of the set that is proved; 1 is all of it", minimum=0, maximum=1)]
+    staying: Annotated[float, Rule(description="Share in which the payload stays on the wall", minimum=0, maximum=1)]
+    cells: NotNegative
+    budget_s: AboveZero
+    run_time_s: NotNegative
+
+
 _APPROACH = [{"required": ["approach_force_n"]}, {"required": ["approach_speed_m_s"]}]
 _APPROACHED = "a domain that says how contact is approached: {} or both"
 _ABOVE_ZERO = Rule(exclusiveMinimum=0)
@@ -351,7 +369,7 @@ class Certificate:
     `proved` holds for every plant that it names, `sampled` was looked for on many plants of the set and not found.
     `requirements` are those of x, y, z, `rotational_requirements` those of rx, ry, rz (rad, N·m), None without them.
     `soft` holds by axis what need not be met, and what was achieved, `continuous` what of the modulus is proved, `held`
-    what of it while a hand holds the payload (None in files of an earlier release).
+    what of it while a hand holds the payload, `peaks` what no first contact exceeds (None: earlier releases).
     """
 
     domain: Mapping[
@@ -374,6 +392,7 @@ class Certificate:
     soft: Mapping[Axis, Mapping[str, SoftRequirement]] | None = None
     continuous: Mapping[Axis, Annotated[tuple[ProvenRegion, ...], Rule(minItems=1)]] | None = None
     held: Mapping[Axis, HeldProof] | None = None
+    peaks: Mapping[Axis, PeakProof] | None = None
 
     def __post_init__(self) -> None:
         freeze(self, "domain", "requirements", "margins")
@@ -381,15 +400,17 @@ class Certificate:
             freeze(self, "continuous")
         if self.held is not None:
             freeze(self, "held")
+        if self.peaks is not None:
+            freeze(self, "peaks")
         if self.rotational_requirements is not None:
             freeze(self, "rotational_requirements")
         if self.soft is not None:
             freeze(self, "soft")
 
     @property
-    def proved_of_held(self) -> tuple[Proof, ...]:
-        """What `held` says is proved, in words."""
-        return tuple(
+    def proved_further(self) -> tuple[Proof, ...]:
+        """What `held` and `peaks` say is proved, in words."""
+        held = tuple(
             Proof(
                 claim=f"axis {name}: stable with |1 + L| > {each.modulus:.4g} while a hand holds the payload",
                 method=each.method,
@@ -397,6 +418,16 @@ class Certificate:
                 numbers={"share": each.share, "cells": each.cells, "arcs": each.arcs},
             )
             for name, each in (self.held or {}).items()
+            if each.share > 0.0
+        )
+        return held + tuple(
+            Proof(
+                claim=f"axis {name}: no first contact exceeds {each.force_n:.4g} {axis_units(name).force}",
+                method=each.method,
+                over="every K_e and M_p of the domain and every moment of the touch, everything else nominal",
+                numbers={"share": each.share, "staying": each.staying, "cells": each.cells},
+            )
+            for name, each in (self.peaks or {}).items()
             if each.share > 0.0
         )
 

@@ -435,7 +435,7 @@ def proof_table(controller: Controller) -> Table:
     certificate = controller.certificate
     rows: list[tuple[str | TableCell, ...]] = []
     kinds: tuple[tuple[Any, str, Tone], ...] = (
-        ((*certificate.proved, *certificate.proved_of_held), "proved", "good"),
+        ((*certificate.proved, *certificate.proved_further), "proved", "good"),
         (certificate.sampled, "sampled", "quiet"),
     )
     for proofs, word, tone in kinds:

@@ -17,6 +17,7 @@ from autotune.prediction.law import PresentGains
 from autotune.validation.axis_proof import AxisProof, ProofOptions, Prover, prove_axis
 from autotune.validation.bouncing import RefutedError, search_bouncing
 from autotune.validation.held import prove_held
+from autotune.validation.peak_proof import prove_peaks
 from autotune.validation.report import ValidationReport
 from autotune.validation.validate import validate_controller
 from identification.axes.turning import LEVER_M
@@ -210,7 +211,8 @@ def certify(
     proofs = {name: each.proofs for name, each in found.items()}
     regions = {name: each.regions for name, each in found.items()}
     held = {name: each.held for name, each in found.items() if each.held is not None}
-    controller = build_controller(searches, payload, proofs, regions, provenance, held=held)
+    peaks = {name: each.peak for name, each in found.items() if each.peak is not None and threshold is None}
+    controller = build_controller(searches, payload, proofs, regions, provenance, held=held, peaks=peaks)
     if threshold is not None:
         controller, _ = choose_threshold(controller, searches, threshold)
     controller = with_limits(controller, limits or LimitsSettings())
@@ -403,10 +405,12 @@ def prove_search(
     if asked.further_s == 0.0:
         return proved
     prover, hand = Prover(), _hand(name, problem)
-    held = prove_held(
-        prover, problem.plants, law, problem.sample_time_s, hand, replace(asked, budget_s=asked.further_s)
-    )
-    return replace(proved, held=held, answers=(*proved.answers, *prover.answers))
+    bounded = replace(asked, budget_s=asked.further_s)
+    held = prove_held(prover, problem.plants, law, problem.sample_time_s, hand, bounded)
+    largest = max(each.peak_contact_force_n for each in search.evaluation.peaks)
+    approach = build_domain(problem).approach
+    peak = prove_peaks(prover, problem.plants, law, problem.sample_time_s, name, approach, largest, bounded)
+    return replace(proved, held=held, peak=peak, answers=(*proved.answers, *prover.answers))
 
 
 def _hand(name: str, problem: DesignProblem) -> HandImpedance:

@@ -9,6 +9,7 @@ from autotune.formats.certificate_record import (
     AxisMargins,
     Certificate,
     HeldProof,
+    PeakProof,
     Proof,
     ProvenRegion,
     Requirement,
@@ -59,10 +60,11 @@ def build_controller(
     regions: Mapping[str, tuple[ProvenRegion, ...]],
     provenance: Mapping[str, Any],
     held: Mapping[str, HeldProof] | None = None,
+    peaks: Mapping[str, PeakProof] | None = None,
 ) -> Controller:
     """Assemble the controller of all tuned axes.
 
-    `proofs`, `regions` and `held` are what validation's code has shown, per axis.
+    `proofs`, `regions`, `held` and `peaks` are what validation's code has shown, per axis.
 
     The axes share h, filters and payload, and axes of a kind their requirements; they come from one identified file
     and one problem. `payload` is what the runtime compensates.
@@ -104,6 +106,7 @@ def build_controller(
             soft=soft or None,
             continuous=regions or None,
             held=held or None,
+            peaks=peaks or None,
         ),
         provenance=provenance,
     )

@@ -4,12 +4,13 @@ import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any, TypeVar
 
 from autotune.certificate.certify import METHOD, WORK_PER_SECOND, ProofOutcome
 from autotune.certificate.claim import Claim, CombinedCertificate, prove
 from autotune.certificate.family import PROVABLE
 from autotune.errors import CertificateError
-from autotune.formats.certificate_record import HeldProof, Proof, ProvenRegion
+from autotune.formats.certificate_record import HeldProof, PeakProof, Proof, ProvenRegion
 from autotune.formats.units import axis_units
 from problems.design.uncertainty import ALWAYS_UNCERTAIN, PlantSet
 from problems.errors import ParameterError
@@ -43,7 +44,9 @@ class ProofOptions:
             raise ValueError(f"budgets must be positive seconds, found {self.budget_s!r} and {self.further_s!r}")
 
 
-Answers = tuple[tuple[Claim, CombinedCertificate], ...]
+Answers = tuple[tuple[Any, Any], ...]
+"""Claims with what came of them."""
+Found = TypeVar("Found")
 
 
 class Prover:
@@ -53,7 +56,7 @@ class Prover:
         self._known = len(known)
         self._found = list(known)
 
-    def origin(self, claim: Claim) -> str:
+    def origin(self, claim: object) -> str:
         """Return in words where the answer to a claim is from, if it is not to be proved anew."""
         place = next((i for i, (each, _) in enumerate(self._found) if each == claim), None)
         if place is None:
@@ -62,11 +65,17 @@ class Prover:
 
     def prove(self, claim: Claim, progress: Progress = None) -> CombinedCertificate:
         """Return what came of a claim; raises ParameterError for parameters that cannot be proved over."""
-        for each, found in self._found:
+        return self.once(claim, lambda: prove(claim, progress))
+
+    def once(self, claim: object, make: Callable[[], Found]) -> Found:
+        """Return what came of a claim, which is made where it is not known yet."""
+        for each, known in self._found:
             if each == claim:
+                found: Found = known
                 return found
-        self._found.append((claim, prove(claim, progress)))
-        return self._found[-1][1]
+        made = make()
+        self._found.append((claim, made))
+        return made
 
     @property
     def answers(self) -> Answers:
@@ -78,13 +87,14 @@ class Prover:
 class AxisProof:
     """What is proved of one axis, as its certificate states it, and the `answers` that say so.
 
-    `held` is of a payload that a hand holds, None where that was not looked at.
+    `held` is of a payload that a hand holds, `peak` of first contacts, None where that was not looked at.
     """
 
     proofs: tuple[Proof, ...]
     regions: tuple[ProvenRegion, ...]
     answers: Answers
     held: HeldProof | None = None
+    peak: PeakProof | None = None
 
 
 def prove_axis(

@@ -19,6 +19,7 @@ from .certified_requirements import limit_n
 from .contacts import verify_led, verify_limits, verify_peaks, verify_response
 from .held import check_held
 from .margins import SweptMargins, sweep_margins
+from .peak_proof import check_peaks
 from .proof_checks import check_continuous, check_stability, check_statements
 from .report import Check, ValidationReport
 from .requirements import check_admittance, check_further, check_margins, check_requirements
@@ -230,6 +231,10 @@ def _peaks(case: AxisCase) -> Iterator[Check]:
     yield case.check("peak force", "; ".join(wrong), message)
 
 
+def _proved_peaks(case: AxisCase) -> Iterator[Check]:
+    yield from check_peaks(case.controller, case.name, case.law, case.prover)
+
+
 def _led(case: AxisCase) -> Iterator[Check]:
     try:
         message, wrong = verify_led(case.controller, case.name, case.others, case.law)
@@ -282,6 +287,7 @@ _TABLE = (
     _Row(_admittance, is_short=False),
     _Row(_command, is_short=False),
     _Row(_peaks, is_short=False),
+    _Row(_proved_peaks, is_short=False),
     _Row(_led, is_short=False),
     _Row(_bouncing, is_short=False),
     _Row(_limits),

@@ -36,6 +36,7 @@ EVERY_CHECK = [
     "requirements",
     "free-space admittance",
     "peak force",
+    "proved peak",
     "led by hand",
     "bouncing",
     "limits",

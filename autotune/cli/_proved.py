@@ -1,10 +1,21 @@
-"""What the terminal says of a payload that a person leads or holds."""
+"""What the terminal says is proved of contacts, and of a payload that a person leads or holds."""
 
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from autotune.formats.controller_record import Controller
+
+
+def peak_lines(controller: "Controller") -> Iterator[str]:
+    """Say which force is proved for every first contact."""
+    from autotune.formats.units import axis_units
+    from autotune.prediction.as_run_by import designed_for
+
+    for name, peak in (controller.certificate.peaks or {}).items():
+        if not designed_for(controller):
+            part = "" if peak.share == 1.0 else f" for {100.0 * peak.share:.3g} % of the plants alone"
+            yield f"axis {name}: no first contact exceeds {peak.force_n:.4g} {axis_units(name).force}, proved{part}"
 
 
 def led_lines(controller: "Controller", limit: tuple[float, str] | None = None) -> Iterator[str]:
