@@ -18,6 +18,7 @@ from identification.result import (
 )
 from problems.design.uncertainty import Scenario
 from problems.model.axis_kind import AxisKind
+from problems.model.controller import AdmittanceController
 from problems.model.plant_parameters import PARAMETERS
 
 COMPARE_EXAMPLE = "--compare mass=10,damping=1500"
@@ -342,6 +343,17 @@ def scenario_text(scenario: Scenario, units: AxisKind) -> str:
         value_text("payload_mass_kg", scenario.payload_mass_kg, units),
     )
     return ", ".join(part for part in (*always, off_nominal(scenario, units)) if part)
+
+
+def gain_rows(units: AxisKind, *laws: AdmittanceController) -> Iterator[tuple[str, ...]]:
+    """Yield for each of the four gains its symbol with its unit, and its value in each of the laws."""
+    for symbol, name, scale in (
+        (f"M_a [{units.mass}]", "mass_kg", 1.0),
+        (f"B_a [{units.damping}]", "damping_n_s_per_m", 1.0),
+        ("K_l [ms]", "lead_s", 1e3),
+        ("B_fb [ms]", "feedback_damping_s", 1e3),
+    ):
+        yield symbol, *(f"{scale * getattr(each, name):.6g}" for each in laws)
 
 
 def range_text(low: float, high: float) -> str:

@@ -196,28 +196,19 @@ def compare_lines(old: "PresentGains", found: Mapping[str, "SideBySide"]) -> Ite
             yield f"  {name}  {side}: {_verdict(evaluated, units)}"
 
 
-def _rows(both: "SideBySide", units: "AxisKind") -> Iterator[tuple[str, str, str]]:
-    sides = (both.old, both.new)
-    for what, name, scale in (
-        (f"M_a [{units.mass}]", "mass_kg", 1.0),
-        (f"B_a [{units.damping}]", "damping_n_s_per_m", 1.0),
-        ("K_l [ms]", "lead_s", 1e3),
-        ("B_fb [ms]", "feedback_damping_s", 1e3),
-    ):
-        old, new = (f"{scale * getattr(side.law, name):.6g}" for side in sides)
-        yield what, old, new
+def _rows(both: "SideBySide", units: "AxisKind") -> Iterator[tuple[str, ...]]:
+    from autotune.text import gain_rows
+    from problems.design.requirements import MARGINS
+
+    yield from gain_rows(units, both.old.law, both.new.law)
     for what, name, scale in (
         (f"peak at sensor [{units.force}]", "peak_sensor_force_n", 1.0),
         (f"peak at contact [{units.force}]", "peak_contact_force_n", 1.0),
         (f"least admittance [{units.admittance}]", "min_m_s_per_n", 1.0),
         (f"hand {units.force_name} [{units.hand}]", "hand_force_n_per_m_s", 1.0),
-        ("modulus margin", "modulus", 1.0),
-        ("gain margin [dB]", "gain_db", 1.0),
-        ("phase margin [deg]", "phase_deg", 1.0),
-        ("delay margin [ms]", "delay_s", 1e3),
+        *((each.heading, each.margin, each.shown_scale) for each in MARGINS),
     ):
-        old, new = (_number(side, name, scale) for side in sides)
-        yield what, old, new
+        yield what, *(_number(side, name, scale) for side in (both.old, both.new))
 
 
 def _number(side: "EvaluatedController", name: str, scale: float) -> str:

@@ -4,6 +4,7 @@ import math
 from html import escape
 
 from autotune.plugins import find_requirement
+from problems.design.requirements import MARGINS
 from problems.model.axis_kind import AxisKind
 
 from .view import View
@@ -41,10 +42,10 @@ def facts(view: View, units: AxisKind, hand: float) -> str:
         ("peak at the contact", _number(run.peak_contact_force_n if run else None, units.force)),
         ("peak at the sensor", _number(run.peak_sensor_force_n if run else None, units.force)),
         ("worst peak of all plants", _number(None if math.isnan(peak) else peak, units.force)),
-        ("modulus margin", _number(margins.modulus if margins else None, "")),
-        ("gain margin", _number(margins.gain_db if margins else None, "dB")),
-        ("phase margin", _number(margins.phase_deg if margins else None, "°")),
-        ("delay margin", _number(1e3 * margins.delay_s if margins else None, "ms")),
+        *(
+            (of.title, _number(of.shown_scale * getattr(margins, of.margin) if margins else None, of.unit))
+            for of in MARGINS
+        ),
         (f"hand {units.force_name} per speed", _number(hand, units.hand)),
     ]
     rows = "".join(f"<div><dt>{escape(name)}</dt><dd>{escape(value)}</dd></div>" for name, value in terms)

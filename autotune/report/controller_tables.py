@@ -13,8 +13,8 @@ from autotune.formats.units import ROTATIONAL_AXES, axis_units
 from autotune.plugins import find_requirement
 from autotune.prediction.as_run_by import as_run_by, designed_for
 from autotune.prediction.law import PresentGains
-from autotune.text import scenario_text, stiffness_text, value_text
-from problems.design.requirements import BODY_REGIONS, BUILT_IN, HANDS, AdmittanceRequirement, Margin, PeakForceLimit
+from autotune.text import gain_rows, scenario_text, stiffness_text, value_text
+from problems.design.requirements import BODY_REGIONS, HANDS, MARGINS, AdmittanceRequirement, Margin, PeakForceLimit
 from problems.design.uncertainty import SYMBOLS, UNCERTAIN
 from problems.model.axis_kind import AxisKind
 from problems.model.controller import AdmittanceController
@@ -27,7 +27,6 @@ from problems.stability.margins import UnstableLoopError, find_margins
 from .axis_design import AxisDesign, contact_of
 from .page import Block, Fact, Facts, Note, Table, TableCell, Tone, build_table
 
-_MARGINS = tuple(each for each in BUILT_IN.values() if isinstance(each, Margin))
 _NEARLY_USED = 0.99
 _UNSTABLE = "unstable"
 _BAND_POINTS = 100
@@ -286,22 +285,17 @@ def compared_blocks(design: AxisDesign, old: PresentGains | None, checksum: str)
 
 def _compared_table(design: AxisDesign, law: AdmittanceController, old: PresentGains, checksum: str) -> Table:
     units = design.units
-    worst = (design.worst_plant(each.margin) for each in _MARGINS)
+    worst = (design.worst_plant(each.margin) for each in MARGINS)
     found = (*design.corners(), design.free_plant(), *(each for each in worst if each is not None))
     plants = tuple(dict.fromkeys(found))
-    rows = [] if old.file is None else [("checksum", short(old.file.checksum), short(checksum))]
-    for title, name, scale in (
-        (f"M_a [{units.mass}]", "mass_kg", 1.0),
-        (f"B_a [{units.damping}]", "damping_n_s_per_m", 1.0),
-        ("K_l [ms]", "lead_s", 1e3),
-        ("B_fb [ms]", "feedback_damping_s", 1e3),
-    ):
-        before, after = (f"{scale * getattr(each, name):.6g}" for each in (law, design.law))
-        rows.append((title, before, after))
+    rows: list[tuple[str, ...]] = []
+    if old.file is not None:
+        rows.append(("checksum", short(old.file.checksum), short(checksum)))
+    rows += gain_rows(units, law, design.law)
     titles = (
         f"largest peak at the contact [{units.force}]",
         f"largest peak at the sensor [{units.force}]",
-        *(f"{each.title} [{each.unit}]" if each.unit else each.title for each in _MARGINS),
+        *(each.heading for each in MARGINS),
         f"least free-space admittance [{units.admittance}]",
     )
     rows += zip(titles, *(_reached(design, each, plants) for each in (law, design.law)), strict=True)
@@ -329,8 +323,8 @@ def _reached(design: AxisDesign, law: AdmittanceController, plants: Sequence[Pla
     try:
         found = [find_margins(build_sampled_plant(plant, h), law) for plant in plants]
     except UnstableLoopError:
-        return (*texts, *(_UNSTABLE for _ in _MARGINS), _UNSTABLE)
-    texts += [number(min(getattr(each, of.margin) for each in found), of.shown_scale) for of in _MARGINS]
+        return (*texts, *(_UNSTABLE for _ in MARGINS), _UNSTABLE)
+    texts += [number(min(getattr(each, of.margin) for each in found), of.shown_scale) for of in MARGINS]
     band = 2.0 * np.pi * np.geomspace(*design.predicted.free_space_admittance.band_hz, _BAND_POINTS)
     least = np.min(np.abs(free_space_admittance(build_sampled_plant(design.free_plant(), h), law, band)))
     return (*texts, f"{least:.4g}")
@@ -385,7 +379,7 @@ def worst_table(design: AxisDesign) -> Table:
             _with_unit(getattr(design.margins, each.margin), each.shown_scale, each.unit),
             _case(design.margins.worst.get(each.margin, {}), design.units),
         )
-        for each in _MARGINS
+        for each in MARGINS
     ]
     worst = design.worst_contact
     peak = f"{worst.peak_contact_force_n:.4g} {design.units.force}"

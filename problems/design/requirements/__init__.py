@@ -9,7 +9,7 @@ from .margins import DecayRate, Margin
 from .multiplicative_error import ErrorRequirement, MultiplicativeError
 from .passivity import PassivityRequirement, PassivityTarget
 from .peak_force import PeakForceLimit
-from .registry import BUILT_IN
+from .registry import BUILT_IN, MARGINS
 from .requirements import FIELDS, LARGEST_PRICE_N, LARGEST_SHARE, Requirements, RequirementValue
 
 __all__ = [
@@ -19,6 +19,7 @@ __all__ = [
     "HANDS",
     "LARGEST_PRICE_N",
     "LARGEST_SHARE",
+    "MARGINS",
     "AdmittanceRequirement",
     "AdmittanceTarget",
     "ContactAtSpeed",

@@ -12,6 +12,11 @@ class Margin(LoopRequirement[float]):
 
     margin: ClassVar[str]
 
+    @property
+    def heading(self) -> str:
+        """Title and unit, as over a column."""
+        return f"{self.title} [{self.unit}]" if self.unit else self.title
+
     def of_loop(self, asked: float, loop: StableLoop) -> float:
         """Return the margin, in the unit of its field."""
         del asked

@@ -10,7 +10,7 @@ from .command_noise import NoiseRequirement
 from .contact_at_speed import ContactAtSpeedLimit
 from .damping_ratio import DampingRatio
 from .held_by_hand import HeldByHandRequirement
-from .margins import DecayRate, DelayMargin, GainMargin, ModulusMargin, PhaseMargin
+from .margins import DecayRate, DelayMargin, GainMargin, Margin, ModulusMargin, PhaseMargin
 from .multiplicative_error import ErrorRequirement
 from .passivity import PassivityRequirement
 from .peak_force import PeakForceLimit
@@ -36,3 +36,5 @@ BUILT_IN: Mapping[str, Requirement[Any]] = FrozenDict(
     }
 )
 """All requirements of this package by name, in the order in which they are listed to people."""
+MARGINS: tuple[Margin, ...] = tuple(each for each in BUILT_IN.values() if isinstance(each, Margin))
+"""The margins among them, one for each of `Margins` that people are shown."""
