@@ -146,7 +146,7 @@ def fit_axis(
         period_s=data.period_s,
         without_command=why,
         delay_note=note,
-        is_smooth=data.command is not None and data.command.is_smooth,
+        is_smooth=data.is_smooth,
     )
     alone = _estimate(of(fit=fit), robot)
     both = alone if with_priors is None else _estimate(of(fit=with_priors), robot)
@@ -156,7 +156,8 @@ def fit_axis(
     if measured is not None:
         alone, both = (replace(each, frequency_response=measured) for each in (alone, both))
         own = found.values[: len(COUPLING_NAMES)]
-        findings += response_findings(axis.name, own, found.robot, measured, data.period_s)
+        # A response that is not measured behind a hold is held against that of a smooth motion.
+        findings += response_findings(axis.name, own, None if data.is_smooth else found.robot, measured, data.period_s)
     estimate, contradictions = settle_axis(axis.name, alone, both, cell.given)
     contacts = AxisContacts(axis=axis, holds=holds, coupling=found.values[: len(COUPLING_NAMES)])
     return AxisResult(estimate=estimate, findings=(*findings, *contradictions), contacts=contacts, fit=fit)

@@ -32,9 +32,10 @@ def measure_axis(
 ) -> FrequencyResponse | None:
     """Return the frequency responses that free motion shows without a model; `fit` is that of the signals of `data`.
 
-    A command that the gains make of the force is no reference: what is measured would be the gains.
+    A command that the gains make of the force is no reference: what is measured would be the gains. Neither is one that
+    was not held from sample to sample.
     """
-    command = data.command if recording.command is not None else None
+    command = None if recording.command is None or data.is_smooth else data.command
     used = [slice(span.start, span.start + len(span.measured)) for span in fit.spans if span.surface is None]
     records = [
         MotionRecord(

@@ -151,9 +151,11 @@ def estimate_rows(found: dict[str, Identification | str]) -> Iterator[str]:
         axes = "<br>".join(axis_text(axis, each) for axis, each in result.result.axes.items())
         touches = [touch for line in result.result.timelines for touch in line.touches]
         causes = [f"{sum(t.cause is cause for t in touches)} {cause.value}" for cause in TouchCause]
-        largest = max((touch.peak_force for touch in touches), default=0.0)
+        largest = max(touches, key=lambda touch: touch.peak_force, default=None)
         kinds = ", ".join(each for each in causes if not each.startswith("0 "))
-        yield f"| `{name}` | {axes or 'no axis'} | {f'{kinds}; up to {largest:.1f} N' if touches else 'none'} |"
+        net = largest is not None and largest.cause is TouchCause.WALL and largest.is_led
+        force = "" if largest is None else f"{largest.peak_force:.1f} N{' less what a hand pushed' if net else ''}"
+        yield f"| `{name}` | {axes or 'no axis'} | {f'{kinds}; up to {force}' if touches else 'none'} |"
 
 
 def stiffness_of(source: Identification | str) -> Uncertain | None:

@@ -83,6 +83,11 @@ class JointData:
     least_noise_n: float = 0.0
 
     @property
+    def is_smooth(self) -> bool:
+        """Whether the command is smooth between its samples."""
+        return self.command is not None and self.command.is_smooth
+
+    @property
     def robot_order(self) -> int:
         """Poles of the robot that is fitted, 0 without one."""
         return 0 if self.robot is None or self.command is None else self.robot.order

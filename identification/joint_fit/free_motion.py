@@ -67,7 +67,7 @@ def fit_robot(data: JointData) -> tuple[Problem, FloatArray]:
         command_m=None if data.command is None or data.robot is None else data.command.command_m,
         smoother=Smoother(taps=None),
         measured=data.measured,
-        is_smooth=data.command is not None and data.command.is_smooth,
+        is_smooth=data.is_smooth,
         untimed_share=1.0 if data.command is None else data.command.untimed_share,
     )
     rest_noise = fit_whitener([detrended(data.force_n[s]) for s in rests])

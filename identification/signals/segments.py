@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import butter, sosfiltfilt
 
@@ -56,11 +57,15 @@ def _sections(cutoff_hz: float, rate_hz: float) -> FloatArray:
 
 
 def rate_of(values: FloatArray, period_s: float) -> FloatArray:
-    """Return the derivative of (n,) by central differences, one-sided at the ends of each stretch without NaN."""
+    """Return the derivative of (n,) by a cubic spline through each stretch without NaN.
+
+    Central differences would take a fifth of what swings in six samples.
+    """
     rate = np.full(len(values), np.nan)
     for span in spans_of(np.isfinite(values)):
         if len(span) > 1:
-            rate[span.slice] = np.gradient(values[span.slice], period_s)
+            ticks = np.arange(len(span)) * period_s
+            rate[span.slice] = CubicSpline(ticks, values[span.slice])(ticks, nu=1)
     return rate
 
 

@@ -13,7 +13,7 @@ from ..signals.segments import Span, low_pass, rate_of
 
 _HIGHEST_HZ = 60.0
 _LOWEST_HZ = 20.0
-_RESONANCES = 2.0
+_RESONANCES = 1.5
 _SLOW_HZ = 8.0
 _MARGIN_S = 0.2
 _FEWEST_FILTERED = 30
@@ -47,7 +47,7 @@ class PayloadMotion:
 def observe_payload(of: AxisContacts, period_s: float) -> PayloadMotion:
     """See the payload through the coupling, x_p = x + (F − B_s/K_s dF/dt)/K_s, and F_e = −F − B_p v_p − M_p a_p.
 
-    Below 60 Hz or two resonances (docs/method.md, "The loop"); positive forces press towards +axis.
+    Below 60 Hz or 1.5 resonances (docs/method.md, "The loop"); positive forces press towards +axis.
     """
     stiffness, damping, drag, mass = of.coupling
     resonance = float(np.sqrt(stiffness / mass)) / (2.0 * np.pi)

@@ -5,9 +5,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from ..result import ContactPhase, LogPhase, PhaseKind, Touch, TouchCause
+from ..result import ContactPhase, Finding, LogPhase, PhaseKind, Touch, TouchCause
 from ..signals.segments import without_pauses, without_short
-from .find import AxisTouches
+from .find import BEFORE_S, AxisTouches
 from .signals import mean_speed
 
 _MOVING_M_S = 1e-3
@@ -76,3 +76,29 @@ def _phase(kind: PhaseKind, axis: str | None, touch: Touch | None, start_s: floa
         hand_suspected=None if touch.cause is TouchCause.UNDETERMINED else bool(touch.is_led),
     )
     return LogPhase(kind=kind, start_s=start_s, stop_s=stop_s, axis=axis, contact=contact)
+
+
+def about_led_walls(axis: AxisTouches) -> list[Finding]:
+    """Say of walls into which a hand led what of their force the sensor shows: the wall's less that of the hand.
+
+    Both act on the payload; how hard the hand led is the largest force along the motion within 0.3 s before the touch.
+    """
+    shown = []
+    for each in axis.touches:
+        if each.touch.cause is not TouchCause.WALL or not each.touch.is_led:
+            continue
+        signals, start = axis.signals, each.span.start
+        first = int(np.searchsorted(signals.time_s, signals.time_s[start] - BEFORE_S))
+        led = float(np.max(each.touch.sign * signals.force_n[first : start + 1], initial=0.0))
+        shown.append(f"{each.touch.peak_s:.2f} s ({each.touch.peak_force:.1f} N, led with up to {led:.1f} N)")
+    if not shown:
+        return []
+    return [
+        Finding.warning(
+            "wall-beside-hand",
+            f"Axis {axis.signals.axis}: a hand led the payload into what was touched at {', '.join(shown)}. The sensor "
+            "shows the wall's force less what the hand pushes, so these are no peaks of the wall: its force may be "
+            "larger by up to what the hand led with.",
+            "Approach under a desired force or a command, hands off, to measure a peak.",
+        )
+    ]

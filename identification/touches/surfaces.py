@@ -14,7 +14,7 @@ from ..signals.recording import Recording
 from ..verdicts import judged, missing, unidentifiable
 from .find import AxisTouches, FoundTouch, find_touches, first_fall, touch_peak
 from .inertia import KnownMotion, without_known
-from .phases import build_phases
+from .phases import about_led_walls, build_phases
 from .signals import AxisSignals, axis_signals, turn_rates
 from .signs import check_desired_force, check_force_sign
 from .trace import TraceContact, identify_trace
@@ -104,7 +104,7 @@ def identify_touches(recording: Recording, known: KnownMotion | None = None) -> 
             names |= {(axis.signals.axis, contact.touch.peak_s): name for contact in group}
         if estimates:
             surfaces[axis.signals.axis] = tuple(estimates)
-        findings += _between_samples(axis)
+        findings += [*about_led_walls(axis), *_between_samples(axis)]
     touches = sorted(
         (
             replace(each.touch, surface=names.get((each.touch.axis, each.touch.peak_s)))

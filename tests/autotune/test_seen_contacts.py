@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 from autotune.formats.problem import ProblemSpec
 from autotune.pipeline import identify_log
 from autotune.tuning.problems import build_problems
-from identification import axis_estimate
+from identification import axis_command
 from identification.joint_fit.data import JointData
 from identification.joint_fit.fit import identify_joint
 from identification.joint_fit.result import JointFit
@@ -99,7 +99,7 @@ def test_a_log_of_semi_implicit_euler_shows_the_cell_that_its_steps_make(
         seen.append(data)
         return identify_joint(data, progress)
 
-    monkeypatch.setattr(axis_estimate, "identify_joint", identify)
+    monkeypatch.setattr(axis_command, "identify_joint", identify)
     axis = identify_log(path).result.axes["z"]
     (data,) = seen
     stepped, exact = (_left_of_pose(data, omega, zeta, truth["delay"], step_s) for step_s in (_STEP_S, None))

@@ -270,9 +270,12 @@ def test_a_hand_that_leads_into_a_stiff_wall_cannot_turn_so_fast() -> None:
     def both(time: float, x: float, v: float) -> float:
         return (40.0 if time > 1.0 else 0.0) + stop(time, x, v)
 
-    touches = identify_touches(recorded(Program(force_n=both, desired_n=0.0))).timeline.touches
+    found = identify_touches(recorded(Program(force_n=both, desired_n=0.0)))
+    touches = found.timeline.touches
     assert touches[0].cause is TouchCause.WALL
     assert touches[0].is_led is True
+    about = next(f for f in found.findings if f.code == "wall-beside-hand")
+    assert f"{touches[0].peak_force:.1f} N, led with up to 40.0 N" in about.message
     assert touches[0].approach_speed == pytest.approx(40.0 / DAMPING_N_S_PER_M, rel=0.02)
 
 
