@@ -114,7 +114,9 @@ def find_relaxations(
                 )
             )
     if together is not None and not found:
-        possible = _reached(100.0, together.ratio)
+        # Only here is the share of all together said.
+        closer = _least(problem, EVERY_REQUIREMENT, seed, start=together.design) or together
+        possible = _reached(100.0, min(closer.ratio, together.ratio))
         return (Relaxation(name=EVERY_REQUIREMENT, asked=100.0, possible=possible),)
     return tuple(sorted(found, key=lambda each: each.share))
 
