@@ -282,16 +282,22 @@ def cross_sample(
     state: FloatArray,
     commands: tuple[float, float],
     pushes: BeforeAfter,
+    pulls: BeforeAfter,
     tick: int,
     found: FloatArray,
     work: FloatArray,
 ) -> None:
-    """Advance the plant over one sample; `commands` older and newer, `pushes` before and after the impact."""
+    """Advance the plant over one sample: `commands` older and newer, `pushes` before and after the impact.
+
+    `pulls` is a further force at the beginning and at the end of the sample.
+    """
     n, start = len(state), float(tick)
     for part in range(2):
         duration, steps = (1.0 - motion.fraction if part == 1 else motion.fraction), motion.steps[part]
         for j in range(steps):
             push = pushes.before if np.isnan(found[IMPACT_TIME]) else pushes.after
+            passed = start - tick + (j + 0.5) * (duration / steps)
+            push += pulls.before + passed * (pulls.after - pulls.before)
             runge_kutta(motion, state, commands[part], push, duration / steps, work)
             pressed, moment = wall_force(motion, state[n - 2], state[n - 1]), start + (j + 1) * (duration / steps)
             if pressed > 0.0 and np.isnan(found[IMPACT_TIME]):
@@ -310,14 +316,15 @@ def run_nonlinear(
     pushes: BeforeAfter,
     noise: FloatArray,
     late: NDArray[np.bool_],
+    pulls: FloatArray,
     recording: KernelOutputs,
 ) -> None:
     """Step over all samples of the recording.
 
     `start` is plant state, past commands (newest first) and memory; `desired` and `pushes` are F^d and the hand's force
     before and after the impact; `noise` (samples,) is added to F. Where `late` (samples,) no command arrives at the
-    robot, which goes on with the one before. Without delay the velocity that is recorded is the
-    one just before the command changes.
+    robot, which goes on with the one before. `pulls` (samples + 1,) is a force on the payload at the ticks. Without
+    delay the velocity that is recorded is the one just before the command changes.
     """
     first, commands, memory = start
     state, past, rows = first.copy(), commands.copy(), motion.rows
@@ -353,7 +360,10 @@ def run_nonlinear(
         newer = memory.sent if motion.whole == 0 else past[(head + motion.whole - 1) % places]
         if late[k]:
             newer = acting
-        cross_sample(motion, state, (held if motion.chain > motion.whole else newer, newer), pushes, k, found, work)
+        pull = BeforeAfter(pulls[k], pulls[k + 1])
+        cross_sample(
+            motion, state, (held if motion.chain > motion.whole else newer, newer), pushes, pull, k, found, work
+        )
         acting = newer
         head = (head - 1) % places
         past[head] = memory.sent

@@ -13,7 +13,7 @@ from ..arrays import BoolArray, FloatArray
 from ..errors import ParameterError
 from ..model.controller import AdmittanceController
 from ..model.difference import DERIVATIVE_GAIN, FEEDBACK_DAMPING, IS_IDEAL, rest_states
-from ..model.plant import FREE_SPACE, Plant, build_plant_matrices
+from ..model.plant import FREE_SPACE, Environment, Plant, build_plant_matrices
 from ..model.sampled import SampledPlant, build_loop, build_sampled_plant, spectral_radius
 from ..stability.margins import UnstableLoopError
 from .kernel import steady_start
@@ -139,13 +139,72 @@ def simulate_nonlinear(
     drive = _drive(pair, law, approach, effects)
     start = _steady(pair, law, drive, effects) if start_distance_m is None else _rest(pair.free, law, start_distance_m)
     count = math.ceil(positive("duration_s", duration_s) / h - _WHOLE)
-    recording = KernelOutputs(np.empty((TRACES, count)), np.empty(count, dtype=np.int64), np.zeros(FOUND))
-    recording.found[IMPACT_TIME:] = math.nan
+    recording = _recording(count)
     if start_distance_m is None:
         recording.found[IMPACT_TIME], recording.found[IMPACT_SPEED] = 0.0, drive.speed_m_s * h
     drawn = _noise(effects, noise, count), _late(effects, noise, count)
-    run_nonlinear(motion, law, start, drive.desired_n, drive.push_n, *drawn, recording)
+    run_nonlinear(motion, law, start, drive.desired_n, drive.push_n, *drawn, np.zeros(count + 1), recording)
     return _run(recording, h, drive, is_stable=radius < 1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Operator:
+    """A person who holds the payload: M_h, B_h and K_h between it and the way that the hand wants to go.
+
+    `path_m` (n + 1,) are the positions [m] of that way at the controller's ticks, from the wall.
+    """
+
+    mass_kg: float
+    damping_n_s_per_m: float
+    stiffness_n_per_m: float
+    path_m: FloatArray
+
+    def held(self, plant: Plant) -> Plant:
+        """Return a plant with the hand on its payload and nothing else to touch."""
+        payload = replace(
+            plant.payload,
+            mass_kg=plant.payload.mass_kg + self.mass_kg,
+            drag_n_s_per_m=plant.payload.drag_n_s_per_m + self.damping_n_s_per_m,
+        )
+        return replace(plant, payload=payload, environment=Environment(stiffness_n_per_m=self.stiffness_n_per_m))
+
+    def pull(self, sample_time_s: float) -> FloatArray:
+        """Return the force [N] (n + 1,) by which the way moves the hand: K_h x_h + B_h v_h."""
+        speed = np.gradient(self.path_m, sample_time_s)
+        return np.asarray(self.stiffness_n_per_m * self.path_m + self.damping_n_s_per_m * speed)
+
+
+def simulate_operator(
+    plant: Plant,
+    controller: AdmittanceController,
+    operator: Operator,
+    *,
+    sample_time_s: float,
+    effects: Nonlinearities = NO_NONLINEARITIES,
+    substeps: int = 10,
+) -> NonlinearRun:
+    """Simulate a payload that a person leads to the wall and holds there, from rest where the operator's way begins.
+
+    The run lasts as long as the way. `simulate_nonlinear` says what is simulated, and what is raised; F^d is 0.
+    """
+    h = positive("sample_time_s", sample_time_s)
+    _check_plant(plant, h)
+    pair = build_sampled_contact(build_sampled_plant(plant, h))
+    radius = _largest_radius(pair, controller, effects)
+    if not radius < 1.0:
+        raise UnstableLoopError(radius)
+    law, count, nothing = _law(controller, effects, h), len(operator.path_m) - 1, BeforeAfter(0.0, 0.0)
+    motion, recording = _motion(pair.contact, substeps, operator.held(plant)), _recording(count)
+    start = _rest(pair.free, law, -float(operator.path_m[0]))
+    drawn = _noise(effects, None, count), _late(effects, None, count)
+    run_nonlinear(motion, law, start, nothing, nothing, *drawn, operator.pull(h), recording)
+    return _run(recording, h, _Drive(speed_m_s=0.0, force_n=0.0, desired_n=nothing, push_n=nothing), is_stable=True)
+
+
+def _recording(count: int) -> KernelOutputs:
+    out = KernelOutputs(np.empty((TRACES, count)), np.empty(count, dtype=np.int64), np.zeros(FOUND))
+    out.found[IMPACT_TIME:] = math.nan
+    return out
 
 
 def needed_substeps(plant: Plant, sample_time_s: float) -> int:
@@ -178,12 +237,15 @@ def _largest_radius(pair: SampledContact, controller: AdmittanceController, effe
     )
 
 
-def _motion(contact: SampledPlant, substeps: int) -> Motion:
-    """Lay out the free plant in the dimensionless time of one period; the wall acts on it as an outside force."""
+def _motion(contact: SampledPlant, substeps: int, held: Plant | None = None) -> Motion:
+    """Lay out the free plant, or one that is held, in the dimensionless time of one period.
+
+    The wall acts on it as an outside force.
+    """
     if substeps < 1:
         raise ParameterError("substeps", substeps, "at least 1")
     h = contact.sample_time_s
-    m = build_plant_matrices(contact.plant.in_contact_with(FREE_SPACE), h)
+    m = build_plant_matrices(contact.plant.in_contact_with(FREE_SPACE) if held is None else held, h)
     before = math.ceil(substeps * contact.fraction)
     steps = (before, max(1, substeps - before))
     longest = max((1.0 - contact.fraction) / steps[1], contact.fraction / max(1, before))

@@ -4,7 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from problems.contact.nonlinear_simulation import simulate_nonlinear
+from problems.contact.nonlinear_simulation import Operator, simulate_nonlinear, simulate_operator
 from problems.contact.nonlinearities import Collision, CommandLimits, Deadband, Nonlinearities, VariableDamping
 from problems.contact.transient import Approach
 from problems.errors import ParameterError
@@ -199,3 +199,25 @@ def test_what_the_simulation_cannot_do_is_refused(
             substeps=int(options.get("substeps", 10)),
             even_if_unstable=True,
         )
+
+
+def test_an_operator_leads_the_payload_to_his_way_and_into_balance_with_the_wall() -> None:
+    """At rest the admittance feels nothing, so that the hand's spring holds what the wall pushes back."""
+    plant, law = paper_plant(stiffness=3e4, coupling_damping=100.0), admittance(13.0, 1000.0, 0.013)
+    ticks = np.arange(14_000)
+    for end in (-0.05, 0.04):
+        path = np.where(ticks < 500, -0.1, end)
+        hand = Operator(mass_kg=2.0, damping_n_s_per_m=30.0, stiffness_n_per_m=900.0, path_m=path)
+        run = simulate_operator(plant, law, hand, sample_time_s=PERIOD_S)
+        there = end if end < 0.0 else 900.0 * end / (900.0 + 3e4)
+        np.testing.assert_allclose(run.payload_position_m[:499], -0.1, rtol=0.0, atol=1e-12)
+        assert run.payload_position_m[-1] == pytest.approx(there, rel=1e-3)
+        assert run.contact_force_n[-1] == pytest.approx(max(0.0, 3e4 * there), rel=1e-3)
+        assert run.sensor_force_n[-1] == pytest.approx(0.0, abs=0.1)
+        assert (run.impact_time_s is None) == (end < 0.0)
+
+
+def test_a_hand_of_no_impedance_leaves_the_payload_where_it_is() -> None:
+    nothing = Operator(mass_kg=0.0, damping_n_s_per_m=0.0, stiffness_n_per_m=0.0, path_m=np.linspace(-0.1, 0.1, 500))
+    run = simulate_operator(paper_plant(), admittance(13.0, 1600.0, 0.02), nothing, sample_time_s=PERIOD_S)
+    np.testing.assert_allclose(run.payload_position_m, -0.1, rtol=0.0, atol=1e-12)
