@@ -18,7 +18,7 @@ from autotune.formats.units import axis_units
 from autotune.formats.yaml12 import dump_yaml
 from autotune.results import Identification, Validation
 from autotune.shown import Progress, ResultTable, Shown, data_frame, reporting
-from autotune.text import NOTHING_BEFORE
+from autotune.text import NOTHING_BEFORE, scenario_text, stiffness_text
 from problems.design.uncertainty import SYMBOLS, Scenario
 from problems.model.axis_kind import AxisKind
 
@@ -164,7 +164,7 @@ class Design(Shown):
                 ),
                 rows=tuple(
                     (
-                        each.name,
+                        scenario_text(each.scenario(), units),
                         f"{each.peak_contact_force_n:.4g}",
                         f"{each.peak_sensor_force_n:.4g}",
                         f"{1e3 * each.time_of_peak_s:.3g}",
@@ -193,13 +193,13 @@ class Design(Shown):
                 f"{each.modulus:.4g}",
                 f"{100.0 * each.share:.4g} %",
                 ", ".join(SYMBOLS[parameter] for parameter in each.over),
-                " to ".join(f"{end:.4g}" for end in each.environment_stiffness_n_per_m),
+                " to ".join(stiffness_text(end, axis_units(name)) for end in each.environment_stiffness_n_per_m),
             )
             for name in self.gains
             for each in regions.get(name, ())
         ]
         rows += [(name, "none", "0 %", "", "") for name in self.gains if name not in regions]
-        columns = ("axis", "modulus", "of the plants", "over the ranges of", "all for K_e [N/m, N·m/rad]")
+        columns = ("axis", "modulus", "of the plants", "over the ranges of", "all for K_e")
         return ResultTable(title="modulus margin proved at all frequencies", columns=columns, rows=tuple(rows))
 
     @property

@@ -246,6 +246,14 @@ class Panel:
     ground: Literal["plain", "stable", "unstable"] = "plain"
     note: str = ""
 
+    def in_units(self, x: float, y: float) -> "Panel":
+        """Return the same panel with all numbers multiplied by `x` across and by `y` upwards: lines, points, maps."""
+        sides = [
+            replace(side, limits=None if side.limits is None else (by * side.limits[0], by * side.limits[1]))
+            for side, by in ((self.x, x), (self.y, y))
+        ]
+        return replace(self, x=sides[0], y=sides[1], elements=tuple(_in_units(each, x, y) for each in self.elements))
+
     def stretches(self) -> dict[Role, list[Stretch]]:
         """Return the stretches by role: a log has dozens, which are drawn in a few strokes."""
         found: dict[Role, list[Stretch]] = {}
@@ -318,3 +326,11 @@ def decimate(x: RealArray, y: RealArray, most: int) -> tuple[RealArray, RealArra
         kept[2 * i + 1], kept[2 * i + 2] = low + min(pair), low + max(pair)
     kept = np.unique(kept)
     return x[kept], y[kept]
+
+
+def _in_units(element: Element, x: float, y: float) -> Element:
+    if isinstance(element, Area):
+        return replace(element, polygons=tuple(polygon * (x, y) for polygon in element.polygons))
+    if isinstance(element, Line | Points | Heat | Region):
+        return replace(element, x=element.x * x, y=element.y * y)
+    raise TypeError(f"a {type(element).__name__} cannot be multiplied")

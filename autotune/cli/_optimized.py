@@ -237,8 +237,8 @@ def print_compliance(name: str, compliance: "Compliance", problem: "DesignProble
     low, high = problem.plants.environment_stiffness_n_per_m
     tolerance = 100.0 * compliance.asked.tolerance
     print_message(
-        f"axis {name}: build K_e {compliance.chosen.stiffness_n_per_m:g} N/m to ± {tolerance:g} %, certified from "
-        f"{low:g} to {high:g} N/m"
+        f"axis {name}: build K_e {1e-3 * compliance.chosen.stiffness_n_per_m:g} N/mm to ± {tolerance:g} %, "
+        f"certified from {1e-3 * low:g} to {1e-3 * high:g} N/mm"
     )
     # Where requirements are soft, it is the peak and their price that is least.
     prices = ("and price [N]",) if problem.requirements.soft_n else ()
@@ -292,7 +292,7 @@ def _lines(compliance: "Compliance", problem: "DesignProblem") -> Iterator[str]:
     low, high = compliance.asked.bounds
     if compliance.active_bound is not None:
         bound = low if compliance.active_bound == "lower" else high
-        yield f"the {compliance.active_bound} bound of K_e, {bound:g} N/m, is active: widen it, or accept"
+        yield f"the {compliance.active_bound} bound of K_e, {1e-3 * bound:g} N/mm, is active: widen it, or accept"
     if low < high:
         yield (
             f"between two rows nothing was tried; above each that is named the next one is at most "

@@ -161,12 +161,14 @@ def _map_lines(tree: dict[str, Any]) -> list[str]:
 
 def _interval_lines(tree: dict[str, Any]) -> list[str]:
     from autotune.maps.text import WHERE, number, with_unit
+    from problems.model.axis_kind import for_people
 
     def span(ends: list[float]) -> str:
-        return with_unit(" to ".join(number(end) for end in dict.fromkeys(ends)), searched["unit"])
+        factor, unit = for_people(searched["unit"])
+        return with_unit(" to ".join(number(factor * end) for end in dict.fromkeys(ends)), unit)
 
     searched = tree["searched"]
-    lines = [f"{searched['name']} searched in {span([searched['low'], searched['high']])}, {WHERE[tree['where']]}"]
+    lines = [f"{_symbol(searched)} searched in {span([searched['low'], searched['high']])}, {WHERE[tree['where']]}"]
     for name, case in tree["cases"].items():
         line = f"  {name}: " if len(tree["cases"]) > 1 else "  "
         if case["smallest"] is None:
@@ -176,22 +178,26 @@ def _interval_lines(tree: dict[str, Any]) -> list[str]:
         if case["most_intervals"] > 1:
             line += f", in up to {case['most_intervals']} intervals"
         if case["stable_share"] < 1.0:
-            line += f", none at {1.0 - case['stable_share']:.0%} of the values of {tree['x']['name']}"
+            line += f", none at {1.0 - case['stable_share']:.0%} of the values of {_symbol(tree['x'])}"
         lines.append(line)
     return lines
 
 
 def _point(tree: dict[str, Any], point: dict[str, Any]) -> str:
-    from autotune.maps.text import number, with_unit
+    from autotune.maps.text import shown
 
-    places = [
-        with_unit(f"{tree[axis]['name']} {number(point[tree[axis]['name']])}", tree[axis]["unit"])
-        for axis in ("x", "y")
-    ]
+    places = [f"{_symbol(tree[axis])} {shown(point[tree[axis]['name']], tree[axis]['unit'])}" for axis in ("x", "y")]
     if not point["is_stable"]:
         value = "unstable"
     elif point["value"] is None:
         value = "stable" if tree["show"] == "stability" else "no limit"
     else:
-        value = with_unit(number(point["value"]), tree["unit"])
+        value = shown(point["value"], tree["unit"])
     return f"{value} at {', '.join(places)}"
+
+
+def _symbol(axis: dict[str, Any]) -> str:
+    """Return what people call a parameter whose numbers are not in the unit of its name."""
+    from problems.maps.parameters import find_parameter
+
+    return find_parameter(axis["name"]).symbol

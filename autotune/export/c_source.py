@@ -114,7 +114,8 @@ def _about(controller: RuntimeController, provenance: Mapping[str, Any]) -> str:
     lines = [f" * checksum {controller.checksum}, period {controller.sample_time_s!r} s"]
     for axis in controller.axes:
         (low, high), unit = axis.payload_range, "kg m^2" if axis.turns else "kg"
-        gains = f"M_a {axis.mass!r}, B_a {axis.damping!r}, K_l {axis.lead_s!r}, B_fb {axis.feedback_damping_s!r}"
+        times = f"K_l {1e3 * axis.lead_s:g} ms, B_fb {1e3 * axis.feedback_damping_s:g} ms"
+        gains = f"M_a {axis.mass!r}, B_a {axis.damping!r}, {times}"
         lines.append(f" * {axis.name}: {gains}; payload {low!r} to {high!r} {unit}")
     lines += [f" * {_quoted(key)}: {_quoted(value)}" for key, value in provenance.items()]
     return "\n".join(lines)

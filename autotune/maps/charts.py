@@ -12,9 +12,10 @@ from problems.contact.transient import Approach
 from problems.maps.maps import MapAxis, MapPoint, MapResult, distance_at_boundary
 from problems.maps.parameters import MAP_PARAMETERS, MapParameter, MapQuantity
 from problems.maps.search import IntervalRequest, IntervalResult, StableInterval
+from problems.model.axis_kind import for_people
 
 from .setup import MapSetup
-from .text import WHERE, approach_text, number, with_unit
+from .text import WHERE, approach_text, number, shown, with_unit
 
 Column = Sequence[StableInterval]
 Point = tuple[float, float]
@@ -59,16 +60,19 @@ def map_chart(setup: MapSetup, result: MapResult, design: MapPoint | None) -> Ch
         title=title,
         alternative=f"{title} over {request.x.parameter.label} and {request.y.parameter.label}.",
         caption=fixed_text(setup, request.approach if quantity.is_peak else None),
-        panels=(panel,),
+        panels=(_in_shown_units(setup, panel, request.x.parameter, request.y.parameter),),
         live=False,
     )
 
 
+def _in_shown_units(setup: MapSetup, panel: Panel, x: MapParameter, y: MapParameter) -> Panel:
+    """Return a panel over two parameters, of SI numbers, in the units of its labels."""
+    return panel.in_units(*(for_people(setup.unit(each))[0] for each in (x, y)))
+
+
 def shown_unit(setup: MapSetup, quantity: MapQuantity) -> tuple[float, str]:
     """Return factor and unit in which a picture shows a quantity: delays in milliseconds."""
-    if quantity is MapQuantity.DELAY:
-        return 1e3, "ms"
-    return 1.0, quantity.unit_of(rotational=setup.source.is_rotational)
+    return for_people(quantity.unit_of(rotational=setup.source.is_rotational))
 
 
 def _heat(setup: MapSetup, result: MapResult) -> Heat:
@@ -154,7 +158,7 @@ def interval_chart(setup: MapSetup, result: IntervalResult) -> Chart:
         title=title,
         alternative=f"{title} along {request.along.parameter.label}.",
         caption=fixed_text(setup),
-        panels=panels,
+        panels=tuple(_in_shown_units(setup, panel, request.along.parameter, searched.parameter) for panel in panels),
         beside=not lines_only,
         linked=True,
         live=False,
@@ -307,8 +311,8 @@ def symbol(parameter: MapParameter) -> str:
 
 
 def axis_label(setup: MapSetup, parameter: MapParameter) -> str:
-    """Return name, symbol and unit of a parameter."""
-    unit = setup.unit(parameter)
+    """Return name, symbol and unit of a parameter, as people read it."""
+    _, unit = for_people(setup.unit(parameter))
     return f"{parameter.label} {symbol(parameter)}" + (f" [{unit}]" if unit else "")
 
 
@@ -318,9 +322,9 @@ def fixed_text(setup: MapSetup, approach: Approach | None = None) -> str:
     for name, value in setup.fixed.items():
         if value > 0.0 and not _is_idle(setup, name):
             parameter = MAP_PARAMETERS[name]
-            ending = with_unit(f" = {number(value)}", setup.unit(parameter))
+            ending = f" = {shown(value, setup.unit(parameter))}"
             parts.append((parameter.symbol + ending, symbol(parameter) + ending))
-    parts.append((each := f"h = {number(setup.source.sample_time_s)} s", f"$h${each.removeprefix('h')}"))
+    parts.append((each := f"h = {shown(setup.source.sample_time_s, 's')}", f"$h${each.removeprefix('h')}"))
     if approach is not None:
         parts.append((each := approach_text(approach, rotational=setup.source.is_rotational), each))
     return _lines(parts)

@@ -1,6 +1,7 @@
 """Numbers and words for pictures, data files and the command line."""
 
 from problems.contact.transient import Approach
+from problems.model.axis_kind import for_people
 
 WHERE = {"contact": "in contact", "free_space": "in free space", "both": "in contact and in free space"}
 
@@ -19,6 +20,12 @@ def number(value: float) -> str:
 def with_unit(text: str, unit: str) -> str:
     """Return text and unit, or the text alone for a number without unit."""
     return f"{text}{'' if unit == '°' else ' '}{unit}" if unit else text
+
+
+def shown(value: float, unit: str) -> str:
+    """Return a number of an SI unit, and its unit, for people."""
+    factor, its_unit = for_people(unit)
+    return with_unit(number(factor * value), its_unit)
 
 
 def approach_text(approach: Approach, *, rotational: bool) -> str:

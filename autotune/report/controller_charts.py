@@ -14,7 +14,7 @@ from problems.contact.transient import ContactTransient
 from problems.design.requirements import AdmittanceTarget
 from problems.maps.maps import MapAxis, MapRequest, compute_map
 from problems.maps.parameters import CONTROLLER_FIELDS, MapQuantity, find_parameter
-from problems.model.axis_kind import AxisKind
+from problems.model.axis_kind import AxisKind, for_people
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Plant
 from problems.model.response import free_space_admittance, loop_response
@@ -372,13 +372,14 @@ def _map_panel(
             elements.append(Line(x=edge[0], y=edge[1], label="margin as asked", role="bad", dashed=True))
     star: dict[str, Any] = {"role": "bad", "marker": "star", "names": ("the design",)}
     elements.append(Points(x=np.array(point[:1]), y=np.array(point[1:]), label="the design", **star))
-    sides = []
+    sides, factors = [], []
     for axis in (x, y):
         parameter = find_parameter(axis.name)
-        unit = parameter.unit_of(rotational=design.units.force != "N")
+        factor, unit = for_people(parameter.unit_of(rotational=design.units.force != "N"))
+        factors.append(factor)
         label = f"{parameter.label} {parameter.symbol}" + (f" [{unit}]" if unit else "")
         sides.append(Scale(label=label, spacing=axis.spacing))
-    return Panel(x=sides[0], y=sides[1], elements=tuple(elements), height=1.35)
+    return Panel(x=sides[0], y=sides[1], elements=tuple(elements), height=1.35).in_units(*factors)
 
 
 def level_lines(heat: Heat, level: float) -> tuple[FloatArray, FloatArray]:

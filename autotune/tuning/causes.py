@@ -116,12 +116,13 @@ def explanation_message(name: str, problem: DesignProblem, why: Explanation) -> 
 
 def _causes_message(name: str, problem: DesignProblem, causes: tuple[Cause, ...]) -> str:
     units, found = axis_units(name), {each.name: each for each in causes}
+    scale, unit = units.shown_stiffness
     if not found:
         ends = {key: end for key, (_, end) in _easiest(problem).items()}
         return (
             f"No single number of the plant is in the way: {ends['drag_n_s_per_m']:.3g} {units.damping} of damping to "
-            f"ground (B_p) would not be enough, nor surfaces up to {ends['environment_stiffness_n_per_m']:.3g} "
-            f"{units.stiffness}, nor a robot that follows to {ends['robot_bandwidth_hz']:.2g} Hz."
+            f"ground (B_p) would not be enough, nor surfaces up to {scale * ends['environment_stiffness_n_per_m']:.3g} "
+            f"{unit}, nor a robot that follows to {ends['robot_bandwidth_hz']:.2g} Hz."
         )
     said = []
     drag = found.get("drag_n_s_per_m")
@@ -133,8 +134,8 @@ def _causes_message(name: str, problem: DesignProblem, causes: tuple[Cause, ...]
     hardest = found.get("environment_stiffness_n_per_m")
     if hardest is not None:
         said.append(
-            f"the surfaces are up to {hardest.value:.3g} {units.stiffness} hard (K_e), and up to about "
-            f"{hardest.enough:.2g} a controller could meet what is asked"
+            f"the surfaces are up to {scale * hardest.value:.3g} {unit} hard (K_e), and up to about "
+            f"{scale * hardest.enough:.2g} a controller could meet what is asked"
         )
     robot = found.get("robot_bandwidth_hz")
     if robot is not None:

@@ -225,8 +225,9 @@ def infeasible_message(name: str, compliance: Compliance) -> str:
     """Say where it was looked, and on which stiffness least is missed."""
     (low, high), tolerance = compliance.asked.bounds, 100.0 * compliance.asked.tolerance
     return (
-        f"Axis {name}: none of {len(compliance.points)} compliances from {low:g} to {high:g} N/m, each built to ± "
-        f"{tolerance:g} %, has a controller; nearest to one is that of {compliance.chosen.stiffness_n_per_m:g} N/m."
+        f"Axis {name}: none of {len(compliance.points)} compliances from {1e-3 * low:g} to {1e-3 * high:g} N/mm, each "
+        f"built to ± {tolerance:g} %, has a controller; nearest to one is that of "
+        f"{1e-3 * compliance.chosen.stiffness_n_per_m:g} N/mm."
     )
 
 

@@ -256,7 +256,7 @@ def _choose(
     """Choose the compliance of the axis, none unless it is asked; `step` gets each stiffness as it is worked on."""
     found = {
         name: choose_compliance(
-            problem, asked, seed=seed, step=lambda stiffness: step(f"K_e {stiffness:g} N/m"), progress=portion
+            problem, asked, seed=seed, step=lambda stiffness: step(f"K_e {1e-3 * stiffness:g} N/mm"), progress=portion
         )
         for name, problem in problems.items()
         if asked is not None

@@ -114,20 +114,19 @@ def left_out_contacts(problem: DesignProblem, identified: Identified, name: str)
     """Yield a sentence for each contact in the log that the certified range of K_e may leave out."""
     units = axis_units(name)
     low, high = problem.plants.environment_stiffness_n_per_m
+    scale, unit = units.shown_stiffness
+    certified = f"{scale * low:g} to {scale * high:g} {unit}"
     for surface in identified.axes[name].environments:
         value = surface.stiffness_n_per_m.value
         if value is None or low <= value <= high:
             continue
         yield (
             f"axis {name}: surface {surface.name}, touched with up to {max(surface.peak_force_n, default=0.0):.1f} "
-            f"{units.force} in the log, has K_e = {value:.4g} {units.stiffness}, and the controller is certified for "
-            f"{low:g} to {high:g} {units.stiffness} only: keep it off that surface."
+            f"{units.force} in the log, has K_e = {scale * value:.4g} {unit}, and the controller is certified for "
+            f"{certified} only: keep it off that surface."
         )
     for finding in unexplained_contacts(identified, name):
-        yield (
-            f"{finding.message} Whether {low:g} to {high:g} {units.stiffness}, the range that was said, holds it "
-            "is not known from the log."
-        )
+        yield (f"{finding.message} Whether {certified}, the range that was said, holds it is not known from the log.")
 
 
 def left_out_tree(problems: Mapping[str, DesignProblem], identified: Identified) -> dict[str, list[str]]:

@@ -52,10 +52,11 @@ def check_stability(
         origin, found = prover.origin(claim), prover.prove(claim)
     (low, high), (light, heavy) = domain.environment_stiffness_n_per_m, domain.payload_mass_kg
     rest = "" if domain.uncertain is None else ", the rest of the plant nominal"
+    scale, unit = units.shown_stiffness
     checks = []
     for where, parts, stiffness in (
         ("free space", found.free_space, ""),
-        ("contact", found.contact, f" and every K_e in [{low:g}, {high:g}] {units.stiffness}"),
+        ("contact", found.contact, f" and every K_e in [{scale * low:g}, {scale * high:g}] {unit}"),
     ):
         passed = all(part.holds for part in parts)
         cells = f"{sum(part.cells for part in parts)} cells{origin}"
@@ -168,9 +169,9 @@ def _continuous(
     elif region.share <= 0.0:
         message = f"not proved: nothing could be shown within the budget of {bound}"
     elif region.share < 1.0:
-        message = (
-            f"{bound}: proved up to here, {100.0 * region.share:.4g} % of the set, K_e up to {high:g} {units.stiffness}"
-        )
+        scale, unit = units.shown_stiffness
+        reached = f"{100.0 * region.share:.4g} % of the set, K_e up to {scale * high:g} {unit}"
+        message = f"{bound}: proved up to here, {reached}"
     else:
         counts = f"{found.cells} cells, {found.arcs} arcs, {found.run_time_s:.1f} s{origin}"
         message = f"{bound}: proved ({counts})"

@@ -17,6 +17,13 @@ _ENDINGS = (
 )
 _NOUNS = {"force": "torque", "mass": "inertia"}
 
+_SHOWN = {"s": (1e3, "ms"), "N/m": (1e-3, "N/mm")}
+
+
+def for_people(unit: str) -> tuple[float, str]:
+    """Return factor and unit in which people read a number of an SI unit: times in ms, stiffness in N/mm."""
+    return _SHOWN.get(unit, (1.0, unit))
+
 
 @dataclass(frozen=True, kw_only=True)
 class AxisKind:
@@ -38,7 +45,7 @@ class AxisKind:
     @property
     def shown_stiffness(self) -> tuple[float, str]:
         """Factor and unit in which people read a stiffness: N/mm along an axis, as on data sheets."""
-        return (1e-3, "N/mm") if self.stiffness == "N/m" else (1.0, self.stiffness)
+        return for_people(self.stiffness)
 
     def unit(self, kind: QuantityKind) -> str:
         """Return the SI unit of a kind of quantity."""
@@ -46,9 +53,7 @@ class AxisKind:
 
     def shown(self, kind: QuantityKind) -> tuple[float, str]:
         """Return factor and unit in which people read a kind of quantity: stiffness in N/mm, times in ms."""
-        if kind == "stiffness":
-            return self.shown_stiffness
-        return (1e3, "ms") if kind == "time" else (1.0, self.unit(kind))
+        return for_people(self.unit(kind))
 
 
 STRAIGHT = AxisKind(

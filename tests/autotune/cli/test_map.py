@@ -40,7 +40,7 @@ def test_people_see_the_share_the_extremes_and_the_design(run_cli: RunCli, folde
     assert lines[0].endswith("% stable in contact and in free space")
     reported = ["smallest modulus", "largest modulus", "design", "controller.yaml", "written"]
     assert [line.split(":")[0] for line in lines[1:]] == reported
-    assert lines[3].endswith(" at damping 913 N·s/m, lead_s 0.0125 s")
+    assert lines[3].endswith(" at B_a 913 N·s/m, K_l 12.5 ms")
     assert lines[5] == "written: map.svg, map.csv"
     assert (folder / "map.csv").read_text(encoding="utf-8").count("\n") >= 63
 
@@ -80,7 +80,7 @@ def test_intervals_are_reported_and_drawn_the_same_twice(
         "lead.csv: replaced the table of a map",
     ]
     lines = seen[0][0].out.splitlines()
-    assert lines[0] == "lead_s searched in 0 to 0.1 s, in free space"
+    assert lines[0] == "K_l searched in 0 to 100 ms, in free space"
     assert lines[1].startswith("  B_a = 400 N·s/m: smallest stable value ")
     assert "none at " in lines[1]
     checksum = read_controller(folder / "controller.yaml").checksum

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from autotune.charts.chart import Heat
 from autotune.charts.matplotlib_renderer import render
 from autotune.errors import UsageError
 from autotune.formats.replaceable import HEAD_BYTES, PICTURE_MARK
@@ -30,13 +31,28 @@ def written(folder: Path, **asked: Any) -> str:
 @pytest.mark.parametrize("show", ["stability", "modulus", "delay", "peak-contact"])
 def test_a_picture_has_names_units_and_what_is_fixed(folder: Path, show: str) -> None:
     picture = written(folder, show=show, x="damping=100:5000:9", y="lead_s=0:0.06:7")
-    for text in ("admittance damping $B_{a}$ [N·s/m]", "lead gain $K_{l}$ [s]", "$M_{p}$ = 16 kg", "design: "):
+    for text in (
+        "admittance damping $B_{a}$ [N·s/m]",
+        "lead gain $K_{l}$ [ms]",
+        "$M_{p}$ = 16 kg",
+        "$h$ = 0.8 ms",
+        "design: ",
+    ):
         assert text in picture
     quantity = MapQuantity(show)
     units = {"delay": " [ms]", "peak-contact": " [N]"}
     if quantity is not MapQuantity.STABILITY:
         assert f"<!-- {quantity.label}{units.get(show, '')} -->" in picture
     assert ("approach with 30 N" in picture) == quantity.is_peak
+
+
+def test_a_picture_has_times_in_milliseconds_and_its_map_in_seconds(folder: Path) -> None:
+    setup, result = small_map(folder)
+    (panel,), lead = map_chart(setup, result, None).panels, result.request.y
+    assert panel.y.limits == (1e3 * lead.low, 1e3 * lead.high)
+    heat = next(each for each in panel.elements if isinstance(each, Heat))
+    assert np.allclose(heat.y, 1e3 * lead.values(), rtol=1e-12)
+    assert np.array_equal(heat.x, result.request.x.values())
 
 
 @pytest.mark.parametrize("suffix", [".svg", ".png"])
@@ -80,7 +96,7 @@ def test_lower_limits_alone_are_lines_and_all_else_is_panels(folder: Path) -> No
     assert "smallest stable admittance damping $B_{a}$ [N·s/m]" in lines
     assert all(f"<!-- {name} -->" in lines for name in ("standard", "lead", "feedback damping", "design"))
     panels = written(folder, show="stable-lead", x="payload_frequency_rad_per_s=40:400:7")
-    assert "lead gain $K_{l}$ [s]" in panels
+    assert "lead gain $K_{l}$ [ms]" in panels
     assert "smallest" not in panels
     assert panels.count("payload frequency") == 2
     assert r"$\zeta$ = 0.1438" in panels

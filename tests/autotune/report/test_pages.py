@@ -150,7 +150,7 @@ def test_margins_maps_and_loops_meet_the_certificate() -> None:
     # At the cell nearest to the design the map shows about the design's own margin; somewhere it is unstable.
     row, column = (
         int(np.argmin(np.abs(side - value)))
-        for side, value in ((heat.y, design.law.lead_s), (heat.x, design.law.damping_n_s_per_m))
+        for side, value in ((heat.y, 1e3 * design.law.lead_s), (heat.x, design.law.damping_n_s_per_m))
     )
     assert heat.values[row, column] == pytest.approx(claimed, abs=0.05)
     assert np.any(np.isnan(heat.values))

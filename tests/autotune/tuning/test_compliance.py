@@ -260,9 +260,9 @@ def test_no_compliance_at_all_shows_the_nearest_and_what_would_have_to_be_eased(
     monkeypatch.setattr(optimize_module, "explain", explained)
     asked = replace(FAST_REQUIREMENTS, max_peak_force_n=30.5)
     spec = replace(SPEC, bounds=BARE_SPEC.bounds, requirements=asked, compliance=ComplianceSpec(bounds=(6e4, 6.3e4)))
-    with pytest.raises(InfeasibleError, match="Axis x: none of 2 compliances from 60000 to 63000 N/m") as caught:
+    with pytest.raises(InfeasibleError, match="Axis x: none of 2 compliances from 60 to 63 N/mm") as caught:
         optimize(plant(), spec, seed=1)
-    assert "nearest to one is that of 60000 N/m. No controller within the bounds" in str(caught.value)
+    assert "nearest to one is that of 60 N/mm. No controller within the bounds" in str(caught.value)
     assert caught.value.relaxations == (("max_peak_force_n", 30.5, 60.0),)
 
 

@@ -127,7 +127,7 @@ def test_a_contact_that_a_said_range_leaves_out_is_stated() -> None:
     plant = with_axis(replace(axis, environments=(stiff,)))
     narrow = touching(design_problem(), (2e4, 5e4))
     (line,) = left_out_contacts(narrow, plant, "x")
-    assert line.startswith("axis x: surface x2, touched with up to 75.7 N in the log, has K_e = 2e+05 N/m")
+    assert line.startswith("axis x: surface x2, touched with up to 75.7 N in the log, has K_e = 200 N/mm")
     wide = touching(narrow, (2e4, 5e5))
     assert list(left_out_contacts(wide, plant, "x")) == []
 
@@ -139,4 +139,4 @@ def test_a_contact_of_unknown_stiffness_is_stated_beside_any_range() -> None:
     wide = touching(design_problem(), (2e4, 5e5))
     (line,) = left_out_contacts(wide, plant, "x")
     assert line.startswith(message)
-    assert "20000 to 500000 N/m" in line
+    assert "20 to 500 N/mm" in line
