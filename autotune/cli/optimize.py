@@ -226,6 +226,7 @@ def _certified_for(
     from autotune.prediction.as_run_by import with_target
     from autotune.tuning.optimize import replay_log
     from autotune.tuning.provenance import with_notes
+    from autotune.validation.law import axis_task, led_by_hand
 
     made, notes = found.controller, list(found.controller.provenance.get("notes", ()))
     options = {**made.provenance["options"], "for": target.name}
@@ -237,7 +238,8 @@ def _certified_for(
         )
     with output.progress(f"certifying for {target.name}", 1.0) as advance:
         rendered = certify_for(target, noted, out, advance)
-    noted = with_target(noted, target.name, rendered.tree["axes"], rendered.laws)
+        led = {name: led_by_hand(axis_task(noted, name), law) for name, law in rendered.laws.items()}
+    noted = with_target(noted, target.name, rendered.tree["axes"], rendered.laws, led)
     before_after = replay_log(plant, noted, present, found.compared)
     return replace(found, controller=with_notes(noted, notes, before_after), before_after=before_after), rendered
 
@@ -293,6 +295,7 @@ def print_optimized(
 ) -> None:
     """Print what it changes, the chosen gains, the predicted peaks, what holds them up, and what was verified."""
     from autotune.formats.units import axis_units
+    from autotune.text import speed_text
     from problems.design.problem import VARIABLES
 
     controller = found.controller
@@ -313,6 +316,11 @@ def print_optimized(
                 f"  ω_v {filters.velocity_rad_per_s:g} rad/s, ω_a {filters.acceleration_rad_per_s:g} rad/s, "
                 f"P̂ {compensation:g} kg"
             )
+        approach = controller.certificate.domain[name].approach
+        drive = f"with F^d = {approach.force_n:g} {units.force}"
+        if approach.speed_m_s is not None:
+            drive = f"at {speed_text(approach.speed_m_s, units.force)}"
+        print_message(f"  predicted contacts, approached {drive}:")
         _print_peaks(controller.predicted[name].scenarios, units)
         _print_spark(found, name, units)
         for line in (*default_lines(found, name), *active_lines(found, name)):

@@ -123,7 +123,6 @@ _END = """
 # gravity_direction: [0.0, 0.0, -1.0]
 
 # The controller's period in s, if it holds each command until the next one.
-# sample_time_s: 0.001
 """
 
 
@@ -170,7 +169,16 @@ def cell_text(summary: LogSummary, guess: CellGuess | None = None) -> str:
         entry = "displacement" if guess.is_displacement and role.role is Role.POSE else role.entry
         lines += ["", *_role_lines(replace(role, entry=entry), guess.roles.get(role.role, ()))]
     tables = [channel.topic for channel in summary.channels if channel.encoding == "table"]
-    return "\n".join(lines) + "\n" + "\n".join(_table_lines(tables, guess)) + _END
+    return "\n".join(lines) + "\n" + "\n".join(_table_lines(tables, guess)) + _END + _period(summary)
+
+
+def _period(summary: LogSummary) -> str:
+    """Return the question for the controller's period in s, beside which the log's own is no answer."""
+    topics = {each.topic for each in summary.roles if each.role is Role.COMMAND}
+    gaps = [each.median_gap_s for each in summary.channels if each.topic in topics]
+    if gaps and gaps[0]:
+        return f"# sample_time_s: {gaps[0]:.6g}  # as far as the logged commands are apart; is it the controller's?\n"
+    return "# sample_time_s: 0.001  # an example\n"
 
 
 def _table_lines(topics: Sequence[str], guess: CellGuess) -> Iterator[str]:

@@ -4,9 +4,10 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from autotune.formats.controller_record import Controller
+from autotune.formats.controller_record import Controller, PeakPerSpeed
 from autotune.formats.units import axis_units
 from autotune.shown import plain_tree
+from problems.design.requirements import HANDS
 from problems.model.linear_controllers import LinearController
 
 from .contact import AnyLaw, TargetLaw
@@ -22,7 +23,8 @@ class AsRunBy:
 
     `parameters` are the numbers as written into its file, `own_peak` is the peak of our own law, `hand_force` the
     force over steady speed in free motion [N·s/m, N·m·s/rad], `least_admittance` over the band asked [m/s/N,
-    rad/s/(N·m)], `margins` by name with None for no limit.
+    rad/s/(N·m)], `margins` by name with None for no limit, `peak_per_speed` the peaks of a payload that is led by
+    hand, None in files of an earlier release.
     """
 
     target: str
@@ -33,6 +35,7 @@ class AsRunBy:
     least_admittance: float
     margins: Mapping[str, float | None]
     law: LinearController
+    peak_per_speed: PeakPerSpeed | None = None
 
     def text(self, axis: str) -> str:
         """Say what is certified."""
@@ -40,11 +43,16 @@ class AsRunBy:
 
 
 def with_target(
-    controller: Controller, target: str, exported: Mapping[str, Mapping[str, Any]], laws: Mapping[str, LinearController]
+    controller: Controller,
+    target: str,
+    exported: Mapping[str, Mapping[str, Any]],
+    laws: Mapping[str, LinearController],
+    led: Mapping[str, PeakPerSpeed],
 ) -> Controller:
     """Return a controller whose provenance holds what the target that it was designed for runs.
 
-    `exported` is what an export says of each axis, `laws` are those that it certified.
+    `exported` is what an export says of each axis, `laws` are those that it certified, `led` are their peaks of a
+    payload that is led by hand.
     """
     axes = {}
     for name, each in exported.items():
@@ -57,6 +65,7 @@ def with_target(
             "least_admittance": each["least_admittance"],
             "margins": dict(each["margins"]),
             "law": {key: law[key] for key in (*_ARRAYS, *_FLAGS)},
+            "peak_per_speed": {hand: getattr(led[name], hand) for hand in HANDS},
         }
     return replace(controller, provenance={**controller.provenance, _KEY: {"target": target, "axes": axes}})
 
@@ -73,7 +82,14 @@ def as_run_by(controller: Controller, axis: str) -> AsRunBy | None:
         return None
     tree = dict(said["axes"][axis])
     law = LinearController(**tree.pop("law"), sample_time_s=controller.sample_time_s)
-    return AsRunBy(target=said["target"], law=law, **tree)
+    led = tree.pop("peak_per_speed", None)
+    return AsRunBy(target=said["target"], law=law, peak_per_speed=led and PeakPerSpeed(**led), **tree)
+
+
+def peak_per_speed(controller: Controller, axis: str) -> PeakPerSpeed | None:
+    """Return the peaks per speed of a payload that is led by hand, under the law that runs in the cell."""
+    target = as_run_by(controller, axis)
+    return controller.predicted[axis].peak_per_speed if target is None else target.peak_per_speed
 
 
 def running_law(controller: Controller, axis: str) -> AnyLaw:

@@ -11,7 +11,7 @@ from autotune.formats.certificate_record import SoftRequirement
 from autotune.formats.controller_record import Controller
 from autotune.formats.units import ROTATIONAL_AXES, axis_units
 from autotune.plugins import find_requirement
-from autotune.prediction.as_run_by import as_run_by, designed_for
+from autotune.prediction.as_run_by import as_run_by, designed_for, peak_per_speed
 from autotune.prediction.law import PresentGains
 from autotune.text import gain_rows, scenario_text, stiffness_text, value_text
 from problems.design.requirements import BODY_REGIONS, HANDS, MARGINS, AdmittanceRequirement, Margin, PeakForceLimit
@@ -103,25 +103,23 @@ def target_facts(controller: Controller) -> Iterator[Facts | Table]:
         yield build_table(f"What {designed_for(controller)} is given", ("axis", "parameters"), rows)
 
 
-def led_table(designs: Sequence[AxisDesign]) -> Table | None:
+def led_table(controller: Controller, designs: Sequence[AxisDesign]) -> Table | None:
     """Return up to which speed of a payload led by hand no certified contact exceeds a limit of ISO/TS 15066."""
-    straight = [each for each in designs if each.name not in ROTATIONAL_AXES and each.predicted.peak_per_speed]
-    if not straight:
+    peaks = {each.name: peak_per_speed(controller, each.name) for each in designs if each.name not in ROTATIONAL_AXES}
+    columns = [(name, found, hand) for name, found in peaks.items() if found is not None for hand in HANDS]
+    if not columns:
         return None
-    columns = [(each.name, each.predicted.peak_per_speed, hand) for each in straight for hand in HANDS]
+    runs = f", as {target} runs it" if (target := designed_for(controller)) else ""
     heads = (f"{name}, hand {hand.replace('_', ' ')} [m/s]" for name, _, hand in columns)
+
+    def speeds(force: float) -> Iterator[str]:
+        yield from (f"{found.largest_speed(force, hand):.2g}" for _, found, hand in columns)
+
     return build_table(
-        "Speed up to which no certified contact exceeds the force on a clamped part of the body "
-        "(ISO/TS 15066:2016, Table A.2, quasi-static)",
+        "Speed up to which no certified contact exceeds the force on a clamped part of the body (ISO/TS 15066:2016, "
+        f"Table A.2, quasi-static){runs}",
         ("part of the body", "force [N]", *heads),
-        (
-            (
-                region.replace("_", " "),
-                f"{force:g}",
-                *(f"{peaks.largest_speed(force, hand):.2g}" for _, peaks, hand in columns if peaks is not None),
-            )
-            for region, force in BODY_REGIONS.items()
-        ),
+        ((region.replace("_", " "), f"{force:g}", *speeds(force)) for region, force in BODY_REGIONS.items()),
         numbers=range(1, 2 + len(columns)),
     )
 

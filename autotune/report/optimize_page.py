@@ -86,7 +86,7 @@ def build_optimize_page(
                 Section(
                     key="led",
                     title="Led by hand",
-                    blocks=tuple(each for each in (led_table(designs),) if each is not None),
+                    blocks=tuple(each for each in (led_table(controller, designs),) if each is not None),
                     is_folded=True,
                 ),
                 replace(search_section(controller, steps or {}), is_folded=True),

@@ -14,13 +14,24 @@ import numpy as np
 from autotune.certificate.claim import Claim, CombinedCertificate, prove
 from autotune.errors import CertificateError
 from autotune.formats.certificate_record import Asked, AxisDomain, AxisMargins
-from autotune.formats.controller_record import AxisPrediction, Controller, FreeSpaceAdmittance, ScenarioPrediction
+from autotune.formats.controller_record import (
+    AxisPrediction,
+    Controller,
+    FreeSpaceAdmittance,
+    PeakPerSpeed,
+    ScenarioPrediction,
+)
 from autotune.formats.units import ROTATIONAL_AXES, axis_units
 from autotune.plugins import find_requirement
 from autotune.prediction.as_run_by import as_run_by, designed_for
-from problems.contact.linear_controller_contact import force_per_speed, simulate_linear_contact
+from problems.contact.linear_controller_contact import (
+    force_per_speed,
+    simulate_linear_contact,
+    trace_linear_contact,
+)
 from problems.contact.transient import Approach, build_sampled_contact
 from problems.design.requirements import (
+    HANDS,
     AdmittanceRequirement,
     AdmittanceTarget,
     DecayRate,
@@ -29,6 +40,7 @@ from problems.design.requirements import (
     PassivityRequirement,
     PeakForceLimit,
     Requirement,
+    hand_approach,
 )
 from problems.design.uncertainty import PlantSet, Scenario
 from problems.model.linear_controllers import LinearController
@@ -52,6 +64,8 @@ _MISSED = 1e-3
 # The same contacts computed again; the numbers are written whole.
 _SAME_NUMBER = 1e-6
 _DEFAULT_BAND_HZ = (0.1, 2.0)
+# The peaks per speed are the same at any.
+_LED_M_S = 0.05
 # How much of the room of a weak spring may be used, see `spring_share`.
 _SPRING_ROOM = 0.1
 
@@ -146,6 +160,14 @@ def check_targets(controller: Controller) -> Iterator[Check]:
         wrong = list(found.missed)
         if found.worst is not None and abs(found.worst.peak_contact_force_n / stated.peak - 1.0) > _SAME_NUMBER:
             wrong.append(f"its largest peak is {found.worst.peak_contact_force_n:.4g} {unit}, not {stated.peak:.4g}")
+        led = led_by_hand(axis_task(controller, axis), stated.law)
+        wrong += [
+            f"its peak per speed of a hand that {hand.replace('_', ' ')} is {getattr(led, hand):.4g}, not "
+            f"{getattr(stated.peak_per_speed, hand):.4g}"
+            for hand in HANDS
+            if stated.peak_per_speed is not None
+            and abs(getattr(led, hand) / getattr(stated.peak_per_speed, hand) - 1.0) > _SAME_NUMBER
+        ]
         good = f"stable, all that was asked is met, at most {stated.peak:.1f} {unit} at the contact, as stated"
         yield Check(axis=axis, name=f"as {stated.target} runs it", passed=not wrong, message="; ".join(wrong) or good)
 
@@ -223,6 +245,21 @@ def spring_share(plant: Plant, law: LinearController) -> float:
     _, sprung = controller_response(law, seen.z, law.sample_time_s)
     gain = (sprung - feedback) * seen.position / (1.0 - forward * seen.force + feedback * seen.position)
     return float(np.max(-gain.real))
+
+
+def led_by_hand(task: AxisTask, law: LinearController) -> PeakPerSpeed:
+    """Return the worst peaks per speed of a payload that a hand leads, over the contacts of the domain.
+
+    A hand that pushes on acts as the F^d of that speed; one that lets go leaves what the coupling and the law hold.
+    """
+    nominal, worst = task.domain.plants.nominal, dict.fromkeys(HANDS, 0.0)
+    for scenario in task.contacts():
+        pair = build_sampled_contact(build_sampled_plant(scenario.plant(nominal), law.sample_time_s))
+        for hand in HANDS:
+            approach = Approach(speed_m_s=_LED_M_S) if hand == "pushes_on" else hand_approach(_LED_M_S, hand)
+            peak = trace_linear_contact(pair, law, approach).peak_contact_force_n
+            worst[hand] = max(worst[hand], peak / _LED_M_S)
+    return PeakPerSpeed(**worst)
 
 
 def worst_contact(task: AxisTask, law: LinearController) -> ScenarioPrediction:

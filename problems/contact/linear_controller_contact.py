@@ -26,6 +26,7 @@ from .kernel_types import (
     MOVING,
     NEWEST,
     POSITION,
+    PUSHED,
     SENSED,
     SENSOR_PEAK,
     Start,
@@ -102,7 +103,7 @@ def trace_linear_contact(
 ) -> ContactTransient:
     """Simulate the same impact with the forces at every tick; F^d may be another one after it.
 
-    Raises as `simulate_linear_contact`.
+    A payload that a hand leads is one whose hand lets go at the impact. Raises as `simulate_linear_contact`.
     """
     (longest, is_settled), h = _samples(pair, law), pair.contact.sample_time_s
     count = longest if samples is None else samples
@@ -129,16 +130,25 @@ def trace_linear_contact(
 def begin_linear_contact(
     pair: SampledContact, law: LinearController, approach: Approach
 ) -> tuple[LinearLoop, Start, float, float]:
-    """Return the loop and its state at the impact, F^d of the approach and its speed."""
-    if approach.driven_by != "desired_force":
-        raise ParameterError("approach", approach, "driven by the desired force")
+    """Return the loop and its state at the impact, F^d of the approach and its speed.
+
+    Of a hand there is no F^d: it lets go at the impact. One that goes on pushing acts as the F^d of that speed.
+    """
+    by_hand = approach.driven_by == "hand"
+    if by_hand and approach.after_impact_n != 0.0:
+        raise ParameterError("approach", approach, "driven by the desired force, or by a hand that lets go")
     contact, h = pair.contact, pair.contact.sample_time_s
     if contact.plant.environment.mass_kg != 0.0:
         raise ParameterError("environment.mass_kg", contact.plant.environment.mass_kg, "0")
-    per_newton = _steady(pair, law, 1.0)[1]
-    force = approach.force_n if approach.force_n is not None else (approach.speed_m_s or 0.0) / per_newton
-    control, speed = _steady(pair, law, force)
-    moved, (n, chain) = pair.ramp[MOVING] * (speed * h), (contact.state_count, contact.chain_length)
+    one = (0.0, 1.0) if by_hand else (1.0, 0.0)
+    per_newton = _steady(pair, law, *one)[1]
+    driving = approach.force_n if approach.force_n is not None else (approach.speed_m_s or 0.0) / per_newton
+    force, push = (driving * each for each in one)
+    control, speed = _steady(pair, law, force, push)
+    moved, (n, chain) = (
+        pair.ramp[MOVING] * (speed * h) + pair.ramp[PUSHED] * push,
+        (contact.state_count, contact.chain_length),
+    )
     past = moved[n] - speed * h * np.arange(1.0, max(chain, 1) + 1.0)
     early = math.ceil(_PARTS * contact.fraction)
     late = max(1, _PARTS - early)
@@ -158,14 +168,17 @@ def _samples(pair: SampledContact, law: LinearController) -> tuple[int, bool]:
     return math.ceil(max(_SHORTEST_S / h, min(decay, _LONGEST_S / h))), decay <= _LONGEST_S / h
 
 
-def _steady(pair: SampledContact, law: LinearController, force: float) -> tuple[FloatArray, float]:
-    """Return the law's state and the speed of a steady approach under F^d, at the tick at which x_p = 0."""
+def _steady(pair: SampledContact, law: LinearController, force: float, push: float = 0.0) -> tuple[FloatArray, float]:
+    """Return the law's state and the speed of a steady approach under F^d and a hand's `push` [N], where x_p = 0."""
     h, r, m = law.sample_time_s, law.state_count, law.steady()
     n = pair.free.state_count
-    ramp = pair.ramp[MOVING]
+    ramp, pushed = pair.ramp[MOVING], pair.ramp[PUSHED] * push
     state, command, sensed = ramp[:n], ramp[n], ramp[n + 1]
     position = float(pair.free.c_position @ state)
-    system, right = np.zeros((r + 1, r + 1)), -m[:, r] * force
+    # The push stretches the coupling: the sensor feels it, and flange and command lie behind the payload.
+    behind = float(pair.free.c_position @ pushed[:n])
+    system, right = np.zeros((r + 1, r + 1)), -m[:, r] * (force + pushed[n + 1]) - m[:, r + 1] * behind
+    right[r] += pushed[n]
     system[:, :r] = m[:, :r]
     system[:r, :r] -= np.eye(r)
     # Per metre and sample: the states that are positions go along, and e falls by what the motion takes.

@@ -53,7 +53,8 @@ def test_people_see_gains_peaks_what_holds_them_up_and_the_checks(first_run: tup
     lines = reported.splitlines()
     assert lines[0].startswith("before → after, axis x: nothing to compare with: say the gains that run now")
     assert lines[1].startswith("axis x: M_a 6 kg, B_a ")
-    assert "peak at contact [N]" in lines[2]
+    assert lines[2] == "  predicted contacts, approached with F^d = 30 N:"
+    assert "peak at contact [N]" in lines[3]
     assert any("holds the peak up: easing it by 1 % saves" in line for line in lines)
     assert any(
         line.startswith("  every requirement is met over 33 contacts; nearest to its limit is ") for line in lines

@@ -68,6 +68,7 @@ def test_a_controller_reaches_every_target_by_the_commands_that_a_refusal_names(
         done = run_cli(*shlex.split(command)[1:])
         assert done.returncode == 0, f"{command}\n{done.stderr}"
         if command.startswith("autotune optimize"):
+            designed = " ".join(done.stdout.split())
             # Our own law is headed as what does not run.
             assert f"As {target} runs it, certified:" in done.stdout
             assert "Our own law, from which that was made, and which does not run there:" in done.stdout
@@ -79,6 +80,11 @@ def test_a_controller_reaches_every_target_by_the_commands_that_a_refusal_names(
     assert made.provenance["options"]["for"] == target
     stated = as_run_by(made, "x")
     assert stated is not None
+    led = stated.peak_per_speed
+    assert led is not None
+    # A hand that pushes on holds more against the wall than what is left where it lets go.
+    assert 0.0 < led.lets_go < led.pushes_on
+    assert f"axis x, led by hand as {target} runs it: {led.pushes_on:.4g} N per m/s" in designed
     predicted = run_cli("predict", "for_target.yaml", "--surface", "120N/mm", "--payload-mass", "16", "--json")
     found = json.loads(predicted.stdout)
     assert found["run_by"] == target

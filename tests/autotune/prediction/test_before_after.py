@@ -19,7 +19,7 @@ from autotune.prediction.before_after import BeforeAndAfter, compare_before_afte
 from autotune.prediction.certified import predict_certified
 from autotune.prediction.law import PresentGains, law_of_gains
 from autotune.prediction.said_gains import present_gains
-from autotune.validation.law import check_targets, of_own_law
+from autotune.validation.law import axis_task, check_targets, led_by_hand, of_own_law
 from identification.result import Timeline, Touch, TouchCause
 from problems.errors import ParameterError
 from tests.autotune.formats.samples import make_identified
@@ -98,7 +98,8 @@ def as_target(made: Controller, *, peak: float = 56.9) -> Controller:
         "parameters": {"mass": 8.0}, "peak_contact_force": peak, "peak_contact_force_before": 39.2,
         "hand_force": 1000.0, "least_admittance": 7e-4, "margins": {"modulus": 0.5},
     }  # fmt: skip
-    return with_target(made, "crisp", {"x": said}, {"x": law})
+    led = {"x": led_by_hand(axis_task(made, "x"), law)}
+    return with_target(made, "crisp", {"x": said}, {"x": law}, led)
 
 
 def test_of_a_file_for_an_export_target_every_figure_is_of_the_law_that_the_target_runs() -> None:

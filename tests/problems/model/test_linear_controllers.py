@@ -9,6 +9,7 @@ from problems.contact.linear_controller_contact import (
     trace_linear_contact,
 )
 from problems.contact.transient import Approach, build_sampled_contact, simulate_contact
+from problems.design.requirements import hand_approach
 from problems.errors import ParameterError
 from problems.model.controller import AdmittanceController
 from problems.model.linear_controllers import LinearController
@@ -92,6 +93,27 @@ def test_the_forces_over_time_of_a_law_are_those_of_the_exact_kernel(after: floa
     assert found.peak_contact_force_n == pytest.approx(exact.peak_contact_force_n, rel=1e-5)
     assert found.time_of_peak_s == pytest.approx(exact.time_of_peak_s, abs=PERIOD_S / 19.0)
     assert found.is_settled
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 2.7e-3])
+def test_a_hand_that_lets_go_leaves_what_the_exact_kernel_says(delay_s: float) -> None:
+    plant = paper_plant(stiffness=1.2e5, drag=330.0, coupling_damping=150.0, robot=one_pole(delay_s))
+    pair = build_sampled_contact(build_sampled_plant(plant, PERIOD_S))
+    controller = AdmittanceController(mass_kg=6.0, damping_n_s_per_m=1300.0, lead_s=0.0209, feedback_damping_s=0.005)
+    law, approach = linear_controller(controller, PERIOD_S), hand_approach(0.05, "lets_go")
+    found = trace_linear_contact(pair, law, approach)
+    exact = simulate_contact(pair, controller, approach, samples=len(found.time_s))
+    # It leaves the wall, on the grid of the parts.
+    for name in ("time_s", "sensor_force_n", "contact_force_n"):
+        np.testing.assert_allclose(getattr(found, name), getattr(exact, name), rtol=1e-9, atol=1e-3)
+    assert found.contact_speed_m_s == pytest.approx(0.05, rel=1e-9)
+    assert found.peak_contact_force_n == pytest.approx(exact.peak_contact_force_n, rel=1e-5)
+    # A hand that goes on pushing is the F^d of that speed.
+    pushing, driven = hand_approach(0.05, "pushes_on"), Approach(speed_m_s=0.05)
+    peaks = simulate_contact(pair, controller, pushing), trace_linear_contact(pair, law, driven)
+    assert peaks[1].peak_contact_force_n == pytest.approx(peaks[0].peak_contact_force_n, rel=1e-4)
+    with pytest.raises(ParameterError, match="lets go"):
+        trace_linear_contact(pair, law, pushing)
 
 
 def test_a_payload_that_bounces_has_the_same_peak() -> None:
