@@ -203,7 +203,7 @@ def test_what_the_simulation_cannot_do_is_refused(
 
 def test_an_operator_leads_the_payload_to_his_way_and_into_balance_with_the_wall() -> None:
     """At rest the admittance feels nothing, so that the hand's spring holds what the wall pushes back."""
-    plant, law = paper_plant(stiffness=3e4, coupling_damping=100.0), admittance(13.0, 1000.0, 0.013)
+    plant, law = paper_plant(stiffness=3e4, drag=100.0, coupling_damping=300.0), admittance(13.0, 1000.0, 0.013)
     ticks = np.arange(14_000)
     for end in (-0.05, 0.04):
         path = np.where(ticks < 500, -0.1, end)
