@@ -17,7 +17,7 @@ from problems.model.controller import AdmittanceController, controller_blocks, n
 from problems.model.plant import Environment, Plant
 from problems.model.response import loop_response, plant_response, rendered_admittance
 from problems.model.robot import RobotModel
-from problems.model.sampled import SampledPlant, build_loop, build_sampled_plant
+from problems.model.sampled import SampledPlant, build_loop, build_sampled_plant, spectral_radius
 from tests.problems.axes import LAW, PERIOD_S, admittance, between, one_pole, paper_plant
 from tests.problems.whole_model import controller_of, plant_of, whole_controllers, whole_plants
 
@@ -106,14 +106,18 @@ def test_until_the_payload_leaves_the_forces_are_the_contact_transients(
         build_contact_forces(Structure.like(sampled, controller), approach, SAMPLES), *arguments_of(sampled, controller)
     )
     assert found["speed"] == pytest.approx(expected.contact_speed_m_s, rel=1e-10)
-    # A surface without damper and mass is touched with no force.
-    away = np.flatnonzero(found["contact_force"] < 0.0)
+    # A surface without damper and mass is touched with no force, and a command that jumps at a tick may press on a
+    # surface with mass again that the payload has left just before.
+    has_left = (expected.contact_force_n == 0.0) & (np.arange(SAMPLES) > 0)
+    away = np.flatnonzero((found["contact_force"] < 0.0) | has_left)
     stays = int(away[0]) if away.size else SAMPLES
     # F is a difference of forces K_s x, with x about the way made within the lag of the robot, 0.1 s.
     size = 1e-14 * plant.coupling.stiffness_n_per_m * expected.contact_speed_m_s * 0.1
+    # What is rounding at first grows as the loop does.
+    growth = max(1.0, spectral_radius(build_loop(sampled, controller))) ** np.arange(stays)
     for name in ("sensor_force", "contact_force"):
         values = getattr(expected, f"{name}_n")[:stays]
-        assert np.all(np.abs(found[name][:stays] - values) < 1e-10 * reached(values) + size)
+        assert np.all(np.abs(found[name][:stays] - values) < 1e-10 * reached(values) + size * growth)
 
 
 @pytest.mark.parametrize("order", [5, 6])
