@@ -1,5 +1,6 @@
 """How results show themselves: in one line, as text with tables, and as HTML in a notebook."""
 
+import logging
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -10,7 +11,13 @@ from pathlib import PurePath
 from typing import Any
 
 from autotune.errors import UsageError
+from problems.compiling import on_compilation
 
+COMPILING = (
+    "Compiling once: kernels are not in the cache yet, so this takes up to some minutes more than the next time "
+    "(`autotune warm` compiles all of them)."
+)
+_LOG = logging.getLogger("autotune")
 _STYLE = "text-align:left"
 
 
@@ -115,9 +122,13 @@ Progress = bool | Report | None
 
 @contextmanager
 def reporting(progress: Progress, doing: str, total: float = 1.0) -> Iterator[Report | None]:
-    """Yield what takes the progress: the caller's own, a line of per cents while the block runs, or None."""
+    """Yield what takes the progress: the caller's own, a line of per cents while the block runs, or None.
+
+    That the block compiles, which takes minutes once, is a warning of the logger `autotune`.
+    """
     if not (progress is None or isinstance(progress, bool) or callable(progress)):
         raise UsageError(f"progress must be True, False or a callable that takes a share, found {progress!r}.")
+    on_compilation(lambda: _LOG.warning(COMPILING))
     if not isinstance(progress, bool) or not progress:
         yield None if progress is False else progress
         return

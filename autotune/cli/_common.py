@@ -14,17 +14,13 @@ from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, Protocol, TypeVar
 
 import click
 
+from autotune.shown import COMPILING
 from problems.compiling import on_compilation
 
 from ._terminal import detect_terminal, printable, wrap_lines
 
 if TYPE_CHECKING:
     from rich.progress import ProgressColumn
-
-COMPILING = (
-    "Compiling once: kernels are not in the cache yet, so this takes up to some minutes more than the next time "
-    "(`autotune warm` compiles all of them)."
-)
 
 _Parameters = ParamSpec("_Parameters")
 _Result = TypeVar("_Result")

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from autotune.shown import COMPILING
 from problems.errors import MissingExtraError, require_extra
 
-from ._common import COMPILING, Output, output_options
+from ._common import Output, output_options
 from ._options import GroupedCommand
 from ._terminal import detect_terminal, print_message, print_table
 

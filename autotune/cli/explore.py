@@ -10,6 +10,7 @@ from types import FrameType
 from typing import TYPE_CHECKING
 
 import click
+from click.core import ParameterSource
 
 from autotune.formats.kinds import PLANTS
 from problems.errors import require_extra
@@ -31,7 +32,7 @@ Examples:
 
 @click.command("explore", cls=GroupedCommand, epilog=_EPILOG)
 @click.argument("source", metavar="FILE", type=FilePath(*SETTINGS, kinds=(*PLANTS, "controller")))
-@output_option("controller.yaml", "The only file that the page can write.")
+@output_option("controller.yaml", "The only file that the page can write; tried.yaml where controller.yaml is FILE.")
 @click.option(
     "--problem",
     type=FilePath(*SETTINGS, kinds=("problem",)),
@@ -62,6 +63,7 @@ def command(output: Output, source: Path, out: Path, problem: Path | None, port:
         from autotune.explore.source import read_exploration
         from autotune.formats.atomic import check_target
 
+        out = _free_of(source, out)
         check_target(out, [path for path in (source, problem) if path is not None], kind="controller")
         with output.progress("searching where to start", 1.0) as advance:
             exploration = read_exploration(source, problem, advance)
@@ -88,6 +90,12 @@ def command(output: Output, source: Path, out: Path, problem: Path | None, port:
     output.note("Ended.")
     if target.path.is_file():
         output.next_command("validate", target.path)
+
+
+def _free_of(source: Path, out: Path) -> Path:
+    """Return where to save: where nobody said it and the usual file is the one that is read, another one."""
+    is_said = click.get_current_context().get_parameter_source("out") is not ParameterSource.DEFAULT
+    return out if is_said or not out.exists() or not out.samefile(source) else out.with_name("tried.yaml")
 
 
 @contextlib.contextmanager

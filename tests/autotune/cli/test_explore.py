@@ -76,3 +76,23 @@ def test_what_a_save_would_replace_is_reported(
     monkeypatch.setattr(server, "serve", serve)
     assert main(arguments) == 0
     assert f"Saving replaces {arguments[3]}, the controller of checksum " in capsys.readouterr().err
+
+
+def test_the_file_that_is_read_is_not_the_one_that_is_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_controller(tmp_path / "controller.yaml", small_controller())
+    seen: list[Path] = []
+
+    def serve(_exploration: object, target: Target, *, port: int, ready: Ready) -> None:
+        del port
+        seen.append(target.path)
+        ready("address")
+
+    monkeypatch.setattr(server, "serve", serve)
+    # As the next lines of predict and map name it.
+    assert main(["explore", "controller.yaml", "--no-open"]) == 0
+    assert [path.name for path in seen] == ["tried.yaml"]
+    assert main(["explore", "controller.yaml", "-o", "controller.yaml", "--no-open"]) == 2
+    assert "controller.yaml is what is read" in capsys.readouterr().err

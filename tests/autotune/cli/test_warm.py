@@ -10,6 +10,7 @@ import pytest
 
 from autotune.cli import _common, demo, warm
 from autotune.cli.main import main
+from autotune.shown import COMPILING, reporting
 from problems.compiled import _Compilations
 from problems.compiling import many_compilations, on_compilation
 
@@ -66,6 +67,13 @@ def test_several_compilations_are_announced_once() -> None:
     assert counter.count == 4
     many_compilations()
     assert said == ["compiling"]
+
+
+def test_a_cold_call_from_python_says_once_that_it_compiles(caplog: pytest.LogCaptureFixture) -> None:
+    with reporting(progress=False, doing="searching"):
+        many_compilations()
+        many_compilations()
+    assert [(each.name, each.message) for each in caplog.records] == [("autotune", COMPILING)]
 
 
 @pytest.mark.parametrize(("options", "times"), [([], 1), (["--quiet"], 0)])
