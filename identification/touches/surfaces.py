@@ -24,6 +24,7 @@ _USUAL_SPREAD = 0.1
 _FEWEST_LEFT_OUT = 3
 _WEAK_SHARE = 0.5
 _SAME_PLACE_M = 5e-3
+_OTHER_STIFFNESS, _OTHER_STDS = 1.5, 3.0
 _SAME_STIFFNESS = 1.25
 _NOT_A_SPRING = 0.1
 _MOST_LISTED = 8
@@ -200,7 +201,7 @@ def _blow(axis: AxisSignals, found: FoundTouch, pressing: FloatArray) -> tuple[f
 
 
 def _grouped(contacts: Sequence[_Contact]) -> list[list[_Contact]]:
-    """Return the contacts by surface: on one side at one place, or of one stiffness."""
+    """Return the contacts by surface: on one side at one place unless their stiffness differs, or of one stiffness."""
     groups: list[list[_Contact]] = []
     for contact in contacts:
         fitting = [group for group in groups if any(_is_same(contact, other) for other in group)]
@@ -214,12 +215,15 @@ def _grouped(contacts: Sequence[_Contact]) -> list[list[_Contact]]:
 def _is_same(one: _Contact, other: _Contact) -> bool:
     if one.touch.sign != other.touch.sign:
         return False
-    if abs(one.place_m - other.place_m) <= _SAME_PLACE_M:
-        return True
+    is_near = abs(one.place_m - other.place_m) <= _SAME_PLACE_M
     if one.trace is None or other.trace is None:
-        return False
-    ratio = one.trace.loading_n_per_m / other.trace.loading_n_per_m
-    return 1.0 / _SAME_STIFFNESS <= ratio <= _SAME_STIFFNESS
+        return is_near
+    apart = abs(float(np.log(one.trace.loading_n_per_m / other.trace.loading_n_per_m)))
+    if not is_near:
+        return apart <= float(np.log(_SAME_STIFFNESS))
+    # Put where another one was, a surface of another stiffness is another surface.
+    known = [each.loading_std_n_per_m / each.loading_n_per_m for each in (one.trace, other.trace)]
+    return apart <= max(float(np.log(_OTHER_STIFFNESS)), _OTHER_STDS * float(np.linalg.norm(known)))
 
 
 def pooled(values: Sequence[float], stds: Sequence[float]) -> tuple[float, float, float | None]:

@@ -264,6 +264,25 @@ def test_a_hand_that_leads_is_no_touch() -> None:
     assert not found.surfaces
 
 
+@pytest.mark.parametrize(("second", "count"), [(3e4, 2), (1.15e4, 1)])
+def test_what_is_put_where_another_surface_was_is_another_surface(second: float, count: int) -> None:
+    """One surface is taken away, a hand draws the tool back, and another surface is put to the same place."""
+    one, other = wall(1e4, 0.03), wall(second, 0.03)
+
+    def changed(time: float, x: float, v: float) -> float:
+        if time < 3.0:
+            return one(time, x, v)
+        if time < 5.0:
+            return -45.0 if time > 3.6 else 0.0
+        return other(time, x, v)
+
+    found = identify_touches(recorded(Program(force_n=changed, length_s=10.0)))
+    surfaces = [each.secant_stiffness_n_per_m.value for each in found.surfaces["z"]]
+    assert [each.contacts for each in found.surfaces["z"]] == ([1, 1] if count == 2 else [2])
+    # One contact is taken to differ by a tenth from the next one.
+    assert surfaces == pytest.approx([1e4, second] if count == 2 else [0.5 * (1e4 + second)], rel=0.1)
+
+
 def test_a_hand_that_leads_into_a_stiff_wall_cannot_turn_so_fast() -> None:
     stop = wall(2e5, 0.05, damping=2000.0)
 
