@@ -42,6 +42,7 @@ from .turn_estimate import identify_turn, unidentified_turn
 from .verdicts import missing
 
 _OBLIQUE_SHARE = 0.3
+_QUARTZ_SHARE = 1e-5
 # Of the work of a log with one axis; measured, and of no other use than to say how it goes on.
 _WEIGHING_SHARE, _AXES_SHARE = 0.17, 0.77
 _ABOUT = "about the origin of the sensor frame, not the centre of mass"
@@ -270,7 +271,8 @@ def _sample_time(recording: Recording) -> Estimate:
     note = f"period of `{source.topic}`, taken as the control period"
     return Estimate(
         value=period,
-        std=spread / np.sqrt(len(source.stamp_ns)),
+        # No clock counts better than its quartz, however little stamps scatter.
+        std=max(spread / np.sqrt(len(source.stamp_ns)), _QUARTZ_SHARE * period) if spread > 0.0 else 0.0,
         status=Status.IDENTIFIED if recording.command is not None else Status.WEAK,
         method="header stamps",
         note=note,

@@ -168,9 +168,18 @@ def print_summary(summary: "LogSummary") -> None:
         for finding in summary.findings:
             print_message(f"{finding.message} {finding.advice}", verdict=f"{finding.severity}: ", indent="  ")
     print_message()
-    print_message("Missing for identify" if summary.missing else "Every channel that identify needs is there.")
+    print_message(_said_of_channels(summary))
     for sentence in summary.missing:
         print_message(f"- {sentence}", indent="  ")
+
+
+def _said_of_channels(summary: "LogSummary") -> str:
+    """Return whether `identify` finds its channels, and whether errors keep it from using them."""
+    if summary.missing:
+        return "Missing for identify"
+    if any(finding.severity == "error" for finding in summary.findings):
+        return "Every channel that identify needs is there; correct the errors above first."
+    return "Every channel that identify needs is there."
 
 
 _HEADINGS = (

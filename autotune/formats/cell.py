@@ -64,7 +64,9 @@ def _cell(document: Document) -> Cell:
 
 
 def _nearest(violation: Violation) -> str:
-    """Name the key that an unknown one may mean."""
+    """Name the key that an unknown one may mean, and what the entries of six signs are."""
+    if violation.place[-1:] == ("signs",) and violation.rule == "minItems" and violation.place[0] != "pose":
+        return ": force x y z, then torque x y z"
     key = str(violation.place[-1]) if violation.place else ""
     if violation.found != f"the key {key}":
         return ""

@@ -5,6 +5,7 @@ import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from autotune.cli.main import main
@@ -70,3 +71,25 @@ def test_recorded_bags_are_described(shared_data: Path, capsys: pytest.CaptureFi
     output = capsys.readouterr().out
     assert "/robot_state" in output
     assert "record the force/torque sensor as geometry_msgs/msg/WrenchStamped" in output
+
+
+def test_an_axis_that_is_constant_zero_is_to_be_corrected_first(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """All channels are there, and `identify` refuses the log all the same."""
+    rng, count = np.random.default_rng(1), 2000
+    columns = [np.arange(count) * 0.004, *rng.standard_normal((9, count)), *np.zeros((3, count)), np.ones(count)]
+    columns[1] = np.zeros(count)
+    head = "t,fx,fy,fz,tx,ty,tz,x,y,z,qx,qy,qz,qw"
+    np.savetxt(tmp_path / "run.csv", np.column_stack(columns), delimiter=",", header=head, comments="", fmt="%.6f")
+    cell = tmp_path / "cell.yaml"
+    pose = "fields: {position: [x, y, z], orientation: [qx, qy, qz, qw]}, orientation_as: quaternion_xyzw"
+    cell.write_text(
+        "format: autotune/cell\nversion: 1\ntable: {time: t}\n"
+        "wrench: {topic: run.csv, fields: {force: [fx, fy, fz], torque: [tx, ty, tz]}, exerted_by: payload}\n"
+        f"pose: {{topic: run.csv, {pose}}}\ncommand: {{topic: run.csv, {pose}}}\n"
+    )
+    assert main(["inspect", str(tmp_path / "run.csv"), "--cell", str(cell)]) == 0
+    output = capsys.readouterr().out
+    assert "error: " in output
+    assert output.splitlines()[-1] == "Every channel that identify needs is there; correct the errors above first."
