@@ -32,7 +32,7 @@ _GAINS = {
     "compensation_mass_kg": ("P̂", "compensated mass"),
 }
 # As on the terminal and in reports, in ms.
-_TIMES = ("lead_s", "feedback_damping_s", "delay_s")
+_TIMES = ("lead_s", "feedback_damping_s")
 _LABELS = {STIFFNESS: "surface stiffness", MASS: "payload"}
 _PLANT = (
     *(STIFFNESS, MASS, "coupling_stiffness_n_per_m", "coupling_damping_n_s_per_m", "drag_n_s_per_m"),
@@ -102,11 +102,11 @@ def build_plant_sliders(problem: DesignProblem, axis: str) -> tuple[SliderRange,
             name=name,
             symbol=SYMBOLS[name],
             label=_LABELS.get(name, PARAMETERS[name].label),
-            unit="ms" if name in _TIMES else units.unit(PARAMETERS[name].kind),
+            unit=units.shown(PARAMETERS[name].kind)[1],
             low=low,
             high=high,
             logarithmic=low > 0.0,
-            scale=1e3 if name in _TIMES else 1.0,
+            scale=units.shown(PARAMETERS[name].kind)[0],
         )
         for name in _PLANT
         for low, high in [_plant_range(problem, name)]
