@@ -32,6 +32,7 @@ _LONGEST, _STRIDE = 6000, 50
 CELL_WORK = 600
 _NARROWEST, _NARROW = 1e-4, 0.01
 _FIRST_RHO = 4
+_LEAST = 1e-300
 _OUT = 1.0 + 1e-9
 
 
@@ -134,17 +135,13 @@ Part = tuple[FloatArray, tuple[float, float]]
 
 
 def _halves(cell: FloatArray, rho: tuple[float, float], found: ForceBounds) -> tuple[Part, Part] | None:
-    """Cut where the bound loses most; what is of second order is as large as the widths of the plant's coordinates."""
+    """Cut where the bound loses most."""
     d = len(cell)
-    widths = _widths(cell)
-    is_finite = np.all(np.isfinite(found.shares)) and np.isfinite(found.rest)
-    score, rest = (found.shares.copy(), found.rest) if is_finite else (np.zeros(d + 1), 1.0)
-    score[:d] += rest * widths / max(float(np.sum(widths)), 1e-300)
-    side = int(np.argmax(score))
+    side = int(np.argmax(found.shares))
     if side == d:
         middle = 0.5 * (rho[0] + rho[1])
         return None if rho[1] - rho[0] < _NARROWEST else ((cell, (rho[0], middle)), (cell, (middle, rho[1])))
-    if widths[side] < _NARROWEST:
+    if _widths(cell)[side] < _NARROWEST:
         return None
     lower, upper = cell.copy(), cell.copy()
     lower[side, 1] = upper[side, 0] = 0.5 * (cell[side, 0] + cell[side, 1])
@@ -153,7 +150,7 @@ def _halves(cell: FloatArray, rho: tuple[float, float], found: ForceBounds) -> t
 
 def _widths(cell: FloatArray) -> FloatArray:
     """Return the widths of a cell's sides beside their ends (d,)."""
-    return np.asarray(np.ptp(cell, axis=1) / np.maximum(np.max(np.abs(cell), axis=1), 1e-300))
+    return np.asarray(np.ptp(cell, axis=1) / np.maximum(np.max(np.abs(cell), axis=1), _LEAST))
 
 
 def _middle(family: Family, cell: FloatArray) -> Scenario:
@@ -181,39 +178,44 @@ def _walk_cell(
     loop = contact_loop(family, law, approach, np.stack([middle, middle], axis=1))
     slopes = [contact_loop(family, law, approach, cell, along) for along in range(len(cell))]
     prepared = _prepare(loop, slopes, half, rho)
-    if prepared is None:
-        return ForceBounds(math.inf, -math.inf, np.full(len(cell) + 1, math.inf), math.inf, -math.inf, -math.inf, False)
+    if not isinstance(prepared, CellLoop):
+        return ForceBounds(math.inf, -math.inf, np.append(prepared, 0.0), math.inf, -math.inf, -math.inf, False)
     # F^d of a given speed hangs on the plant.
     unsure = float(_around(loop.force_n, [s.force_n for s in slopes], half).rad[0])
     found = walk(prepared, limit_n - unsure, _LONGEST, _STRIDE)
-    return found._replace(lowest=found.lowest - unsure)
+    # What is of second order comes from how much each coordinate of the plant changes the loop.
+    changes = np.append(np.sum(np.abs(prepared.slopes), axis=(1, 2)), 0.0)
+    of_rest = found.rest * changes / max(float(np.sum(changes)), _LEAST)
+    return found._replace(lowest=found.lowest - unsure, shares=found.shares + of_rest)
 
 
 def _prepare(
     loop: ContactLoop, slopes: list[ContactLoop], half: FloatArray, rho: tuple[float, float]
-) -> CellLoop | None:
-    """Return the loop in its own coordinates; None where these plants differ too much to bound all later ticks."""
+) -> CellLoop | FloatArray:
+    """Return the loop in its own coordinates.
+
+    Where these plants differ too much to bound all later ticks, return how much each coordinate changes the loop (d,).
+    """
     m = len(loop.start)
     change = _values(loop.change).shaped(m, m)
     _, basis = np.linalg.eig(change.mid)
     try:
         diagonal, inverse = similar(loop.change, basis)
     except ZeroDivisionError:
-        return None
+        return np.array(
+            [float(np.sum(_slopes(s.change).times(h).magnitude())) for s, h in zip(slopes, half, strict=True)]
+        )
     v = exact(basis)
     sides = [(inverse @ _slopes(s.change).times(h).shaped(m, m)) @ v for s, h in zip(slopes, half, strict=True)]
     spread = diagonal.rad + np.sum([each.rad for each in sides], axis=0)
     whole = np.abs(diagonal.mid) + spread + np.sum([np.abs(each.mid) for each in sides], axis=0)
-    weights = _weights(whole)
-    if weights is None:
-        return None
-    starts = [inverse @ _slopes(s.start).times(h) for s, h in zip(slopes, half, strict=True)]
-    way = _around(loop.way, [s.way for s in slopes], half)
+    weights, way = _weights(whole), _around(loop.way, [s.way for s in slopes], half)
     touch = _touch(loop, slopes, half, rho, way)
-    if touch is None:
-        return None
+    if weights is None or touch is None:
+        return np.array([float(np.sum(each.magnitude())) for each in sides])
+    starts = [inverse @ _slopes(s.start).times(h) for s, h in zip(slopes, half, strict=True)]
     lost, touching = touch
-    rest = _values(loop.rest)
+    rest = _spread(loop.rest, [s.rest for s in slopes], half)
     # The way into the wall is that share of a sample's way.
     begun = _values(loop.start) + rest.times(0.5 * (rho[0] + rho[1])) * way + lost
     place = inverse @ begun
@@ -261,7 +263,8 @@ def _touch(
     soft, soft_damping, heaviest = (float(spans[i].mid[0] - spans[i].rad[0]) for i in (0, 1, 4))
     state = _spread(loop.before, [s.before for s in slopes], half)
     flow = _spread(loop.free_flow, [s.free_flow for s in slopes], half).shaped(n + 1, n + 1).magnitude()
-    first = float(_around(np.dot(loop.free_flow[n - 1], loop.before), [], half).magnitude()[0])
+    begins = [np.dot(each.free_flow[n - 1], each.before) for each in (loop, *slopes)]
+    first = float(_around(begins[0], begins[1:], half).magnitude()[0])
     after = expm(flow) @ (state.magnitude() + np.eye(n + 1)[n] * near)
     change = (first + flow[n - 1, n] * near + (flow @ flow)[n - 1] @ after) * _OUT
     fast = float(state.mid[n - 1] + state.rad[n - 1]) + change
