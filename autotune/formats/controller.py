@@ -32,8 +32,8 @@ class ControllerFile:
 def controller_tree(controller: Controller) -> dict[str, Any]:
     """Return the plain tree of `controller.yaml`, its checksum last.
 
-    On rx, ry, rz the keys of `predicted`, `certificate.domain`, `certificate.margins` and
-    `certificate.rotational_requirements` name the rotational unit (`autotune.formats.records.ROTATIONAL_KEYS`).
+    On rx, ry, rz the keys of `predicted`, of what the certificate holds by axis, and of its `rotational_requirements`
+    name the rotational unit (`autotune.formats.records.ROTATIONAL_KEYS`).
 
     Raises ParameterError: a number is not finite, or an entry is out of its range.
     """
@@ -94,7 +94,7 @@ def _renamed(body: dict[str, Any], *, reading: bool) -> dict[str, Any]:
     if "rotational_requirements" in certificate:
         rotational = rename_axis_keys("rx", certificate["rotational_requirements"], reading=reading)
         renamed["rotational_requirements"] = rotational
-    for part in ("soft", "continuous"):
+    for part in ("soft", "continuous", "held", "peaks"):
         if part in certificate:
             renamed[part] = axes(certificate[part])
     return body | {"predicted": axes(body["predicted"]), "certificate": certificate | renamed}
