@@ -120,12 +120,14 @@ def test_a_controller_that_validation_refuses_is_not_returned(
 ) -> None:
     """Validation is asked before anything is handed out, whatever the search believed."""
 
-    def boasting(*arguments: object) -> object:
-        controller = honest(*arguments)  # type: ignore[arg-type]  # handed on as they came
+    found = fast_optimized().searches["x"]
+
+    def boasting(*arguments: object, **further: object) -> object:
+        controller = honest(*arguments, **further)  # type: ignore[arg-type]  # handed on as they came
         margins = replace(controller.certificate.margins["x"], modulus=0.9)
         return replace(controller, certificate=replace(controller.certificate, margins={"x": margins}))
 
     monkeypatch.setattr(optimize_module, "build_controller", boasting)
-    monkeypatch.setattr(optimize_module, "solve_design", lambda *_args, **_kwargs: fast_optimized().searches["x"])
+    monkeypatch.setattr(optimize_module, "solve_design", lambda *_args, **_kwargs: found)
     with pytest.raises(CertificateError, match=r"modulus is claimed as 0\.9, found 0\.5"):
         optimize(plant, FAST_SPEC, seed=1)
