@@ -7,6 +7,14 @@ if TYPE_CHECKING:
     from autotune.formats.controller_record import Controller
 
 
+def _proved(claim: str, share: float) -> str:
+    """Return a claim with how much of it is proved."""
+    if share == 1.0:
+        return f"{claim}, proved"
+    proved = f"proved for {100.0 * share:.3g} % of the set" if share > 0.0 else "swept, nothing of it proved"
+    return f"{claim}, {proved} (--proof-budget SECONDS goes further)"
+
+
 def peak_lines(controller: "Controller") -> Iterator[str]:
     """Say which force is proved for every first contact."""
     from autotune.formats.units import axis_units
@@ -14,8 +22,8 @@ def peak_lines(controller: "Controller") -> Iterator[str]:
 
     for name, peak in (controller.certificate.peaks or {}).items():
         if not designed_for(controller):
-            part = "" if peak.share == 1.0 else f" for {100.0 * peak.share:.3g} % of the plants alone"
-            yield f"axis {name}: no first contact exceeds {peak.force_n:.4g} {axis_units(name).force}, proved{part}"
+            claim = f"no first contact exceeds {peak.force_n:.4g} {axis_units(name).force}"
+            yield f"axis {name}: {_proved(claim, peak.share)}"
 
 
 def led_lines(controller: "Controller", limit: tuple[float, str] | None = None) -> Iterator[str]:
@@ -56,5 +64,4 @@ def held_lines(controller: "Controller") -> Iterator[str]:
         if held.modulus == 0.0:
             yield f"axis {name}: {hand} may make the loop unstable; the requirement held_by_hand excludes it"
         else:
-            part = "" if held.share == 1.0 else f" for {100.0 * held.share:.3g} % of the plants alone"
-            yield f"axis {name}, held by {hand}: stable, |1 + L| > {held.modulus:.3g} proved{part}"
+            yield f"axis {name}, held by {hand}: {_proved(f'stable, |1 + L| > {held.modulus:.3g}', held.share)}"
