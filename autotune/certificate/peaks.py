@@ -95,7 +95,7 @@ def prove_peak(
     """
     box = family.box()
     waiting = [(box, (i / _FIRST_RHO, (i + 1) / _FIRST_RHO), 1.0 / _FIRST_RHO) for i in range(_FIRST_RHO)]
-    spent, cells, share, staying = 0, 0, 0.0, 0.0
+    spent, cells, share, staying, is_left = 0, 0, 0.0, 0.0, False
     # What is false is mostly false at a corner of the set, and one plant is judged at once.
     corners = [np.stack([end, end], axis=1) for end in map(np.array, itertools.product(*box.tolist()))]
     refuted = next((_middle(family, each) for each in corners if _exceeds(family, law, approach, each, limit_n)), None)
@@ -107,7 +107,8 @@ def prove_peak(
         could_stay = (
             found.lowest <= 0.0 < found.middle_low and 8 * spent < work and np.max(_widths(cell), initial=0.0) > _NARROW
         )
-        if found.is_bounded and not could_stay:
+        halves = _halves(cell, rho, found)
+        if found.is_bounded and (halves is None or not could_stay):
             cells, share = cells + 1, share + part
             staying += part if found.lowest > 0.0 else 0.0
             if progress is not None:
@@ -116,11 +117,9 @@ def prove_peak(
         if found.middle > limit_n and _exceeds(family, law, approach, cell, limit_n):
             refuted = _middle(family, cell)
             break
-        halves = _halves(cell, rho, found)
-        if halves is None:
-            break
-        waiting += [(*each, 0.5 * part) for each in halves]
-    whole = not waiting and refuted is None
+        is_left = is_left or halves is None
+        waiting += [(*each, 0.5 * part) for each in halves or ()]
+    whole = not (waiting or is_left) and refuted is None
     return PeakOutcome(
         limit_n=limit_n,
         share=1.0 if whole and share > 0.0 else share,

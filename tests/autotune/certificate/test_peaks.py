@@ -6,10 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from autotune.certificate import peaks
 from autotune.certificate.balls import as_series
 from autotune.certificate.contact_loop import contact_loop
 from autotune.certificate.family import Family, build_families
-from autotune.certificate.peak_kernel import CellLoop, walk
+from autotune.certificate.peak_kernel import CellLoop, ForceBounds, walk
 from autotune.certificate.peaks import _prepare, prove_peak
 from problems.arrays import FloatArray
 from problems.contact.nonlinear_simulation import needed_substeps, simulate_nonlinear
@@ -152,6 +153,25 @@ def test_a_bound_that_is_no_number_proves_nothing() -> None:
         cell._replace(row_spread=cell.row_spread * np.nan),
     ):
         assert not walk(spoiled, 100.0, 6000, 50).is_bounded
+
+
+def test_a_part_that_cannot_be_cut_further_is_left_and_never_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    plant, law, stiffness, mass = drawn(0)
+    largest, narrow = worst(plant, law, stiffness, mass), (stiffness[0], 1.005 * stiffness[0])
+    monkeypatch.setattr(peaks, "_halves", lambda *_: None)
+    left = prove_peak(family(plant, stiffness, mass), law, PRESS, 1.0005 * largest, work=WORK)
+    assert (left.holds, left.share, left.cells, left.refuted_by) == (False, 0.0, 0, None)
+    small = family(plant, narrow, (mass[0], mass[0]))
+    assert prove_peak(small, law, PRESS, 2.0 * largest, work=WORK).holds
+    plain = peaks._walk_cell
+
+    def without_last(*of: Any) -> ForceBounds:
+        found: ForceBounds = plain(*of)
+        return found._replace(is_bounded=False) if of[4][0] == 0.0 else found
+
+    monkeypatch.setattr(peaks, "_walk_cell", without_last)
+    last_left = prove_peak(small, law, PRESS, 2.0 * largest, work=WORK)
+    assert (last_left.holds, last_left.share, last_left.cells) == (False, 0.75, 3)
 
 
 def test_an_unstable_loop_has_no_bound() -> None:
