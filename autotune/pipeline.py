@@ -17,8 +17,7 @@ from identification.evidence import Evidence
 from identification.given import Given, check_names
 from identification.identify import identify_with_evidence
 from identification.logs.containers.formats import sha256_of
-from identification.logs.opened import separate_runs
-from identification.logs.read import Instant, LogSpan, read_checked_recording
+from identification.logs.read import Instant, LogSpan, read_checked_recording, separate_runs
 from identification.logs.recording import build_frames
 from identification.logs.roles.cell import Cell
 from identification.merging.combine import NamedResult, combine_identified

@@ -37,7 +37,7 @@ from identification.logs.containers.channel import FileBytes
 from identification.logs.containers.mcap_file import McapContainer
 from identification.logs.containers.mcap_layout import Walker
 from identification.logs.messages.decode import Wanted, parse_path
-from identification.logs.messages.read import read_series
+from identification.logs.opened import build_decoder, gather
 
 SHARE = 10
 FIELDS = {
@@ -129,7 +129,7 @@ def read_ours(path: Path) -> Columns:
             for held in container.survey().held
             if held.channel.topic in FIELDS
         }
-        series = read_series(container, wanted)
+        series = gather(container, {each: build_decoder(each, wanted[each]) for each in wanted}, wanted)
     return {
         channel.topic: (each.stamp_ns, each.values) for channel, each in series.items() if each.stamp_ns is not None
     }

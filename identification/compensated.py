@@ -17,9 +17,8 @@ from .payload.gravity import orientation_spread_rad
 from .rebuilt_command import rebuilt_command
 from .result import AxisEstimate, Finding
 from .robot.admittance_estimates import AdmittanceRobots
-from .signals.aligned import AlignedLog, edges_of, on_one_clock
+from .signals.aligned import AlignedLog, edges_of, on_one_clock, restore_commands, without_spikes
 from .signals.recording import AXES, AppliedDeadband, Recording, WrenchSignal
-from .signals.repairs import restore_commands, without_spikes
 from .signals.segments import MotionSpans, find_motion
 
 _LONGEST_CROSSING_S = 0.1

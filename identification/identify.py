@@ -8,7 +8,7 @@ import numpy as np
 from problems.arrays import FloatArray
 from problems.progress import ProgressSlice, no_progress
 
-from .axes.straight import find_axes
+from .axes.straight import Travel, find_axes
 from .axes.turning import find_turns
 from .axis_command import CellSignals
 from .axis_estimate import AxisResult, axis_evidence, identify_axis
@@ -34,9 +34,8 @@ from .result import (
 from .robot.admittance_estimates import AdmittanceRobots, identify_admittance_robots
 from .robot.admittance_motion import with_compensated_force
 from .sensor import at_rest_only, describe_sensor, identify_from_rows
-from .signals.aligned import AlignedLog, align, check_regular, find_gaps
+from .signals.aligned import AlignedLog, align, check_regular, find_gaps, restore_commands, without_spikes
 from .signals.recording import Frames, PoseSignal, Recording
-from .signals.repairs import restore_commands, without_spikes
 from .signals.segments import MotionSpans, find_motion
 from .turn_estimate import identify_turn, unidentified_turn
 from .verdicts import missing
@@ -131,7 +130,8 @@ def _identify(
         rebuilt=rebuilt,
         turns=find_turns(recording, log, motion, gravity),
     )
-    results, about_axes = _identify_axes(cell, inertia, lambda share: report(_AXES_SHARE * share))
+    travel = find_axes(log, motion, force)
+    results, about_axes = _identify_axes(cell, travel, inertia, lambda share: report(_AXES_SHARE * share))
     accounted, timeline = account_for_log(cell, results, gravity.mass_kg)
     sensor, about_sensor = describe_sensor(read, gravity, frames)
     late, about_late = _late_wrench(results, recording, log.period_s)
@@ -217,11 +217,10 @@ def _evidence(cell: CellSignals, gravity: GravityFit, results: Mapping[str, Axis
 
 
 def _identify_axes(
-    cell: CellSignals, inertia: InertiaFit, report: Callable[[float], None]
+    cell: CellSignals, travel: Travel, inertia: InertiaFit, report: Callable[[float], None]
 ) -> tuple[dict[str, AxisResult], list[Finding]]:
     """Estimate every axis along which, or about which, the tool moved."""
     findings: list[Finding] = []
-    travel = find_axes(cell.log, cell.motion, cell.force_S_n)
     if travel.oblique_share > _OBLIQUE_SHARE:
         findings.append(_oblique(travel.oblique_share))
     if not travel.axes and not cell.turns:

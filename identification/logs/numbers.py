@@ -12,8 +12,7 @@ from ..result import Finding
 from .containers.channel import Channel, Held
 from .messages.decode import Wanted
 from .messages.objects import build_object_parser
-from .messages.read import decode_first
-from .opened import OpenedLog, OpenedLogs
+from .opened import OpenedLog, OpenedLogs, decode_first
 from .roles.registry import FLOAT_ARRAY, JOINT_STATE
 
 _MOST_ENTRIES = 256

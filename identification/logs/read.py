@@ -13,8 +13,8 @@ from problems.errors import ParameterError
 
 from ..errors import LogError, OutsideSpanError
 from ..result import Finding
-from ..signals.recording import Recording, StampArray, join_recordings, sampling_rate_hz
-from ..signals.repairs import without_pose_spikes
+from ..signals.aligned import without_pose_spikes
+from ..signals.recording import Recording, StampArray, join_recordings, sampling_rate_hz, shifted
 from .checks.clocks import ChannelTimes, check_clocks
 from .checks.payload import check_payload
 from .checks.robot_state import drop_idle_command, drop_zero_torques
@@ -34,6 +34,8 @@ Part = dict[Role, Series]
 Instant = float | str
 """Seconds after the start of a log, as a number or text; with @ in front a stamp in seconds, as GNU date writes it."""
 _LARGEST_NS = 2**62
+_LONGEST_PAUSE_NS = 10**9
+"""A recorder that splits its files goes on at once; who records again takes longer."""
 _HELD = frozenset({Role.GAINS, Role.DESIRED_FORCE})
 """Roles whose last value goes on until there is another."""
 
@@ -140,6 +142,36 @@ def _held(role: Role, inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 def _span_finding(span: LogSpan, name: str) -> Finding:
     return Finding.info("part-read", f"Of {name} only {span} is read.", "Times are counted from there.")
+
+
+def separate_runs(paths: Sequence[Path], cell: Cell, *, salvage: bool = False) -> tuple[tuple[Path, ...], ...]:
+    """Group logs into recordings: what follows within a second of recording time, or overlaps, is one.
+
+    Tables without absolute time begin at 0 and go with each other.
+
+    Returns
+    -------
+    tuple of tuple of Path
+        The files of each recording, in the order in which they were named.
+
+    Raises
+    ------
+    LogError
+        A file is no log.
+    """
+    if len(paths) == 1:
+        return ((paths[0],),)
+    with open_logs(tuple(paths), cell, salvage=salvage) as logs:
+        spans = sorted((part.survey.start_ns, part.survey.end_ns, i) for i, part in enumerate(logs.parts))
+    runs: list[list[int]] = []
+    latest = 0
+    for start, end, index in spans:
+        if runs and start - latest <= _LONGEST_PAUSE_NS:
+            runs[-1].append(index)
+        else:
+            runs.append([index])
+        latest = max(latest, end)
+    return tuple(tuple(paths[index] for index in sorted(run)) for run in runs)
 
 
 def read_recording(
@@ -280,9 +312,12 @@ def _on_one_clock(recording: Recording, times: Sequence[ChannelTimes]) -> Record
         return recording
     report = check_clocks(recording, times)
     refuse(report.findings)
-    findings = (*recording.findings, *report.findings)
     return replace(
-        report.recording, findings=findings, wrench_lag_s=report.lag_left_s, wrench_shifted_s=report.shifted_s
+        recording,
+        wrench=shifted(recording.wrench, report.shifted_s),
+        findings=(*recording.findings, *report.findings),
+        wrench_lag_s=report.lag_left_s,
+        wrench_shifted_s=report.shifted_s,
     )
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -193,6 +193,22 @@ class PoseSignal:
     def has_position(self) -> bool:
         """Whether all three coordinates were logged."""
         return {*AXES[:3]} <= {*self.measured_axes}
+
+
+Measured = TypeVar("Measured", WrenchSignal, PoseSignal)
+
+
+def stamped_between(signal: Measured, first_ns: int, stop_ns: int) -> Measured:
+    """Return the samples that are stamped from `first_ns` up to, not including, `stop_ns`."""
+    kept = slice(*np.searchsorted(signal.stamp_ns, (first_ns, stop_ns)).tolist())
+    arrays: dict[str, Any] = {name: each[kept] for name, each in vars(signal).items() if isinstance(each, np.ndarray)}
+    return replace(signal, **arrays)
+
+
+def shifted(wrench: WrenchSignal, offset_s: float) -> WrenchSignal:
+    """Return the wrench with `offset_s` taken off its stamps."""
+    stamps: StampArray = wrench.stamp_ns - np.int64(round(offset_s * 1e9))
+    return wrench if offset_s == 0.0 else replace(wrench, stamp_ns=stamps)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,6 +1,6 @@
-"""Estimate the offset between the clocks of wrench and pose, judge it, and take it out."""
+"""Estimate the offset between the clocks of wrench and pose, and judge it."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
@@ -8,7 +8,7 @@ import numpy as np
 from ...errors import EstimateError, LogError
 from ...result import Finding
 from ...signals.aligned import align
-from ...signals.recording import PoseSignal, Recording, StampArray, WrenchSignal
+from ...signals.recording import PoseSignal, Recording, WrenchSignal, shifted, stamped_between
 from .offset_fit import NoEstimate, offset_from_turning
 
 _LONGEST_S = 0.2
@@ -30,7 +30,7 @@ class OffsetVerdict(StrEnum):
     """What is to be done about an offset."""
 
     CONSISTENT = "the log shows no offset between the clocks; nothing needs to be done"
-    FOUND = "an offset was found; take it out with `apply_offset`"
+    FOUND = "an offset was found; take it off the wrench's stamps"
     UNKNOWN = "the log does not determine the offset; what a fraction of a sample changes is not to be trusted"
 
 
@@ -84,7 +84,7 @@ def estimate_clock_offset(
     forces, turns = np.isfinite(wrench.force_n).all(), np.isfinite(pose.quaternion_xyzw).all()
     if pose.is_displacement or not (forces and turns and np.isfinite(pose.position_m).all()):
         return _unknown("three forces and a whole pose are needed", "Record the wrench and the flange pose in full.")
-    near, pose = _busiest(_shifted(wrench, around_s), pose)
+    near, pose = _busiest(shifted(wrench, around_s), pose)
     try:
         log = align(Recording(wrench=near, pose=pose, command=None))
     except (EstimateError, LogError) as error:
@@ -112,13 +112,6 @@ def estimate_clock_offset(
     )
 
 
-def apply_offset(recording: Recording, offset: ClockOffset) -> Recording:
-    """Shift the wrench onto the clock of pose and command when an offset was found; else return the recording as is."""
-    if offset.verdict is not OffsetVerdict.FOUND or offset.offset_s is None:
-        return recording
-    return replace(recording, wrench=_shifted(recording.wrench, offset.offset_s))
-
-
 def _busiest(wrench: WrenchSignal, pose: PoseSignal) -> tuple[WrenchSignal, PoseSignal]:
     """Cut both to the minute in which the tool turns most, if they are longer."""
     seconds = (pose.stamp_ns - pose.stamp_ns[:1]) * 1e-9
@@ -132,33 +125,8 @@ def _busiest(wrench: WrenchSignal, pose: PoseSignal) -> tuple[WrenchSignal, Pose
     within = np.interp(time + _LOOKED_AT_S, time, turning) - turning
     first_ns = pose.stamp_ns[0] + np.int64(round(float(time[int(np.argmax(within))]) * 1e9))
     last_ns = first_ns + np.int64(round(_LOOKED_AT_S * 1e9))
-    mine, theirs = (_within(signal.stamp_ns, first_ns, last_ns) for signal in (wrench, pose))
-    if mine.stop - mine.start < _FEWEST:
-        return wrench, pose
-    return (
-        replace(
-            wrench,
-            stamp_ns=wrench.stamp_ns[mine],
-            force_n=wrench.force_n[mine],
-            torque_n_m=wrench.torque_n_m[mine],
-        ),
-        replace(
-            pose,
-            stamp_ns=pose.stamp_ns[theirs],
-            position_m=pose.position_m[theirs],
-            quaternion_xyzw=pose.quaternion_xyzw[theirs],
-        ),
-    )
-
-
-def _within(stamp_ns: StampArray, first_ns: np.int64, last_ns: np.int64) -> slice:
-    first, last = np.searchsorted(stamp_ns, (first_ns, last_ns)).tolist()
-    return slice(first, last)
-
-
-def _shifted(wrench: WrenchSignal, offset_s: float) -> WrenchSignal:
-    stamps: StampArray = wrench.stamp_ns - np.int64(round(offset_s * 1e9))
-    return wrench if offset_s == 0.0 else replace(wrench, stamp_ns=stamps)
+    cut = stamped_between(wrench, int(first_ns), int(last_ns))
+    return (wrench, pose) if len(cut.stamp_ns) < _FEWEST else (cut, stamped_between(pose, int(first_ns), int(last_ns)))
 
 
 def _unknown(reason: str, advice: str) -> ClockOffset:

@@ -12,7 +12,7 @@ from problems.arrays import FloatArray
 from ...result import Finding
 from ...signals.aligned import longest_whole
 from ...signals.recording import Recording, StampArray
-from .clock_offset import ClockOffset, OffsetVerdict, apply_offset, estimate_clock_offset
+from .clock_offset import ClockOffset, OffsetVerdict, estimate_clock_offset
 
 _WINDOWS = 80
 _FEWEST_PER_WINDOW = 10
@@ -236,12 +236,11 @@ class ClockDifference:
 
 @dataclass(frozen=True, kw_only=True)
 class ClockReport:
-    """What the clocks say; `recording` has the offset between wrench and pose taken out where one was found."""
+    """What the clocks say, and the offset between wrench and pose."""
 
     channels: tuple[ChannelClock, ...]
     differences: tuple[ClockDifference, ...]
     offset: ClockOffset
-    recording: Recording
     findings: tuple[Finding, ...]
 
     @property
@@ -257,13 +256,13 @@ class ClockReport:
 
     @property
     def shifted_s(self) -> float:
-        """Return what was taken off the wrench's stamps."""
+        """Return what is to be taken off the wrench's stamps."""
         found = self.offset.verdict is OffsetVerdict.FOUND and self.offset.offset_s is not None
         return self.offset.offset_s if found and self.offset.offset_s is not None else 0.0
 
 
 def check_clocks(recording: Recording, times: Sequence[ChannelTimes] = ()) -> ClockReport:
-    """Measure all clocks of a recording and remove the offset between wrench and pose where the motion determines it.
+    """Measure all clocks of a recording, and the offset between wrench and pose where the motion determines it.
 
     `times` holds the channels that have header stamps (by topic; others than those of the recording are ignored). When
     the recording clock shows wrench and pose far apart, the offset is looked for there; if the motion does not
@@ -295,7 +294,6 @@ def check_clocks(recording: Recording, times: Sequence[ChannelTimes] = ()) -> Cl
         channels=tuple(clocks.values()),
         differences=tuple(between),
         offset=offset,
-        recording=apply_offset(recording, offset),
         findings=tuple(findings),
     )
 

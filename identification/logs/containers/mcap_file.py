@@ -9,7 +9,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import TypeVar
@@ -17,6 +17,7 @@ from typing import TypeVar
 import lz4.frame  # type: ignore[import-untyped]  # the package carries no annotations
 import numpy as np
 import zstandard
+from mcap.opcode import Opcode
 from zlib_ng import zlib_ng
 
 from ...errors import LogError
@@ -24,7 +25,7 @@ from ...result import Finding
 from ...signals.recording import StampArray
 from .channel import CHUNK_LIMIT_BYTES, Batch, ByteArray, Channel, Container, Damage, FileBytes, Held, Survey, T
 from .mcap_kernel import FRAME, FRAME_BYTES, RecordCounter, RecordCounts, gather
-from .mcap_layout import KNOWN, Chunk, Definition, Definitions, Kind, Layout, Walker
+from .mcap_layout import KNOWN, Chunk, Definition, Definitions, Layout, Walker
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -32,20 +33,6 @@ THREADS = 2
 AHEAD = 4
 """Results that may wait: enough that no thread is idle, few enough that they weigh nothing."""
 _IDS = 2**16
-
-
-@dataclass(frozen=True, kw_only=True)
-class Opened:
-    """A chunk in memory, counted: its records fill `data`, which is valid until the same thread opens the next chunk.
-
-    `definitions` are those that were not known; `has_unknown_kinds` says that there are records of other
-    kinds than the format names.
-    """
-
-    chunk: Chunk
-    data: ByteArray
-    definitions: tuple[Definition, ...]
-    has_unknown_kinds: bool
 
 
 class _Space(threading.local):
@@ -65,8 +52,8 @@ class ChunkReader:
         self._file, self._definitions = file, definitions
         self._space = _Space()
 
-    def open(self, chunk: Chunk) -> Opened:
-        """Read and check one chunk; raise Damage when anything about it is wrong."""
+    def open(self, chunk: Chunk) -> Chunk:
+        """Return a chunk with its content, counted and checked; raise Damage when anything about it is wrong."""
         if chunk.declared > CHUNK_LIMIT_BYTES:
             what = f"a chunk unpacks to {chunk.declared}" if chunk.is_chunk else f"a message has {chunk.declared}"
             raise Damage(chunk.start, f"{what} bytes, more than the {CHUNK_LIMIT_BYTES} that are allowed")
@@ -79,10 +66,11 @@ class ChunkReader:
         record_counts = self._space.counter.count(data)
         _check(chunk, record_counts)
         definitions, has_unknown_kinds = self._others(chunk, data, record_counts)
-        return Opened(
-            chunk=replace(
-                chunk, counts=record_counts.counts, start_ns=record_counts.start_ns, end_ns=record_counts.end_ns
-            ),
+        return replace(
+            chunk,
+            counts=record_counts.counts,
+            start_ns=record_counts.start_ns,
+            end_ns=record_counts.end_ns,
             data=data,
             definitions=definitions,
             has_unknown_kinds=has_unknown_kinds,
@@ -119,7 +107,7 @@ class ChunkReader:
         has_unknown_kinds = False
         for position in record_counts.others:
             kind, length = FRAME.unpack_from(data.data, position)
-            if kind in (Kind.SCHEMA, Kind.CHANNEL):
+            if kind in (Opcode.SCHEMA, Opcode.CHANNEL):
                 body = data[position + FRAME_BYTES : position + FRAME_BYTES + length].tobytes()
                 if self._definitions.is_new(kind, body):
                     found.append((kind, body, chunk.start))
@@ -211,9 +199,9 @@ def is_protected(layout: Layout) -> bool:
     return bool(layout.chunks) and layout.summary_crc != 0 and all(chunk.crc for chunk in layout.chunks)
 
 
-def without_data(opened: Opened) -> Opened:
+def without_data(opened: Chunk) -> Chunk:
     """Return what is known of an opened chunk, without its content, which the next chunk takes the place of."""
-    return replace(opened, data=np.empty(0, dtype=np.uint8))
+    return replace(opened, data=None)
 
 
 def _from_indexes(layout: Layout) -> Layout | None:
@@ -241,7 +229,7 @@ def _count(layout: Layout, opener: ChunkReader) -> Layout:
         for definition in opened.definitions:
             layout.definitions.add(*definition)
         has_unknown_kinds |= opened.has_unknown_kinds
-        chunks.append(opened.chunk)
+        chunks.append(opened)
     if has_unknown_kinds and layout.statistics is None:
         raise Damage(0, "it holds records of unknown kinds, and no count says whether they were messages")
     return replace(layout, chunks=tuple(chunks))
@@ -397,18 +385,18 @@ class Selection:
         """Return whether a chunk holds any of them."""
         return any(self._slot_of[channel_id] >= 0 for channel_id in chunk.counts or ())
 
-    def batches(self, opened: Opened) -> Iterator[Batch]:
+    def batches(self, opened: Chunk) -> Iterator[Batch]:
         """Yield their messages in an opened chunk, a batch for each channel that has any."""
-        counts = opened.chunk.counts or {}
+        counts, data = opened.counts or {}, opened.data
+        if data is None:
+            return
         sizes = [sum(counts.get(channel_id, 0) for channel_id in group) for group in self._ids.values()]
         stops: StampArray = np.cumsum(sizes, dtype=np.int64)
         next_row: StampArray = stops - np.array(sizes, dtype=np.int64)
         table: StampArray = np.empty((3, sum(sizes)), dtype=np.int64)
         log_ns, starts, lengths = table
-        gather(opened.data, 0, opened.data.size, self._slot_of, next_row, log_ns, starts, lengths)
+        gather(data, 0, data.size, self._slot_of, next_row, log_ns, starts, lengths)
         for channel, size, stop in zip(self._ids, sizes, stops.tolist(), strict=True):
             if size:
                 rows = slice(stop - size, stop)
-                yield Batch(
-                    channel=channel, log_ns=log_ns[rows], data=opened.data, starts=starts[rows], sizes=lengths[rows]
-                )
+                yield Batch(channel=channel, log_ns=log_ns[rows], data=data, starts=starts[rows], sizes=lengths[rows])

@@ -4,7 +4,6 @@ import struct
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
-from enum import IntEnum
 from io import BytesIO
 from typing import TypeVar
 
@@ -12,6 +11,7 @@ import numpy as np
 from mcap import records
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
+from mcap.opcode import Opcode
 from rosbags.typesys.msg import normalize_msgtype
 
 from .channel import CHUNK_LIMIT_BYTES, ByteArray, Channel, Damage, FileBytes
@@ -30,44 +30,32 @@ CHUNK_HEAD_BYTES = _CHUNK.size + 16 + _LENGTH.size
 """Enough for the head of a chunk record whose compression has a name of up to 16 bytes."""
 Record = TypeVar("Record")
 Definition = tuple[int, bytes, int]
-"""Kind, content and offset of a record that defines a schema or a channel."""
-
-
-class Kind(IntEnum):
-    """Kinds of records that the format names."""
-
-    HEADER = 0x01
-    FOOTER = 0x02
-    SCHEMA = 0x03
-    CHANNEL = 0x04
-    MESSAGE = 0x05
-    CHUNK = 0x06
-    MESSAGE_INDEX = 0x07
-    CHUNK_INDEX = 0x08
-    ATTACHMENT = 0x09
-    ATTACHMENT_INDEX = 0x0A
-    STATISTICS = 0x0B
-    METADATA = 0x0C
-    METADATA_INDEX = 0x0D
-    SUMMARY_OFFSET = 0x0E
-    DATA_END = 0x0F
+"""Opcode, content and offset of a record that defines a schema or a channel."""
 
 
 IN_DATA = frozenset(
-    {Kind.SCHEMA, Kind.CHANNEL, Kind.MESSAGE, Kind.CHUNK, Kind.MESSAGE_INDEX, Kind.ATTACHMENT, Kind.METADATA}
+    {
+        Opcode.SCHEMA,
+        Opcode.CHANNEL,
+        Opcode.MESSAGE,
+        Opcode.CHUNK,
+        Opcode.MESSAGE_INDEX,
+        Opcode.ATTACHMENT,
+        Opcode.METADATA,
+    }
 )
 IN_SUMMARY = frozenset(
     {
-        Kind.SCHEMA,
-        Kind.CHANNEL,
-        Kind.STATISTICS,
-        Kind.CHUNK_INDEX,
-        Kind.ATTACHMENT_INDEX,
-        Kind.METADATA_INDEX,
-        Kind.SUMMARY_OFFSET,
+        Opcode.SCHEMA,
+        Opcode.CHANNEL,
+        Opcode.STATISTICS,
+        Opcode.CHUNK_INDEX,
+        Opcode.ATTACHMENT_INDEX,
+        Opcode.METADATA_INDEX,
+        Opcode.SUMMARY_OFFSET,
     }
 )
-KNOWN = frozenset(Kind)
+KNOWN = frozenset(Opcode)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,6 +65,10 @@ class Chunk:
     `start` and `stop` are the offsets of the whole records, `body` and `stored` where the packed content begins and
     its size, `declared` the size that it unpacks to. `counts` are the messages per channel id where something counts
     them (`None`: nothing does). `start_ns` and `end_ns` span its messages on the recording clock.
+
+    Of a chunk that was opened, `data` is the content, valid until the same thread opens the next one, `definitions` are
+    those in it that were not known, and `has_unknown_kinds` says whether it has records of kinds that the format does
+    not name.
     """
 
     start: int
@@ -90,6 +82,9 @@ class Chunk:
     start_ns: int
     end_ns: int
     counts: Mapping[int, int] | None
+    data: ByteArray | None = None
+    definitions: tuple[Definition, ...] = ()
+    has_unknown_kinds: bool = False
 
     @property
     def has_span(self) -> bool:
@@ -145,18 +140,6 @@ def parse_index_head(head: bytes, length: int, offset: int) -> tuple[int, int]:
     return channel_id, size // 16
 
 
-def parse_schema(body: bytes, offset: int) -> records.Schema:
-    """Parse a schema record."""
-    schema: records.Schema = parse(records.Schema.read, body, offset)
-    return schema
-
-
-def parse_channel(body: bytes, offset: int) -> records.Channel:
-    """Parse a channel record."""
-    channel: records.Channel = parse(records.Channel.read, body, offset)
-    return channel
-
-
 class Definitions:
     """Gather definitions; one that is repeated must say the same."""
 
@@ -174,14 +157,14 @@ class Definitions:
         """Add a definition; raise Damage when it contradicts an earlier one."""
         if (kind, body) in self._seen:
             return
-        if kind == Kind.SCHEMA:
-            schema = parse_schema(body, offset)
+        if kind == Opcode.SCHEMA:
+            schema: records.Schema = parse(records.Schema.read, body, offset)
             if schema.id == 0:
                 raise Damage(offset, "a schema has the id 0, which means none")
             if self._schemas.setdefault(schema.id, schema) != schema:
                 raise Damage(offset, f"schema {schema.id} is defined twice, differently")
         else:
-            channel = parse_channel(body, offset)
+            channel: records.Channel = parse(records.Channel.read, body, offset)
             if self._channels.setdefault(channel.id, (channel, offset))[0] != channel:
                 raise Damage(offset, f"channel {channel.id} is defined twice, differently")
         self._seen.add((kind, body))
@@ -314,7 +297,7 @@ class Walker:
         if self.peek(0, len(MAGIC)) != MAGIC:
             raise Damage(0, f"an MCAP file starts with the bytes {MAGIC.hex(' ')}")
         kind, length = self.frame(len(MAGIC))
-        if kind != Kind.HEADER:
+        if kind != Opcode.HEADER:
             raise Damage(len(MAGIC), f"the header should be here, a record of kind {kind} does")
         parse(records.Header.read, self.body(len(MAGIC), length), len(MAGIC))
         return len(MAGIC) + FRAME_BYTES + length
@@ -328,16 +311,16 @@ class Walker:
     def walk_data(self, offset: int) -> int:
         """Take in the record of the data section at an offset, or several messages; return where they end."""
         kind, length = self.frame(offset)
-        if kind == Kind.MESSAGE:
+        if kind == Opcode.MESSAGE:
             return self._walk_messages(offset, length)
         stop = offset + FRAME_BYTES + length
-        if kind == Kind.CHUNK:
+        if kind == Opcode.CHUNK:
             self.chunks.append(parse_chunk(self.peek(offset + FRAME_BYTES, CHUNK_HEAD_BYTES), offset, stop))
-        elif kind == Kind.MESSAGE_INDEX:
+        elif kind == Opcode.MESSAGE_INDEX:
             self._add_index(offset, length)
-        elif kind in (Kind.SCHEMA, Kind.CHANNEL):
+        elif kind in (Opcode.SCHEMA, Opcode.CHANNEL):
             self.definitions.add(kind, self.body(offset, length), offset)
-        elif kind == Kind.DATA_END:
+        elif kind == Opcode.DATA_END:
             self.data_end, self.data_stop = parse(records.DataEnd.read, self.body(offset, length), offset), offset
         elif kind in KNOWN and kind not in IN_DATA:
             raise Damage(offset, f"a record of kind {kind} is in the data section")
@@ -377,13 +360,13 @@ class Walker:
         """Take in the record of the summary at an offset; return where it ends, and the footer if it is that."""
         kind, length = self.frame(offset)
         footer = None
-        if kind in (Kind.SCHEMA, Kind.CHANNEL):
+        if kind in (Opcode.SCHEMA, Opcode.CHANNEL):
             self.definitions.add(kind, self.body(offset, length), offset)
-        elif kind == Kind.STATISTICS:
+        elif kind == Opcode.STATISTICS:
             self.statistics = parse(records.Statistics.read, self.body(offset, length), offset)
-        elif kind == Kind.CHUNK_INDEX:
+        elif kind == Opcode.CHUNK_INDEX:
             self.chunk_indexes.append(parse(records.ChunkIndex.read, self.body(offset, length), offset))
-        elif kind == Kind.FOOTER:
+        elif kind == Opcode.FOOTER:
             self._footer_start = offset
             footer = parse(records.Footer.read, self.body(offset, length), offset)
         elif kind in KNOWN and kind not in IN_SUMMARY:

@@ -9,10 +9,11 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
+from mcap.opcode import Opcode
 
 from ...result import Finding
 from .channel import CHUNK_LIMIT_BYTES, ByteArray, Damage, FileBytes, salvaged
-from .mcap_file import ChunkReader, McapContainer, Opened, is_protected, map_in_order, total_counts, without_data
+from .mcap_file import ChunkReader, McapContainer, is_protected, map_in_order, total_counts, without_data
 from .mcap_kernel import FRAME, FRAME_BYTES, RecordCounter, find_chunk, find_messages
 from .mcap_layout import (
     CHUNK_HEAD_BYTES,
@@ -21,7 +22,6 @@ from .mcap_layout import (
     MAGIC,
     Chunk,
     Definitions,
-    Kind,
     Layout,
     Walker,
     message_chunk,
@@ -99,7 +99,7 @@ def _search(file: FileBytes, find: Callable[[ByteArray, int, int], int], begin: 
 def cut_chunk(file: FileBytes, start: int) -> Chunk | None:
     """Return the whole messages of a chunk without compression whose end is beyond that of the file, if it is that."""
     head = file.read(start, FRAME_BYTES + CHUNK_HEAD_BYTES)
-    if len(head) < FRAME_BYTES + CHUNK_HEAD_BYTES or head[0] != Kind.CHUNK:
+    if len(head) < FRAME_BYTES + CHUNK_HEAD_BYTES or head[0] != Opcode.CHUNK:
         return None
     _, length = FRAME.unpack_from(head)
     try:
@@ -137,7 +137,7 @@ def salvage_layout(file: FileBytes) -> tuple[Layout, ChunkReader]:
                 raise opened
             for definition in opened.definitions:
                 layout.definitions.add(*definition)
-            chunks.append(opened.chunk)
+            chunks.append(opened)
         except Damage as damage:
             walker.lose(chunk.start, chunk.stop, damage.reason, chunk)
     return replace(layout, chunks=tuple(chunks), lost=walker.describe_lost(layout, chunks)), walker.opener
@@ -162,7 +162,7 @@ class _Salvager(Walker):
             offset = self._walk(offset)
         return self.layout()
 
-    def try_open(self, chunk: Chunk) -> Opened | Damage:
+    def try_open(self, chunk: Chunk) -> Chunk | Damage:
         """Open a chunk or return what is wrong; where its CRC agrees, a damaged index does not matter."""
         try:
             return without_data(self.opener.open(replace(chunk, counts=None) if chunk.crc else chunk))
@@ -238,7 +238,7 @@ class _Salvager(Walker):
                 (i.chunk_start_offset for i in self.chunk_indexes if i.chunk_start_offset >= begin), default=None
             )
         found = next_chunk(self.file, self.opener, begin, self._stop)
-        if found is None and not any(chunk.is_chunk for chunk in self.chunks) and self._kind(begin - 1) != Kind.CHUNK:
+        if found is None and not any(chunk.is_chunk for chunk in self.chunks) and self._kind(begin - 1) != Opcode.CHUNK:
             found = next_messages(self.file, self.definitions.ids, begin, self._stop)
         return found
 
@@ -262,7 +262,7 @@ class _Salvager(Walker):
         if len(head) < _START_BYTES:
             return not head or head[0] in KNOWN
         kind, length = FRAME.unpack_from(head)
-        if kind == Kind.MESSAGE:
+        if kind == Opcode.MESSAGE:
             return int.from_bytes(head[FRAME_BYTES:_START_BYTES], "little") in self.definitions.ids
         return kind in KNOWN and length < _LONGEST
 
@@ -288,7 +288,7 @@ class _Salvager(Walker):
     def _summary_start(self, probe: Walker, footer_start: int) -> int:
         if footer_start < len(MAGIC) or self.peek(self.file.size - len(MAGIC), len(MAGIC)) != MAGIC:
             raise Damage(self.file.size, "the file does not end as a log does")
-        if probe.frame(footer_start)[0] != Kind.FOOTER:
+        if probe.frame(footer_start)[0] != Opcode.FOOTER:
             raise Damage(footer_start, "no footer is before the end")
         _, footer = probe.walk_summary(footer_start)
         return footer_start if footer is None or not footer.summary_start else footer.summary_start

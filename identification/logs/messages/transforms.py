@@ -17,12 +17,11 @@ from problems.compiled import inlined, unlocked
 
 from ...errors import LogError
 from ...signals.recording import StampArray
-from ..containers.channel import Batch, ByteArray, Channel, Container
+from ..containers.channel import Batch, ByteArray, Channel
 from .decode import (
     ROS_ENCODINGS,
     MessageError,
     Series,
-    Wanted,
     fault,
     name_at,
     needed_types,
@@ -31,7 +30,6 @@ from .decode import (
 )
 from .kernel import FINE, FRAMES_FULL, LEFT_OVER, TOO_SHORT, aligned, bits64, opened, same, stamp, text, u32
 from .objects import LackingError, as_number, build_object_parser, either, header_of, messages_of, pick
-from .read import gather
 
 TRANSFORM = "geometry_msgs/msg/TransformStamped"
 TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
@@ -44,29 +42,6 @@ NUMBERS = 7
 SMALLEST_BYTES = 72
 """A transform takes at least this: stamp, two names of no characters, seven doubles."""
 _PADDING_BYTES = 3
-
-
-def read_transform(container: Container, channel: Channel, parent: str, child: str) -> Series:
-    """Read the transforms from `parent` to `child` in order of recording, stamped by their own headers.
-
-    Works on topics of TFMessage, which hold several transforms per message, and of TransformStamped. Raises LogError
-    where the topic holds no transform of these frames, or a message is not as its type says.
-    """
-    decoder = build_transform_decoder(channel, (parent, child))
-    series = gather(container, {channel: decoder}, {channel: Wanted(fields=FIELDS)})[channel]
-    if not series.log_ns.size:
-        pairs = ", ".join(f"{first} to {second}" for first, second in sorted(decoder.pairs)[:10])
-        raise LogError(
-            f"Topic {channel.topic} holds no transform from {parent!r} to {child!r}; it holds: {pairs or 'none'}."
-        )
-    return series
-
-
-def list_frames(container: Container, channel: Channel) -> tuple[Pair, ...]:
-    """Return the pairs of parent and child frame that occur on a topic of transforms, sorted."""
-    decoder = build_transform_decoder(channel, None)
-    gather(container, {channel: decoder}, {channel: Wanted(fields=FIELDS)})
-    return tuple(sorted(decoder.pairs))
 
 
 @dataclass(frozen=True, kw_only=True)

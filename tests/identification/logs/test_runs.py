@@ -3,7 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 
-from identification.logs.opened import separate_runs
+from identification.logs.read import separate_runs
 from identification.logs.roles.cell import Cell
 from tests.identification.logs.log_builder import Options, Stream, complete, write_mcap
 

@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 from autotune.simulation.phases import Program
 from autotune.simulation.simulate import CellRun, simulate_cell
 from autotune.simulation.truth import SimulatedCell
-from identification.logs.checks.clock_offset import ClockOffset, OffsetVerdict, apply_offset, estimate_clock_offset
-from identification.signals.recording import PoseSignal, Recording, WrenchSignal
+from identification.logs.checks.clock_offset import ClockOffset, OffsetVerdict, estimate_clock_offset
+from identification.signals.recording import PoseSignal, Recording, WrenchSignal, shifted
 from problems.arrays import FloatArray
 
 POSES = Program(jogging_s=0.0, sweep_s=0.0, contact_count=0)
@@ -74,10 +74,9 @@ def test_a_shift_of_the_stamps_shifts_the_estimate(demo_recording: Recording) ->
         assert value - base == pytest.approx(shift_s, abs=0.5 * std)
 
 
-def test_a_whole_log_without_offset_is_consistent_and_left_alone(demo_recording: Recording) -> None:
+def test_a_whole_log_without_offset_is_consistent(demo_recording: Recording) -> None:
     found = estimated(demo_recording)
     assert found.verdict is OffsetVerdict.CONSISTENT
-    assert apply_offset(demo_recording, found) is demo_recording
     assert found.finding("/ft", "/tcp").severity == "info"
 
 
@@ -86,11 +85,9 @@ def test_an_applied_offset_leaves_none(demo_recording: Recording) -> None:
     found = estimated(late)
     assert found.verdict is OffsetVerdict.FOUND
     assert "late" in found.finding("/ft", "/tcp").message
-    mended = apply_offset(late, found)
+    assert found.offset_s is not None
+    mended = replace(late, wrench=shifted(late.wrench, found.offset_s))
     assert estimated(mended).verdict is OffsetVerdict.CONSISTENT
-    # The command's stamps stay with the pose's: an offset between them would be the robot's delay.
-    assert mended.command is late.command
-    assert mended.pose is late.pose
 
 
 def test_of_a_long_log_the_minute_with_the_turns_is_enough(demo_recording: Recording) -> None:

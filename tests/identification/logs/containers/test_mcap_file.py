@@ -18,7 +18,6 @@ from identification.errors import LogError
 from identification.logs.containers.channel import Channel
 from identification.logs.containers.mcap_file import McapContainer
 from identification.logs.messages.decode import Wanted
-from identification.logs.messages.read import read_series
 from tests.identification.logs.containers import mcap_writer as raw
 from tests.identification.logs.containers.mcap_reading import (
     CHANNELS,
@@ -32,6 +31,7 @@ from tests.identification.logs.containers.mcap_reading import (
     write_style,
 )
 from tests.identification.logs.containers.mcap_writer import Sent, Style, Writer
+from tests.identification.logs.messages.message_builder import read_series
 
 COMPRESSIONS = ("", "zstd", "lz4")
 

@@ -1,7 +1,7 @@
 """Random messages of any type, serialised by rosbags, and containers that hold them in memory."""
 
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -11,6 +11,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from identification.logs.containers.channel import Batch, Channel, Container, Held, Survey, T
+from identification.logs.messages.decode import Series, Wanted
+from identification.logs.opened import build_decoder, gather
 
 ADMITTANCE = "control_msgs/msg/AdmittanceControllerState"
 MIXED = "test_msgs/msg/Mixed"
@@ -186,3 +188,8 @@ class MemoryContainer(Container):
         for batch in self.batches:
             if batch.channel in wanted:
                 yield batch.channel, handle(batch)
+
+
+def read_series(container: Container, wanted: Mapping[Channel, Wanted]) -> dict[Channel, Series]:
+    """Read channels of a container as an opened log does."""
+    return gather(container, {channel: build_decoder(channel, each) for channel, each in wanted.items()}, wanted)

@@ -9,8 +9,7 @@ import pytest
 from identification.errors import LogError
 from identification.logs.containers.channel import Channel
 from identification.logs.messages.decode import Wanted
-from identification.logs.messages.read import read_series
-from identification.logs.messages.transforms import read_transform
+from identification.logs.opened import read_transform
 from problems.arrays import FloatArray
 from tests.identification.logs.messages.message_builder import (
     ADMITTANCE,
@@ -20,6 +19,7 @@ from tests.identification.logs.messages.message_builder import (
     RandomMessages,
     batch_of,
     channel_of,
+    read_series,
     serialise,
 )
 

@@ -12,8 +12,7 @@ from google.protobuf.message_factory import GetMessages  # type: ignore[import-u
 from identification.errors import LogError
 from identification.logs.containers.channel import Channel
 from identification.logs.messages.decode import Series, Wanted
-from identification.logs.messages.read import read_series
-from tests.identification.logs.messages.message_builder import MemoryContainer, batch_of, channel_of
+from tests.identification.logs.messages.message_builder import MemoryContainer, batch_of, channel_of, read_series
 
 JSON = Channel(topic="/json", type_name="Wrench", encoding="json", schema_encoding="jsonschema", schema=b"{}")
 WANTED = Wanted(fields=("f[1].x", "g"))

@@ -14,7 +14,7 @@ from identification.errors import LogError
 from identification.logs.containers.channel import Batch, Channel
 from identification.logs.messages.decode import Series, Wanted, build_program, parse_path
 from identification.logs.messages.objects import ObjectDecoder
-from identification.logs.messages.read import build_decoder, read_series
+from identification.logs.opened import build_decoder
 from tests.identification.logs.messages.message_builder import (
     ADMITTANCE,
     ENCODINGS,
@@ -26,6 +26,7 @@ from tests.identification.logs.messages.message_builder import (
     channel_of,
     deserialise,
     number_paths,
+    read_series,
     serialise,
     store_of,
 )

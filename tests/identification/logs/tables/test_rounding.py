@@ -8,8 +8,8 @@ import pytest
 
 from autotune.formats.cell import check_cell_text
 from identification.errors import LogError
-from identification.logs.opened import open_logs, separate_runs
-from identification.logs.read import read_recording
+from identification.logs.opened import open_logs
+from identification.logs.read import read_recording, separate_runs
 from identification.logs.tables.read import find_rounding
 from problems.arrays import FloatArray
 
