@@ -15,6 +15,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from examples.paper import bode, page, port_passivity, table_one, verdicts
+from examples.paper.continuous import continuous_loop
 from examples.paper.paper_case import (
     COLOURS,
     EXPERIMENT_FEEDBACK_PER_SAMPLE_S,
@@ -30,7 +31,6 @@ from examples.paper.paper_case import (
     printed_robot,
 )
 from examples.paper.run_all import STUDIES
-from problems.model.continuous import continuous_loop
 from problems.model.sampled import build_loop, build_sampled_plant, spectral_radius
 
 NUMBER = re.compile(r"[−-]?\d+(?:\.\d+)?")

@@ -13,6 +13,8 @@ from matplotlib.lines import Line2D
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
+from examples.paper.continuous import continuous_loop
+from examples.paper.modes import Mode
 from examples.paper.page import NONE, Study, Table, new_figure, number, run
 from examples.paper.paper_case import (
     COLOURS,
@@ -26,13 +28,11 @@ from examples.paper.paper_case import (
 )
 from examples.paper.verdicts import continuous_is_stable, slowest_mode
 from problems.arrays import FloatArray
-from problems.model.continuous import continuous_loop
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Plant
 from problems.model.response import free_space_admittance, loop_response
 from problems.model.sampled import build_sampled_plant
 from problems.stability.margins import find_margins
-from problems.stability.modes import Mode
 
 DRAWN_HZ = np.geomspace(0.3, 100.0, 240)
 DENSE_HZ = np.geomspace(0.1, 100.0, 6000)

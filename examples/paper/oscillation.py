@@ -14,6 +14,7 @@ from scipy.optimize import brentq, root
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
+from examples.paper.modes import Mode, analyse_modes
 from examples.paper.page import NONE, Study, Table, new_figure, number, run
 from examples.paper.paper_case import (
     CONTACT_N_PER_M,
@@ -31,7 +32,6 @@ from problems.model.controller import AdmittanceController
 from problems.model.plant import Plant
 from problems.model.robot import RobotModel
 from problems.model.sampled import build_loop, build_sampled_plant
-from problems.stability.modes import Mode, analyse_modes
 
 SCAN_LEAD_S = np.linspace(0.0, 0.12, 121)
 MASSES_KG = (10.0, 13.0)

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
+from examples.paper.modes import analyse_modes
 from examples.paper.page import Study, Table, new_figure, number, run
 from examples.paper.paper_case import (
     COLOURS,
@@ -25,7 +26,6 @@ from examples.paper.paper_case import (
 )
 from problems.model.controller import AdmittanceController
 from problems.model.sampled import build_loop, build_sampled_plant
-from problems.stability.modes import analyse_modes
 from problems.stability.passivity import check_passivity
 
 READ_LEAD_S = (0.0, 0.005, 0.008, 0.009, 0.02, 0.04, 0.046, 0.047, 0.06)

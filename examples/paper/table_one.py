@@ -14,6 +14,7 @@ from scipy.optimize import least_squares, minimize
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
+from examples.paper.modes import ModalAnalysis, analyse_modes
 from examples.paper.page import Study, Table, new_figure, number, run
 from examples.paper.paper_case import (
     COUPLING_N_PER_M,
@@ -33,7 +34,6 @@ from problems.model.controller import AdmittanceController
 from problems.model.robot import RobotModel
 from problems.model.sampled import SampledPlant, build_loop, build_sampled_plant
 from problems.stability.margins import UnstableLoopError
-from problems.stability.modes import ModalAnalysis, analyse_modes
 
 APPROACH = Approach(force_n=30.0)
 FITTED, PREDICTED = (0, 1, 5, 6), (2, 3, 4)

@@ -5,13 +5,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from examples.paper.continuous import continuous_loop
+from examples.paper.modes import Mode, analyse_modes
 from problems.arrays import BoolArray, FloatArray
 from problems.design.batch_evaluation import are_stable
-from problems.model.continuous import continuous_loop
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Plant
 from problems.model.sampled import SampledPlant, build_loop
-from problems.stability.modes import Mode, analyse_modes
 
 _LOWEST_RAD_PER_S, _HIGHEST_RAD_PER_S = 1e-3, 3e4
 _POINTS = 12_000

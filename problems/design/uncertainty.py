@@ -266,15 +266,6 @@ class PlantSet:
                 unit[i] = math.log(value / low) / math.log(high / low) if ratio else (value - low) / (high - low)
         return np.asarray(np.clip(unit, 0.0, 1.0))
 
-    def project(self, scenario: Scenario) -> Scenario:
-        """Return the scenario pulled into the set: into the box, then straight towards the ellipsoid's centre."""
-        values = {}
-        for name, (low, high) in self.ranges.items():
-            value = getattr(scenario, name)
-            values[name] = min(max(value, low), high) if value is not None else None
-        varied = {name: value for name, value in values.items() if value is not None}
-        return self._inside(varied) if len(varied) == len(values) else Scenario(**varied)
-
     def contains(self, scenario: Scenario) -> bool:
         """Whether a scenario lies in the set; what keeps its nominal value does."""
         for name, (low, high) in self.ranges.items():

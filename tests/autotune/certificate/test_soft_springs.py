@@ -10,9 +10,9 @@ from autotune.certificate.bounds import judge_at_rest
 from autotune.certificate.certify import Verdict, certify
 from autotune.certificate.claim import Claim, prove
 from autotune.certificate.family import Family
+from examples.paper.continuous import plant_blocks
 from problems.design.hand import HandImpedance
 from problems.design.uncertainty import MASS, STIFFNESS, PlantSet
-from problems.model.continuous import plant_blocks
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Environment
 from problems.model.sampled import build_loop, build_sampled_plant, spectral_radius

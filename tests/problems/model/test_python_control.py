@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 
-from problems.model.continuous import continuous_loop
+from examples.paper.continuous import continuous_loop
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Environment, Plant
 from problems.model.python_control import ControlObjects, to_control

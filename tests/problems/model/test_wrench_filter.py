@@ -8,6 +8,7 @@ import control
 import numpy as np
 import pytest
 
+from examples.paper.continuous import continuous_loop
 from problems.contact.linear_controller_contact import simulate_linear_contact
 from problems.contact.nonlinear_simulation import simulate_nonlinear
 from problems.contact.transient import Approach, build_sampled_contact, simulate_contact
@@ -26,7 +27,6 @@ from problems.design.stable_design import Gradient
 from problems.design.uncertainty import MASS, STIFFNESS, PlantSet, Scenario
 from problems.errors import ParameterError
 from problems.maps.loops import Designs, build_plant_loops
-from problems.model.continuous import continuous_loop
 from problems.model.controller import AdmittanceController
 from problems.model.plant import FREE_SPACE, Plant, WrenchFilter
 from problems.model.python_control import to_control

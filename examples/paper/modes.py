@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..model.sampled import SampledLoop, stability_matrix
+from problems.model.sampled import SampledLoop, stability_matrix
 
 
 @dataclass(frozen=True, kw_only=True)

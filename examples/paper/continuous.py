@@ -9,12 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.polynomial.polynomial import polyval
 
-from .._checks import positive
-from ..arrays import ComplexArray, FloatArray
-from ..errors import ParameterError
-from .controller import AdmittanceController
-from .difference import filters_in_s, forward_in_s
-from .plant import Plant
+from problems._checks import positive
+from problems.arrays import ComplexArray, FloatArray
+from problems.errors import ParameterError
+from problems.model.controller import AdmittanceController
+from problems.model.difference import filters_in_s, forward_in_s
+from problems.model.plant import Plant
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

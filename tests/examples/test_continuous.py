@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from numpy.typing import NDArray
 
+from examples.paper.continuous import ContinuousLoop, continuous_loop, controller_blocks, plant_blocks
 from problems.arrays import FloatArray
 from problems.errors import ParameterError
-from problems.model.continuous import ContinuousLoop, continuous_loop, controller_blocks, plant_blocks
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Environment, Plant
 from problems.model.response import free_space_admittance, loop_response
