@@ -8,7 +8,7 @@ import numpy as np
 from examples.paper.continuous import continuous_loop
 from examples.paper.modes import Mode, analyse_modes
 from problems.arrays import BoolArray, FloatArray
-from problems.design.batch_evaluation import are_stable
+from problems.maps.loops import Designs, build_plant_loops
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Plant
 from problems.model.sampled import SampledPlant, build_loop
@@ -67,8 +67,12 @@ def stable_intervals(
     reaches the end of the scan ends there.
     """
 
+    loops = build_plant_loops([each.plant for each in plants], plants[0].sample_time_s)
+
     def judge(points: FloatArray) -> BoolArray:
-        return np.asarray(np.all(are_stable(plants, [make(float(value)) for value in points]), axis=1))
+        laws = [make(float(value)) for value in points]
+        designs = Designs(kind=laws[0], parameters=np.array([each.parameters() for each in laws]))
+        return np.asarray(np.all(loops.stable(designs), axis=1))
 
     verdicts = judge(values)
     changes = np.flatnonzero(verdicts[1:] != verdicts[:-1])

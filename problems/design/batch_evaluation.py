@@ -1,4 +1,4 @@
-"""Many controllers on many plants at once, compiled: of each pair stability and peaks, of each design its requirements.
+"""Many controllers on many plants at once, compiled: of each design its requirements.
 
 The same equations as `problems.model.sampled`, `problems.stability.margins` and `problems.contact.transient`,
 without their tables in between: the memory is that of the result and of the plants.
@@ -12,12 +12,12 @@ from operator import attrgetter
 import numpy as np
 
 from ..arrays import BoolArray, FloatArray
-from ..contact.transient import Approach, SampledContact, longest_run, simulate_contact
+from ..contact.transient import longest_run
 from ..errors import ParameterError
 from ..model.controller import THETA, AdmittanceController
 from ..model.response import PlantResponse
-from ..model.sampled import SampledPlant, build_loop, check_wrench_delay, spectral_radius
-from ..stability.margins import check_finite, find_margins, prepare_margins
+from ..model.sampled import SampledPlant, build_loop, spectral_radius
+from ..stability.margins import check_finite
 from ..stability.polynomials import DOUBTFUL, STABLE, UNSTABLE
 from .batch_kernel import (
     ADMITTANCE,
@@ -26,25 +26,16 @@ from .batch_kernel import (
     FAILED,
     GAIN_DB,
     MODULUS,
-    PAIR_COLUMNS,
-    PAIR_MODULUS,
-    PAIR_MODULUS_RAD_PER_S,
     PEAK_COLUMNS,
     PEAK_CONTACT,
     PEAK_SENSOR,
     PHASE_RAD,
     PLANT_COLUMNS,
-    STABILITY,
-    TIME_OF_PEAK,
     VERDICT,
     Band,
     Contacts,
-    Grids,
-    Loops,
     Plants,
     evaluate_designs,
-    evaluate_pairs,
-    judge_stability,
     stack_contacts,
     stack_grids,
     stack_loops,
@@ -67,118 +58,6 @@ _FAST = (*_MARGINS, "free_space_admittance", "max_peak_force_n")
 _CROSSOVERS = ("gain_margin_db", "phase_margin_deg", "delay_margin_s")
 
 _KIND = attrgetter("discretization", "compensation", "compensation_mass_kg")
-
-
-@dataclass(frozen=True, kw_only=True)
-class BatchResult:
-    """Controllers × scenarios, (m, p) each; what an unstable loop does not have is NaN.
-
-    `is_stable` is about the contact and the free space of the scenario. `modulus` is the smallest |1 + L| of the loop
-    in contact over both break points, at `modulus_hz`. Peaks as in `ContactTransient`.
-    """
-
-    is_stable: BoolArray
-    modulus: FloatArray
-    modulus_hz: FloatArray
-    peak_sensor_force_n: FloatArray
-    peak_contact_force_n: FloatArray
-    time_of_peak_s: FloatArray
-
-
-@dataclass(frozen=True, kw_only=True)
-class ScenarioBatch:
-    """Contact scenarios with everything that does not depend on the controller already computed."""
-
-    pairs: tuple[SampledContact, ...]
-    in_contact: Loops
-    in_free_space: Loops
-    responses: FloatArray
-    grids: Grids
-    contacts: Contacts
-
-    def evaluate(
-        self,
-        controllers: Sequence[AdmittanceController],
-        approach: Approach,
-        *,
-        margins: bool = True,
-        peaks: bool = True,
-    ) -> BatchResult:
-        """Evaluate every controller in every scenario; without `margins` or `peaks` those stay NaN."""
-        _check_wrench_delays([pair.free for pair in self.pairs], controllers)
-        parameters, theta, ideal = controller_numbers(controllers)
-        h = self.pairs[0].contact.sample_time_s
-        out = np.full((len(parameters), len(self.pairs), PAIR_COLUMNS), np.nan)
-        evaluate_pairs(
-            self.in_contact,
-            self.in_free_space,
-            self.responses,
-            self.grids,
-            self.contacts,
-            parameters,
-            (h, theta, ideal),
-            approach.numbers(),
-            longest_run(h),
-            (margins, peaks),
-            out,
-        )
-        for i, j in np.argwhere(out[:, :, STABILITY] == DOUBTFUL):
-            out[i, j] = _decided(self.pairs[j], controllers[i], approach)
-        return BatchResult(
-            is_stable=out[:, :, STABILITY] == 1.0,
-            modulus=out[:, :, PAIR_MODULUS],
-            modulus_hz=out[:, :, PAIR_MODULUS_RAD_PER_S] / (2.0 * np.pi),
-            peak_sensor_force_n=out[:, :, PEAK_SENSOR],
-            peak_contact_force_n=out[:, :, PEAK_CONTACT],
-            time_of_peak_s=out[:, :, TIME_OF_PEAK],
-        )
-
-
-def build_batch(pairs: Sequence[SampledContact]) -> ScenarioBatch:
-    """Prepare scenarios of one robot order and one sample time."""
-    check_alike([pair.contact for pair in pairs])
-    plants = [prepare_margins(pair.contact) for pair in pairs]
-    return ScenarioBatch(
-        pairs=tuple(pairs),
-        in_contact=stack_loops([pair.contact for pair in pairs]),
-        in_free_space=stack_loops([pair.free for pair in pairs]),
-        responses=stack_responses(plants),
-        grids=stack_grids(plants),
-        contacts=stack_contacts(pairs),
-    )
-
-
-def are_stable(plants: Sequence[SampledPlant], controllers: Sequence[AdmittanceController]) -> BoolArray:
-    """Return for every controller on every plant, (m, p), whether the sampled loop is stable.
-
-    Routh's test in w; where rounding could decide it, the eigenvalues of the exact loop do.
-    """
-    check_alike(plants)
-    _check_wrench_delays(plants, controllers)
-    parameters, theta, ideal = controller_numbers(controllers)
-    verdicts = judge_stability(stack_loops(plants), parameters, plants[0].sample_time_s, theta, ideal)
-    for i, j in np.argwhere(verdicts == DOUBTFUL):
-        verdicts[i, j] = int(spectral_radius(build_loop(plants[j], controllers[i])) < 1.0)
-    return np.asarray(verdicts == 1)
-
-
-def _check_wrench_delays(plants: Sequence[SampledPlant], controllers: Sequence[AdmittanceController]) -> None:
-    """Refuse controllers that read the position where a wrench is late."""
-    late = [plant.plant for plant in plants if plant.plant.wrench_filter.delay_s > 0.0]
-    for controller in controllers if late else ():
-        check_wrench_delay(late[0], controller)
-
-
-def _decided(pair: SampledContact, controller: AdmittanceController, approach: Approach) -> FloatArray:
-    """Return one row of a result by the exact loop's eigenvalues."""
-    row = np.full(PAIR_COLUMNS, np.nan)
-    row[STABILITY] = max(spectral_radius(build_loop(plant, controller)) for plant in (pair.free, pair.contact)) < 1.0
-    if row[STABILITY]:
-        margins, run = find_margins(pair.contact, controller), simulate_contact(pair, controller, approach)
-        row[PAIR_MODULUS], row[PAIR_MODULUS_RAD_PER_S] = margins.modulus, 2.0 * np.pi * margins.modulus_hz
-        row[PEAK_SENSOR], row[PEAK_CONTACT] = run.peak_sensor_force_n, run.peak_contact_force_n
-        row[TIME_OF_PEAK] = run.time_of_peak_s
-    return row
 
 
 def controller_numbers(controllers: Sequence[AdmittanceController]) -> tuple[FloatArray, float, bool]:

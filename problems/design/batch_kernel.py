@@ -10,7 +10,6 @@ from ..compiled import compiled, released
 from ..contact.kernel import contact_forces, run_contact, steady_start
 from ..contact.kernel_types import (
     CONTACT_PEAK,
-    CONTACT_TIME,
     FOUND,
     MOVING,
     POSITION,
@@ -46,14 +45,12 @@ Plants = tuple[Loops, FloatArray, Grids]
 # ω, z and x/x^d over the band of the admittance.
 Band = tuple[FloatArray, ComplexArray, ComplexArray]
 
-# Columns of a pair of controller and scenario: the peaks come first, as `simulate_pair` writes them.
-PEAK_SENSOR, PEAK_CONTACT, TIME_OF_PEAK, PEAK_COLUMNS = 0, 1, 2, 3
-STABILITY, PAIR_MODULUS, PAIR_MODULUS_RAD_PER_S, PAIR_COLUMNS = 3, 4, 5, 6
+# Columns of a pair of controller and scenario, as `simulate_pair` writes them.
+PEAK_SENSOR, PEAK_CONTACT, PEAK_COLUMNS = 0, 1, 2
 # Columns of a design, and of each of its plants.
 VERDICT, FAILED, ADMITTANCE, COLUMNS = 0, 1, 2, 3
 MODULUS, GAIN_DB, PHASE_RAD, DELAY_S, PLANT_COLUMNS = 0, 1, 2, 3, 4
 # Where a loop has them; plain numbers, for they belong to what the cache of a kernel is compared by.
-_LOOP_MODULUS, _LOOP_MODULUS_RAD_PER_S = margin_kernel.MODULUS, margin_kernel.MODULUS_RAD_PER_S
 _OF_LOOP = (margin_kernel.MODULUS, margin_kernel.GAIN_DB, margin_kernel.PHASE_RAD, margin_kernel.DELAY_S)
 
 
@@ -97,48 +94,6 @@ def judge_stability(loops: Loops, designs: FloatArray, h: float, theta: float, i
 
 
 @compiled
-def evaluate_pairs(
-    in_contact: Loops,
-    in_free_space: Loops,
-    responses: FloatArray,
-    grids: Grids,
-    contacts: Contacts,
-    designs: FloatArray,
-    sampling: tuple[float, float, bool],
-    approach: tuple[float, float, bool, float],
-    longest: int,
-    wanted: tuple[bool, bool],
-    out: FloatArray,
-) -> None:
-    """Fill `out` (m, p, PAIR_COLUMNS) with stability, modulus margin and peaks of designs (m, 7) in p scenarios.
-
-    `responses` (p, 4, n) are what `plant_at` takes, `sampling` is (h, θ, ideal), `approach` as `Approach.numbers`,
-    `wanted` (margins, peaks). DOUBTFUL verdicts are left to the caller, as are the margins and peaks then.
-    """
-    controller, work, found = np.zeros((3, CONTROLLER_POWERS)), polynomial_workspace(in_contact), np.zeros(MARGINS)
-    traces = Traces(np.empty(longest), np.empty(longest))
-    (h, theta, ideal), (margins, peaks) = sampling, wanted
-    for i in range(len(designs)):
-        degree = controller_polynomials(designs[i], ideal, controller)
-        blocks = blocks_of(designs[i], h, theta, ideal)
-        for j in range(len(responses)):
-            out[i, j, :] = np.nan
-            verdict = judge_loop(in_contact, j, controller, degree, h, theta, work)
-            if verdict == STABLE:
-                verdict = judge_loop(in_free_space, j, controller, degree, h, theta, work)
-            out[i, j, STABILITY] = verdict
-            if verdict != STABLE:
-                continue
-            if margins:
-                loop = PolynomialLoop(responses[j], controller, degree, h, theta)
-                find_loop_margins(loop, grid_of(grids, j), MODULUS_ALONE, found)
-                out[i, j, PAIR_MODULUS] = found[_LOOP_MODULUS]
-                out[i, j, PAIR_MODULUS_RAD_PER_S] = found[_LOOP_MODULUS_RAD_PER_S]
-            if peaks:
-                simulate_pair(contacts, j, blocks, designs[i, DAMPING], h, approach, traces, out[i, j])
-
-
-@compiled
 def simulate_pair(
     contacts: Contacts,
     j: int,
@@ -160,7 +115,6 @@ def simulate_pair(
     found = np.zeros(FOUND)
     run_contact(plant, blocks, start, forces, traces, found, True)
     out[PEAK_SENSOR], out[PEAK_CONTACT] = found[SENSOR_PEAK], found[CONTACT_PEAK]
-    out[TIME_OF_PEAK] = found[CONTACT_TIME] * h
 
 
 @released

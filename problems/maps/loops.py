@@ -9,14 +9,31 @@ from numpy.typing import NDArray
 
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..compiled import compiled
-from ..contact.kernel_types import POSITION, SENSED
-from ..contact.transient import Approach, build_sampled_contact
-from ..design.batch_evaluation import build_batch
-from ..design.batch_kernel import Loops, judge_stability
+from ..contact.kernel_types import POSITION, SENSED, Traces
+from ..contact.transient import Approach, build_sampled_contact, longest_run
+from ..design.batch_kernel import (
+    PEAK_COLUMNS,
+    PEAK_CONTACT,
+    PEAK_SENSOR,
+    Contacts,
+    Loops,
+    judge_stability,
+    simulate_pair,
+    stack_contacts,
+)
 from ..errors import ParameterError
-from ..model.controller import SMALLEST_FEEDBACK_DAMPING_S, AdmittanceController
+from ..model.controller import SMALLEST_FEEDBACK_DAMPING_S, AdmittanceController, blocks_of
+from ..model.difference import DAMPING
 from ..model.plant import ENVIRONMENT_STIFFNESS, FREE_SPACE, OF_FORCE, PLANT_PARAMETERS, Plant, write_plant
-from ..model.sampled import SampledPlant, build_loop, build_sampled_plant, hold_columns, spectral_radius, split_delay
+from ..model.sampled import (
+    SampledPlant,
+    build_loop,
+    build_sampled_plant,
+    check_wrench_delay,
+    hold_columns,
+    spectral_radius,
+    split_delay,
+)
 from ..stability.margin_kernel import (
     DELAY_S,
     DISK,
@@ -176,7 +193,10 @@ class PlantLoops:
         return build_sampled_plant(self.plants[index], self.sample_time_s)
 
     def stable(self, designs: Designs) -> BoolArray:
-        """Return for every controller on every plant, (m, p), whether the loop is stable, as `are_stable` does."""
+        """Return for every controller on every plant, (m, p), whether the loop is stable.
+
+        Routh's test in w; where rounding could decide it, the eigenvalues of the exact loop do.
+        """
         out = np.zeros((designs.count, len(self.plants)), dtype=np.bool_)
         for chosen, ideal in designs.alike():
             parameters = designs.parameters[chosen]
@@ -286,21 +306,45 @@ def build_chunk(plants: Sequence[Plant], sample_time_s: float, where: Where) -> 
     )
 
 
+@compiled
+def peaks_of_pairs(
+    contacts: Contacts,
+    designs: FloatArray,
+    wanted: NDArray[np.bool_],
+    sampling: tuple[float, float, bool],
+    approach: tuple[float, float, bool, float],
+    longest: int,
+    out: FloatArray,
+) -> None:
+    """Write the peaks of the wanted, stable pairs (m, p) of designs (m, 7) and plants into `out` (m, p, PEAK_COLUMNS).
+
+    `sampling` is (h, θ, ideal), `approach` as `Approach.numbers`.
+    """
+    h, theta, ideal = sampling
+    traces = Traces(np.empty(longest), np.empty(longest))
+    for i in range(len(designs)):
+        blocks = blocks_of(designs[i], h, theta, ideal)
+        for j in range(out.shape[1]):
+            if wanted[i, j]:
+                simulate_pair(contacts, j, blocks, designs[i, DAMPING], h, approach, traces, out[i, j])
+
+
 def peaks_of(
     plants: Sequence[Plant], sample_time_s: float, designs: Designs, approach: Approach, quantity: MapQuantity
 ) -> tuple[BoolArray, FloatArray]:
     """Return stability in contact and free space, and one peak force [N], (m, p); NaN where the loop is unstable."""
-    for plant in plants:
-        check_delay(plant, sample_time_s)
-    batch = build_batch([build_sampled_contact(build_sampled_plant(plant, sample_time_s)) for plant in plants])
-    stable = np.zeros((designs.count, len(plants)), dtype=np.bool_)
-    peaks = np.full(stable.shape, np.nan)
-    for chosen, _ in designs.alike():
-        found = batch.evaluate([designs.controller(i) for i in chosen], approach, margins=False)
-        stable[chosen] = found.is_stable
-        at_contact = quantity is MapQuantity.PEAK_CONTACT
-        peaks[chosen] = found.peak_contact_force_n if at_contact else found.peak_sensor_force_n
-    return stable, np.where(stable, peaks, np.nan)
+    late = [plant for plant in plants if plant.wrench_filter.delay_s > 0.0]
+    for index in range(designs.count if late else 0):
+        check_wrench_delay(late[0], designs.controller(index))
+    stable = build_chunk(plants, sample_time_s, "both").stable(designs)
+    pairs = [build_sampled_contact(build_sampled_plant(plant, sample_time_s)) for plant in plants]
+    contacts, peaks = stack_contacts(pairs), np.full((*stable.shape, PEAK_COLUMNS), np.nan)
+    longest, numbers = longest_run(sample_time_s), approach.numbers()
+    for chosen, ideal in designs.alike():
+        sampling, out = (sample_time_s, designs.kind.theta, ideal), peaks[chosen]
+        peaks_of_pairs(contacts, designs.parameters[chosen], stable[chosen], sampling, numbers, longest, out)
+        peaks[chosen] = out
+    return stable, peaks[:, :, PEAK_CONTACT if quantity is MapQuantity.PEAK_CONTACT else PEAK_SENSOR]
 
 
 def _margin(plant: SampledPlant, designs: Designs, wanted: BoolArray, quantity: MapQuantity) -> FloatArray:

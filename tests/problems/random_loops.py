@@ -7,10 +7,14 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator
 
+from problems.arrays import BoolArray
+from problems.design.batch_evaluation import check_alike, controller_numbers
+from problems.design.batch_kernel import judge_stability, stack_loops
 from problems.model.controller import AdmittanceController
 from problems.model.plant import FREE_SPACE, Environment, Plant
 from problems.model.robot import RobotModel
 from problems.model.sampled import SampledPlant, build_loop, build_sampled_plant, spectral_radius
+from problems.stability.polynomials import DOUBTFUL, STABLE, UNSTABLE
 from tests.problems.axes import PERIOD_S, paper_plant
 
 FORMS = ("tustin", "forward_euler", "backward_euler")
@@ -111,3 +115,13 @@ def stable_loops(
         if radius_of(sampled, controller) < below:
             found += 1
             yield sampled, controller
+
+
+def are_stable(plants: Sequence[SampledPlant], controllers: Sequence[AdmittanceController]) -> BoolArray:
+    """Return the verdicts (m, p) that searches go by: Routh's test, and the eigenvalues where it is in doubt."""
+    check_alike(plants)
+    parameters, theta, ideal = controller_numbers(controllers)
+    verdicts = judge_stability(stack_loops(plants), parameters, plants[0].sample_time_s, theta, ideal)
+    for i, j in np.argwhere(verdicts == DOUBTFUL):
+        verdicts[i, j] = STABLE if radius_of(plants[j], controllers[i]) < 1.0 else UNSTABLE
+    return np.asarray(verdicts == STABLE)

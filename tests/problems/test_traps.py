@@ -11,8 +11,9 @@ import pytest
 
 from problems.arrays import FloatArray
 from problems.contact.transient import Approach, build_sampled_contact, simulate_contact
-from problems.design.batch_evaluation import are_stable, build_batch
 from problems.errors import ParameterError
+from problems.maps.loops import build_chunk, designs_around, peaks_of
+from problems.maps.parameters import MapQuantity
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Coupling, Environment, PayloadDynamics
 from problems.model.response import loop_response
@@ -21,7 +22,7 @@ from problems.model.sampled import SampledPlant, build_loop, spectral_radius, st
 from problems.stability.margins import UnstableLoopError, find_margins, frequency_grid, margins_on_grid, prepare_margins
 from problems.stability.noise import predict_command_noise
 from tests.problems.axes import PERIOD_S, admittance, one_pole, paper_plant
-from tests.problems.random_loops import radius_of, random_controller, random_plant, sampled_of, stable_loops
+from tests.problems.random_loops import are_stable, radius_of, random_controller, random_plant, sampled_of, stable_loops
 from tests.problems.reference import closed_loop
 
 BAD = (math.nan, math.inf, -math.inf)
@@ -52,9 +53,10 @@ def test_the_fine_modulus_of_an_unstable_loop_is_never_reported() -> None:
         assert not are_stable([sampled], [controller])[0, 0]
         if sampled.plant.environment.is_anchored:
             pair = build_sampled_contact(sampled)
-            found = build_batch([pair]).evaluate([controller], FORCE)
-            assert math.isnan(found.modulus[0, 0])
-            assert math.isnan(found.peak_contact_force_n[0, 0])
+            _, peaks = peaks_of(
+                [sampled.plant], PERIOD_S, designs_around(controller, {}), FORCE, MapQuantity.PEAK_CONTACT
+            )
+            assert math.isnan(peaks[0, 0])
             with pytest.raises(UnstableLoopError):
                 simulate_contact(pair, controller, FORCE)
     # The trap is there: many of them would pass a sensitivity below 2.
@@ -151,10 +153,13 @@ def test_a_loop_that_is_not_a_number_is_not_infinitely_robust() -> None:
     extreme = AdmittanceController(mass_kg=1e-300, damping_n_s_per_m=1e300)
     with pytest.raises(ParameterError, match="finite response"):
         prepare_margins(sampled).find(extreme, 0.5)
-    usual = admittance(damping=3000.0)
-    found = build_batch([build_sampled_contact(sampled)]).evaluate([extreme, usual], FORCE, peaks=False)
-    assert not found.modulus[0, 0] > 0.0
-    assert found.modulus[1, 0] == find_margins(sampled, usual).modulus
+    usual, chunk = admittance(damping=3000.0), build_chunk([sampled.plant], PERIOD_S, "contact")
+    found = [
+        chunk.margins(designs_around(law, {}), np.array([[True]]), MapQuantity.MODULUS)[0, 0]
+        for law in (extreme, usual)
+    ]
+    assert not found[0] > 0.0
+    assert found[1] == find_margins(sampled, usual).modulus
 
 
 def test_one_bad_plant_does_not_spoil_a_batch() -> None:

@@ -12,7 +12,6 @@ from examples.paper.continuous import continuous_loop
 from problems.contact.linear_controller_contact import simulate_linear_contact
 from problems.contact.nonlinear_simulation import simulate_nonlinear
 from problems.contact.transient import Approach, build_sampled_contact, simulate_contact
-from problems.design.batch_evaluation import are_stable, build_batch
 from problems.design.gradients import (
     admittance_gradient,
     decay_gradient,
@@ -26,7 +25,9 @@ from problems.design.problem import DesignProblem
 from problems.design.stable_design import Gradient
 from problems.design.uncertainty import MASS, STIFFNESS, PlantSet, Scenario
 from problems.errors import ParameterError
-from problems.maps.loops import Designs, build_plant_loops
+from problems.maps import loops
+from problems.maps.loops import Designs, build_plant_loops, designs_around
+from problems.maps.parameters import MapQuantity
 from problems.model.controller import AdmittanceController
 from problems.model.plant import FREE_SPACE, Plant, WrenchFilter
 from problems.model.python_control import to_control
@@ -192,10 +193,9 @@ def test_the_kernels_agree_on_a_filtered_plant() -> None:
     """Batch, maps, Runge–Kutta, any linear law, and the tick by tick contact: one loop."""
     pair = build_sampled_contact(build_sampled_plant(FILTERED, PERIOD_S))
     sensor, contact = peaks_of(FILTERED, CALM)
-    rows = build_batch([pair]).evaluate([CALM], FORCE)
-    assert rows.peak_sensor_force_n[0, 0] == pytest.approx(sensor, rel=1e-12)
-    assert rows.peak_contact_force_n[0, 0] == pytest.approx(contact, rel=1e-12)
-    assert rows.modulus[0, 0] == pytest.approx(find_margins(pair.contact, CALM).modulus, rel=1e-9)
+    for quantity, peak in ((MapQuantity.PEAK_SENSOR, sensor), (MapQuantity.PEAK_CONTACT, contact)):
+        found = loops.peaks_of([FILTERED], PERIOD_S, designs_around(CALM, {}), FORCE, quantity)[1]
+        assert found[0, 0] == pytest.approx(peak, rel=1e-12)
     full = simulate_nonlinear(FILTERED, CALM, FORCE, sample_time_s=PERIOD_S, duration_s=0.5, substeps=40)
     # Fourth order, and the first power of a step where B_e jumps in: 1e-4 is the issue's own grid.
     assert full.peak_sensor_force_n == pytest.approx(sensor, rel=1e-4)
@@ -209,7 +209,6 @@ def test_the_kernels_agree_on_a_filtered_plant() -> None:
     assert {True, False} == set(expected)
     designs = Designs(kind=CALM, parameters=np.array([each.parameters() for each in laws]))
     assert build_plant_loops([FILTERED], PERIOD_S).stable(designs)[:, 0].tolist() == expected
-    assert are_stable([pair.contact], laws)[:, 0].tolist() == expected
 
 
 def test_a_vanishing_filter_is_none() -> None:
@@ -270,7 +269,7 @@ def test_a_law_that_reads_the_position_beside_a_late_wrench_is_refused(law: Admi
         build_loop(sampled, law)
     if isinstance(law, AdmittanceController):
         with pytest.raises(ParameterError, match="reads the position"):
-            build_batch([build_sampled_contact(sampled)]).evaluate([law], FORCE)
+            loops.peaks_of([LATE], PERIOD_S, designs_around(law, {}), FORCE, MapQuantity.PEAK_SENSOR)
 
 
 def test_a_design_problem_varies_the_filter_and_refuses_what_it_cannot_hold() -> None:

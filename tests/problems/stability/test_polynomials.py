@@ -8,7 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from problems.arrays import FloatArray
-from problems.design.batch_evaluation import are_stable
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Environment, PayloadDynamics, Plant
 from problems.model.response import plant_response
@@ -25,7 +24,7 @@ from problems.stability.polynomials import (
     loop_polynomial,
 )
 from tests.problems.axes import LAW, PERIOD_S, WHOLE_DELAYS, admittance, one_pole, paper_plant
-from tests.problems.random_loops import FORMS, radius_of, random_controller, random_plant, sampled_of
+from tests.problems.random_loops import FORMS, are_stable, radius_of, random_controller, random_plant, sampled_of
 from tests.problems.whole_model import whole_controllers, whole_plants
 
 
