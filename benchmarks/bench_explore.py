@@ -26,7 +26,7 @@ from autotune.explore.source import AxisStart, read_exploration
 from autotune.explore.view import compute_view, prepare_view
 from benchmarks.timing import best
 
-COLUMNS, ROWS = 10, 8
+COLUMNS, ROWS = 8, 6
 RUNS = 20
 RESTS_S = 1.0
 # A slider is moved in the page, and the clock stops when the loop's new curve (or the new map) has arrived, and again
@@ -109,7 +109,7 @@ def steps(start: AxisStart) -> dict[str, Callable[[], object]]:
         "another gain: view and map": gain,
         "the plant: sampling, view and map": plant,
         "a moment later: the map twice as fine": lambda: compute_map(ready.screen, design, window.finer(2)),
-        "at rest: the map four times as fine": lambda: compute_map(ready.screen, design, window.finer(4)),
+        "at rest: the map five times as fine": lambda: compute_map(ready.screen, design, window.finer(5)),
     }
 
 

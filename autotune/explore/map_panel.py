@@ -11,9 +11,10 @@ from .figures import Figures, Sender
 from .sliders import SliderRange
 from .view import PreparedView, View
 
-_COLUMNS, _ROWS = 10, 8
-# How many times as fine the map becomes, and how long the hand rests before that.
-_FINER_AFTER_MS = {2: 60, 4: 350}
+# Few cells first: with the browser beside it, a hand sees the map of another plant within 50 ms.
+_COLUMNS, _ROWS = 8, 6
+# How many times as fine the map becomes in turn, and how long the hand rests before that.
+_FINER_AFTER_MS = ((2, 60), (5, 350))
 _LOOKS_MS = 15
 
 
@@ -30,7 +31,7 @@ class MapPanel:
         self._of: tuple[PreparedView, object] | None = None
         self._run: MapRun | None = None
         self._timer: Any = None
-        self._finer = 1
+        self._refined = 0
         self._view: View | None = None
 
     def connect(self, sender: Sender) -> None:
@@ -57,13 +58,13 @@ class MapPanel:
         if self._of is not None and self._of[0] is prepared and self._of[1] == key:
             return
         self.stop()
-        self._of, self._design, self._finer = (prepared, key), design.copy(), 1
+        self._of, self._design, self._refined = (prepared, key), design.copy(), 0
         self._run = MapRun(prepared.screen, self._design, window)
 
     def show(self, view: View) -> None:
         """Show the coarse map that was begun, and the view's design in it."""
         self._view = view
-        if self._run is not None and self._finer == 1:
+        if self._run is not None and self._refined == 0:
             self._finish(self._run)
         self._show_own()
 
@@ -79,8 +80,9 @@ class MapPanel:
         """Begin the next finer map, which is shown once it is there."""
         if self._of is None or self.window is None:
             return
-        self._finer *= 2
-        self._run = MapRun(self._of[0].screen, self._design, self.window.finer(self._finer))
+        factor, _ = _FINER_AFTER_MS[self._refined]
+        self._refined += 1
+        self._run = MapRun(self._of[0].screen, self._design, self.window.finer(factor))
         self.look()
 
     def look(self) -> None:
@@ -98,9 +100,8 @@ class MapPanel:
         self._run = self._timer = None
         self.map = run.collect()
         self._figures.show_map(self.map, self._sender)
-        waits = _FINER_AFTER_MS.get(2 * self._finer)
-        if waits is not None:
-            self._timer = self._after(waits, self.refine)
+        if self._refined < len(_FINER_AFTER_MS):
+            self._timer = self._after(_FINER_AFTER_MS[self._refined][1], self.refine)
 
     def _after(self, waits_ms: int, call: Any) -> Any:
         return self._document.add_timeout_callback(call, waits_ms)
