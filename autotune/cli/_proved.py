@@ -32,7 +32,7 @@ def led_lines(controller: "Controller", limit: tuple[float, str] | None = None) 
     `limit` is the force [N] with its name: by default the one of `contact_at_speed`, else that of a clamped hand.
     """
     from autotune.formats.units import ROTATIONAL_AXES
-    from autotune.prediction.as_run_by import designed_for, peak_per_speed
+    from autotune.prediction.as_run_by import designed_for, led_speed_text, peak_per_speed
     from autotune.validation.certified_requirements import asked_of
     from problems.design.requirements import BODY_REGIONS, HANDS, ContactAtSpeed
 
@@ -44,11 +44,12 @@ def led_lines(controller: "Controller", limit: tuple[float, str] | None = None) 
             continue
         said = (asked.max_force_n, "contact_at_speed") if isinstance(asked, ContactAtSpeed) else None
         force, label = limit or said or (BODY_REGIONS["hand"], "ISO/TS 15066, clamped hand")
-        pushing, released = (per_speed.largest_speed(force, hand) for hand in HANDS)
+        pushing, released = (led_speed_text(controller, name, force, hand) for hand in HANDS)
+        capped = " (* the limit of the command)" if "*" in pushing + released else ""
         yield (
             f"axis {name}, led by hand{runs}: {per_speed.pushes_on:.4g} N per m/s while the hand pushes on, "
-            f"{per_speed.lets_go:.4g} when it lets go; at most {force:g} N ({label}) up to {pushing:.2g} and "
-            f"{released:.2g} m/s"
+            f"{per_speed.lets_go:.4g} when it lets go; at most {force:g} N ({label}) up to {pushing} and "
+            f"{released} m/s{capped}"
         )
 
 

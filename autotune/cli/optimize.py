@@ -338,7 +338,7 @@ def print_optimized(
         verdict = f"{check.verdict:6} "
         print_message(f"{axis}{check.name}: {check.message}", verdict=verdict, indent="  ")
     for claim in controller.certificate.sampled:
-        print_message(f"  sampled, not proved: {claim.claim}; over {claim.over}")
+        print_message(f"  sampled, not proved: {claim.claim}; over {claim.over_text()}")
     if present is not None:
         for line in compare_lines(present, found.compared):
             echo(line)

@@ -1,6 +1,7 @@
 """The certificate in `controller.yaml`, as values; on rx, ry, rz read N·m, rad and kg·m² for N, m and kg."""
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
@@ -217,6 +218,15 @@ class AxisMargins:
         object.__setattr__(self, "worst", FrozenDict({key: FrozenDict(case) for key, case in self.worst.items()}))
 
 
+_SI_RANGE = re.compile(r"\[([^],]+), ([^],]+)\] (N/m|s)(?![^,;])")
+
+
+def _shown_range(found: re.Match[str]) -> str:
+    low, high, unit = found.groups()
+    scale, shown = (1e-3, "N/mm") if unit == "N/m" else (1e3, "ms")
+    return f"[{scale * float(low):.5g}, {scale * float(high):.5g}] {shown}"
+
+
 @dataclass(frozen=True, kw_only=True)
 class Proof:
     """What is proved, by which method, over which set; `numbers` are its figures by name, if it has any."""
@@ -231,9 +241,9 @@ class Proof:
             freeze(self, "numbers")
 
     def over_text(self) -> str:
-        """Return the set as text."""
+        """Return the set as people read it: stiffnesses in N/mm and times in ms, where the file has SI."""
         if isinstance(self.over, str):
-            return self.over
+            return _SI_RANGE.sub(_shown_range, self.over)
         return ", ".join(f"{name} {value}" for name, value in self.over.items())
 
 

@@ -40,6 +40,19 @@ class AxisLimits:
 
 
 @dataclass(frozen=True, kw_only=True)
+class LimitsNoise:
+    """The noise that the limits leave room for, RMS: wrench and pose.
+
+    `gravity_residual_n` is what the identified compensation left over in the poses of the log.
+    """
+
+    force_n: Annotated[float, Rule(minimum=0, maximum=1000)] = 0.0
+    torque_n_m: Annotated[float, Rule(minimum=0, maximum=200)] = 0.0
+    position_m: Annotated[float, Rule(minimum=0, maximum=0.1)] = 0.0
+    gravity_residual_n: Annotated[float, Rule(minimum=0, maximum=1000)] = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
 class Limits:
     """What a reading and a command must stay within; the runtime holds the command once they do not.
 
@@ -47,7 +60,8 @@ class Limits:
     The measured pose goes no faster than `pose_speed_m_s` and `pose_speed_rad_s`, counted over the time since it
     last changed. A wrench, or pose, that does not change for `stale_wrench_s`, or `stale_pose_s`, while the command
     moves is stale. The mean of the first `rest_samples` wrenches, without weight and bias, is at most `rest_force_n`
-    and `rest_torque_n_m` in magnitude. `reasons` says by name why a value is what it is.
+    and `rest_torque_n_m` in magnitude. `reasons` says by name why a value is what it is, `noise` for which
+    noise they were chosen; None in files of an earlier release.
 
     Raises ParameterError unless every number is positive and finite and `rest_samples` is between 1 and 100000.
     """
@@ -62,6 +76,7 @@ class Limits:
     rest_samples: Annotated[int, Rule(minimum=1, maximum=MOST_REST_SAMPLES)]
     rest_force_n: Annotated[float, Rule(exclusiveMinimum=0, maximum=1000)]
     rest_torque_n_m: Annotated[float, Rule(exclusiveMinimum=0, maximum=200)]
+    noise: LimitsNoise | None = None
     reasons: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

@@ -287,7 +287,7 @@ def problem_schema(tree: Mapping[str, Any]) -> dict[str, Any]:
 
 def _limits_schema() -> dict[str, Any]:
     known = load_schema("controller")["$defs"]
-    entries = {name: each for name, each in known["Limits"]["properties"].items() if name != "reasons"}
+    entries = {name: each for name, each in known["Limits"]["properties"].items() if name not in ("noise", "reasons")}
     axis = {**known["AxisLimits"], "required": [], "minProperties": 1}
     entries["axes"] = {"type": "object", "properties": dict.fromkeys(AXES, axis), "additionalProperties": False}
     return {"type": "object", "properties": entries, "additionalProperties": False}

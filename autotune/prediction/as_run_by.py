@@ -1,5 +1,6 @@
 """What an export target runs in place of our own law, as the file that was designed for it holds it."""
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -7,7 +8,7 @@ from typing import Any
 from autotune.formats.controller_record import Controller, PeakPerSpeed
 from autotune.formats.units import axis_units
 from autotune.shown import plain_tree
-from problems.design.requirements import HANDS
+from problems.design.requirements import HANDS, Hand
 from problems.model.linear_controllers import LinearController
 
 from .contact import AnyLaw, TargetLaw
@@ -84,6 +85,18 @@ def as_run_by(controller: Controller, axis: str) -> AsRunBy | None:
     law = LinearController(**tree.pop("law"), sample_time_s=controller.sample_time_s)
     led = tree.pop("peak_per_speed", None)
     return AsRunBy(target=said["target"], law=law, peak_per_speed=led and PeakPerSpeed(**led), **tree)
+
+
+def led_speed_text(controller: Controller, name: str, force: float, hand: Hand) -> str:
+    """Return up to which speed [m/s, rad/s] a payload led by hand does not exceed `force` [N, N·m]: "0.12".
+
+    Where our own law goes no faster anyway, it is the limit of the command that is named: "0.3*".
+    """
+    found, limits = peak_per_speed(controller, name), controller.limits
+    speed = math.inf if found is None else found.largest_speed(force, hand)
+    if limits is None or designed_for(controller) or speed < limits.axes[name].speed:
+        return f"{speed:.2g}"
+    return f"{limits.axes[name].speed:g}*"
 
 
 def peak_per_speed(controller: Controller, axis: str) -> PeakPerSpeed | None:

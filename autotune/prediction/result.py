@@ -9,6 +9,7 @@ import numpy as np
 from autotune.charts.chart import Band, Chart, Line, Panel, Points, Scale
 from autotune.formats.units import axis_units
 from autotune.shown import ResultTable, Shown, data_frame, plain_tree
+from autotune.text import stiffness_text
 from problems.contact.transient import Approach, ContactTransient
 from problems.model.axis_kind import AxisKind
 from problems.model.controller import AdmittanceController
@@ -130,8 +131,8 @@ class PredictedContact(Shown):
         else:
             peak = f"peak {self.peak_force:.4g} {units.force} at the surface, {1e3 * when:.3g} ms"
         return (
-            f"Predicted contact on axis {self.axis}{whose}: {peak} after touching {stiffness:.4g} {units.stiffness} at "
-            f"{self.contact.contact_speed_m_s:.3g} {units.speed} with {mass}"
+            f"Predicted contact on axis {self.axis}{whose}: {peak} after touching "
+            f"{stiffness_text(stiffness, units)} at {self.contact.contact_speed_m_s:.3g} {units.speed} with {mass}"
         )
 
     def _tables(self) -> Iterator[ResultTable]:

@@ -11,7 +11,7 @@ from autotune.formats.certificate_record import SoftRequirement
 from autotune.formats.controller_record import Controller
 from autotune.formats.units import ROTATIONAL_AXES, axis_units
 from autotune.plugins import find_requirement
-from autotune.prediction.as_run_by import as_run_by, designed_for, peak_per_speed
+from autotune.prediction.as_run_by import as_run_by, designed_for, led_speed_text, peak_per_speed
 from autotune.prediction.law import PresentGains
 from autotune.text import gain_rows, scenario_text, stiffness_text, value_text
 from problems.design.requirements import BODY_REGIONS, HANDS, MARGINS, AdmittanceRequirement, Margin, PeakForceLimit
@@ -112,14 +112,20 @@ def led_table(controller: Controller, designs: Sequence[AxisDesign]) -> Table | 
     runs = f", as {target} runs it" if (target := designed_for(controller)) else ""
     heads = (f"{name}, hand {hand.replace('_', ' ')} [m/s]" for name, _, hand in columns)
 
-    def speeds(force: float) -> Iterator[str]:
-        yield from (f"{found.largest_speed(force, hand):.2g}" for _, found, hand in columns)
-
+    rows = [
+        (
+            region.replace("_", " "),
+            f"{force:g}",
+            *(led_speed_text(controller, name, force, hand) for name, _, hand in columns),
+        )
+        for region, force in BODY_REGIONS.items()
+    ]
+    capped = "; * the limit of the command" if any("*" in "".join(row) for row in rows) else ""
     return build_table(
         "Speed up to which no certified contact exceeds the force on a clamped part of the body (ISO/TS 15066:2016, "
-        f"Table A.2, quasi-static){runs}",
+        f"Table A.2, quasi-static){runs}{capped}",
         ("part of the body", "force [N]", *heads),
-        ((region.replace("_", " "), f"{force:g}", *speeds(force)) for region, force in BODY_REGIONS.items()),
+        rows,
         numbers=range(1, 2 + len(columns)),
     )
 

@@ -13,6 +13,7 @@ from autotune.formats.controller_record import AxisPrediction, CollisionSettings
 from autotune.formats.limits import CollisionResponse
 from autotune.formats.problem import ProblemSpec
 from autotune.formats.units import ROTATIONAL_AXES
+from autotune.validation.limits import NOISE_DEVIATIONS
 from identification.result import Identified
 from problems.arrays import FloatArray
 from problems.design.objectives import PLACES, PeakObjective, force_of
@@ -27,8 +28,6 @@ Interval = tuple[float, float]
 
 SAME_PEAK = 1e-3
 """Peaks this close, as a share, are one peak: the higher threshold counts then, for fewer false alarms."""
-NOISE_DEVIATIONS = 6.0
-"""A threshold lies this many deviations of the noise above free motion: one tick in 1e9 is beyond it."""
 ASSUMED_NOISE_N = 0.5
 """RMS that is taken, and named, where none was identified: two to three times that of a good sensor."""
 # Intervals between the thresholds at which a detection moves by a tick; only a very fast controller has more.

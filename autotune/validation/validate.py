@@ -16,8 +16,9 @@ from problems.model.controller import AdmittanceController
 from .axis_proof import Answers, Prover
 from .bouncing import search_bouncing
 from .certified_requirements import limit_n
-from .contacts import verify_led, verify_limits, verify_peaks, verify_response
+from .contacts import verify_led, verify_peaks, verify_response
 from .held import check_held
+from .limits import verify_limits
 from .margins import SweptMargins, sweep_margins
 from .peak_proof import check_peaks
 from .proof_checks import check_continuous, check_stability, check_statements

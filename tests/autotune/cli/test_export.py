@@ -200,7 +200,11 @@ def test_a_law_that_is_not_stable_is_exit_6_whatever_its_checksum_says(run_cli: 
 
 @pytest.mark.parametrize(
     ("entry", "value", "message"),
-    [("rest_force_n", 20.0, "with_residual_weight"), ("speed", 0.02, "limits.axes.x.speed is 0.02 m/s, and certified")],
+    [
+        ("rest_force_n", 20.0, "with_residual_weight"),
+        ("speed", 0.02, "limits.axes.x.speed is 0.02 m/s, and certified"),
+        ("speed", 2.0, "limits.axes.x.speed is 2, and what the file holds makes it"),
+    ],
 )
 def test_limits_that_validate_refuses_are_not_exported(
     source: Path, capsys: pytest.CaptureFixture[str], entry: str, value: float, message: str

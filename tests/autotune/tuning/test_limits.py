@@ -26,7 +26,7 @@ def test_every_value_has_its_reason_and_room() -> None:
     controller = small_controller()
     limits = controller.limits
     assert limits is not None
-    tree = {name for name in vars(limits) if name not in ("axes", "reasons")}
+    tree = {name for name in vars(limits) if name not in ("axes", "noise", "reasons")}
     assert set(limits.reasons) == tree | {"axes.x.speed", "axes.x.acceleration"}
     speed, acceleration = largest_motion(controller, "x")
     # Twice, and what noise adds.
@@ -58,7 +58,7 @@ def test_noise_and_what_was_left_over_in_the_log_widen_them() -> None:
     plant = identified_plant()
     sensor = replace(plant.sensor, position_noise_rms_m=known(5e-5), gravity_residual_rms_n=known(1.1))
     wish = limits_settings(replace(plant, sensor=sensor), FAST_SPEC)
-    assert (wish.force_noise_n, wish.position_noise_m, wish.gravity_residual_n) == (0.14, 5e-5, 1.1)
+    assert (wish.noise.force_n, wish.noise.position_m, wish.noise.gravity_residual_n) == (0.14, 5e-5, 1.1)
     quiet, noisy = small_controller().limits, with_limits(small_controller(), wish).limits
     assert quiet is not None
     assert noisy is not None
@@ -66,7 +66,7 @@ def test_noise_and_what_was_left_over_in_the_log_widen_them() -> None:
     assert noisy.pose_speed_m_s > quiet.pose_speed_m_s
     # Three times 1.1 N, rounded up to two digits, inside the deadband of 5 N.
     assert noisy.rest_force_n == 3.3
-    drowned = with_limits(small_controller(), replace(wish, gravity_residual_n=4.0)).limits
+    drowned = with_limits(small_controller(), replace(wish, noise=replace(wish.noise, gravity_residual_n=4.0))).limits
     assert drowned is not None
     assert drowned.rest_force_n == 5.0
 
@@ -108,6 +108,24 @@ def test_validation_finds_limits_that_are_too_low_and_peaks_without_the_residual
     for without in (None, plain):
         bare = replace(whole, predicted={"x": replace(predicted, with_residual_weight=without)})
         assert "with_residual_weight" in messages(bare)
+
+
+@pytest.mark.parametrize("key", ["speed", "acceleration", "force_n", "pose_speed_m_s", "stale_pose_s", "rest_samples"])
+def test_validation_finds_limits_that_let_more_through_than_follows(key: str) -> None:
+    """A limit that was raised, with a new checksum, is no longer twice what the contacts command."""
+    whole = small_controller()
+    assert whole.limits is not None
+    of_axis = key in ("speed", "acceleration")
+    place = f"axes.x.{key}" if of_axis else key
+    raised = 2 * getattr(whole.limits.axes["x"] if of_axis else whole.limits, key)
+    change = {"axes": {"x": replace(whole.limits.axes["x"], **{key: raised})}} if of_axis else {key: raised}
+    limits = replace(whole.limits, **change)
+    assert f"limits.{place} is {raised:.4g}, and what the file holds makes it" in messages(
+        replace(whole, limits=limits)
+    )
+    said = replace(limits, reasons={**limits.reasons, place: "said in problem.yaml"})
+    (check,) = (each for each in validate_controller(replace(whole, limits=said), is_short=True).checks[-1:])
+    assert f"{place}: said in problem.yaml" in check.message
 
 
 def test_a_limit_of_the_force_at_a_speed_sets_the_speed_of_the_command() -> None:
