@@ -62,14 +62,10 @@ def _problems(records: Sequence[Record]) -> str:
     rows = [
         [
             str(each["seed"]),
-            f"{each['wall_s']:.2f}",
             f"{each['cpu_s']:.2f}",
             f"{each['value_n']:.3f}",
             _newtons(each["reference_n"]),
-            _newtons(each["reference_high_n"]),
             "–" if each["gap"] is None else f"{100.0 * each['gap']:+.3f}",
-            f"{100.0 * each['own_gap']:.3f} ({each['own_gap_s']:.2f} s)",
-            str(each["unstable"]),
             f"{each['worst']:.6f} ({_words(each['worst_name'])})",
             f"{100.0 * (each['dense_n'] / each['value_n'] - 1.0):+.3f}",
         ]
@@ -77,14 +73,10 @@ def _problems(records: Sequence[Record]) -> str:
     ]
     head = [
         "problem",
-        "wall [s]",
         "processor [s]",
         "worst peak [N]",
         "evolution, at least [N]",
-        "its design [N]",
         "gap [%]",
-        "reported gap [%]",
-        "unstable",
         "largest required/achieved",
         "peak, denser grid [%]",
     ]

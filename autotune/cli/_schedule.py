@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 Interval = tuple[float, float]
 
 _OPTION_OF = {"payload": "payload_mass", "stiffness": "environment_stiffness"}
-_SHORT = {"payload_mass_kg": ("payload", "kg"), "environment_stiffness_n_per_m": ("K_e", "N/m")}
+_SHORT = {"payload_mass_kg": ("payload", "kg", 1.0), "environment_stiffness_n_per_m": ("K_e", "N/mm", 1e-3)}
 
 
 def _tables(
@@ -151,7 +151,7 @@ def print_schedule(tree: Mapping[str, Any]) -> None:
     for entry in tree["classes"]:
         for axis, of_axis in entry["axes"].items():
             values = rename_axis_keys(axis, of_axis, reading=True)
-            ranges = (_range_text(entry[name]) for name in scheduled)
+            ranges = (_range_text(entry[name], _SHORT[name][2]) for name in scheduled)
             rows.append((entry["name"], *ranges, axis, *_numbers(values), short(entry["checksum"])))
             if values["cost_n"] is not None:
                 costs[axis] = max(costs.get(axis, (-float("inf"), 0.0, "")), _cost(values, entry["name"]))
@@ -234,13 +234,13 @@ def _print_validated(tree: Mapping[str, Any]) -> None:
     echo(f"{printable(tree['path'])}: {verdict}, checksum {tree['short_checksum']}")
 
 
-def _range_text(interval: Sequence[float]) -> str:
-    low, high = interval
+def _range_text(interval: Sequence[float], scale: float) -> str:
+    low, high = (scale * each for each in interval)
     return f"{low:g}" if low == high else f"{low:g} to {high:g}"
 
 
 def _coverage(name: str, intervals: Sequence[Sequence[float]]) -> str:
-    what, unit = _SHORT[name]
-    text = f"{what} covered: {', '.join(_range_text(each) for each in intervals)} {unit}"
-    gaps = [_range_text((before[1], after[0])) for before, after in itertools.pairwise(intervals)]
+    what, unit, scale = _SHORT[name]
+    text = f"{what} covered: {', '.join(_range_text(each, scale) for each in intervals)} {unit}"
+    gaps = [_range_text((before[1], after[0]), scale) for before, after in itertools.pairwise(intervals)]
     return f"{text}; no class from {', '.join(gaps)}" if gaps else text
