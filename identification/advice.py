@@ -35,8 +35,9 @@ _FILTERED = (
 )
 _OTHER_ROBOT = (
     "The sweep is there, but the robot does not follow as one or two poles and a delay do. Log the command where the "
-    "position loop receives it, behind every interpolator, filter and limit. If it is logged there, the loop has a "
-    "zero (feed-forward, say): measure its delay elsewhere, `--given {name}.delay_s=SECONDS`, and use it with care."
+    "position loop receives it, behind every interpolator, filter and limit, and when it is sent: one that is logged a "
+    "period late in a part of the log does this too. Else the loop has a zero (feed-forward, say): measure its delay "
+    "elsewhere, `--given {name}.delay_s=SECONDS`, and use it with care."
 )
 _BESIDE_PAYLOAD = (
     "The sweep is there, but what the payload has beside one mass on one spring moves this: see the finding on it. "

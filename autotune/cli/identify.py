@@ -1,5 +1,6 @@
 """`autotune identify`: plant parameters from a log."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -131,10 +132,18 @@ def command(
             print_message(f"annotations: {annotate}, layout of Foxglove {layout_path(annotate)}")
 
     output.result(tree, text)
-    is_whole = all(finding.severity != "error" for finding in found.result.findings)
-    if is_whole:
+    _name_next(output, found.result, out, logs)
+
+
+def _name_next(output: Output, result: "Identified", out: Path, logs: Sequence[Path]) -> None:
+    from autotune.tuning.problems import has_no_weight
+
+    # Without weight the log shows all that a design needs: the cell says centre of mass and bias.
+    without = "centre of mass: " if has_no_weight(result) else None
+    errors = [finding.message for finding in result.findings if finding.severity == "error"]
+    if all(without is not None and message.startswith(without) for message in errors):
         output.next_command("optimize", out)
-    elif found.result.axes:
+    elif result.axes:
         output.next_command("plan", out)
     else:
         output.next_command("report", out, *logs)

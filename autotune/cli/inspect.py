@@ -1,6 +1,6 @@
 """`autotune inspect`: channels of a log, their roles, and what is missing for `identify`."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
@@ -93,12 +93,26 @@ def command(
         output.note(_guessed(guess, summary))
     output.result(summary_tree(summary), lambda: print_summary(summary))
     reading = _reading_words(urdf, tip, start, stop, salvage=salvage)
-    known = cell_path or start_path
+    _name_next(output, logs, summary, reading, cell=cell_path, begun=start_path)
+
+
+def _name_next(
+    output: Output,
+    logs: Sequence[Path],
+    summary: "LogSummary",
+    reading: list[str],
+    *,
+    cell: Path | None,
+    begun: Path | None,
+) -> None:
+    known = cell or begun
     declared = () if known is None else ("--cell", known)
-    if start_path is None and any(finding.severity == "error" for finding in summary.findings):
+    if begun is None and any(finding.severity == "error" for finding in summary.findings):
         output.next_command("inspect", *logs, *declared, *reading)  # once what the error names is mended
     elif summary.missing and known is None and not Path("cell.yaml").exists():
         output.next_command("inspect", *logs, "--write-cell", "cell.yaml", *reading)
+    elif begun is not None and any(role.entry == "wrench" and role.topic is None for role in summary.roles):
+        output.next_command("inspect", *logs, *declared, *reading)  # once the questions are answered
     else:
         partial = ("--allow-partial",) if summary.missing else ()
         output.next_command("identify", *logs, *declared, *partial, *reading)

@@ -9,6 +9,7 @@ from autotune.errors import CertificateError, UsageError
 
 from .target import ExportRequest, ExportTarget, Rendered, begins_with
 
+_ZERO = (0.0, 0.0, 0.0)
 _C_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,39}")
 CELL_MARK = "# Written by autotune export --target cell.\n"
 """The first line of a `cell` file, which is otherwise like the controller.yaml that `optimize` writes."""
@@ -61,13 +62,19 @@ def _c_files(out: Path) -> tuple[Path, Path]:
 
 
 def _render_c(request: ExportRequest) -> Rendered:
+    from autotune.runtime.law import Payload  # noqa: PLC0415
     from autotune.runtime.load import read_law  # noqa: PLC0415
 
     from .c_source import render_c  # noqa: PLC0415
 
     source = request.source
-    text = render_c(read_law(source.path), request.out.stem, source.controller.provenance, request.signed_by)
-    return Rendered(texts=(text.header, text.source))
+    # No mass is certified to be 0: `NAME_check` refuses this payload until the cell gives its own.
+    nothing = Payload(mass_kg=0.0, com_S_m=_ZERO, force_bias_S_n=_ZERO, torque_bias_S_n_m=_ZERO)
+    text = render_c(read_law(source.path, nothing), request.out.stem, source.controller.provenance, request.signed_by)
+    name = request.out.stem
+    set_in_cell = f"note: {name}_file_payload is empty; {name}_check takes a {name}_payload of your own only."
+    lines = (set_in_cell,) if source.controller.payload.set_in_cell else ()
+    return Rendered(texts=(text.header, text.source), lines=lines)
 
 
 def _validate(request: ExportRequest) -> str:

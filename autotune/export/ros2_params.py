@@ -49,9 +49,9 @@ def render(request: ExportRequest) -> Rendered:
 
 
 def _parameter(name: str, value: Any) -> Any:
-    """Return a value as ROS takes it: no reasons, nothing without a value, and a number that is no count a double."""
+    """Return a value as ROS takes it: no reasons, no noise, nothing without a value; what is no count is a double."""
     if isinstance(value, Mapping):
-        kept = {key: each for key, each in value.items() if each is not None and key != "reasons"}
+        kept = {key: each for key, each in value.items() if each is not None and key not in ("noise", "reasons")}
         return {key: _parameter(key, each) for key, each in kept.items()}
     if isinstance(value, list | tuple):
         return [_parameter(name, each) for each in value]

@@ -83,12 +83,14 @@ def load_controller(
     return controller
 
 
-def read_law(path: Path | str) -> RuntimeController:
+def read_law(path: Path | str, payload: Payload | None = None) -> RuntimeController:
     """Return the controller of a file that is whole, unaltered and validated, whatever cell it is for.
 
-    Raises as `load_controller`.
+    `payload` is taken where the file's must be set in the cell. Raises as `load_controller`.
     """
-    return _verified_law(_read_document(path))
+    document = _read_document(path)
+    law = _verified_law(document, payload)
+    return law if payload is None or not document.tree["payload"].get("set_in_cell") else replace(law, payload=payload)
 
 
 def verify_signature(path: Path | str, public_key: Path | str, digest: str) -> str:
@@ -205,7 +207,8 @@ def _law(tree: Mapping[str, Any]) -> RuntimeController:
 
 def _limits(tree: Mapping[str, Any]) -> Limits:
     axes = {name: AxisLimits(**each) for name, each in tree["axes"].items()}
-    return Limits(**{**tree, "axes": axes})
+    # The runtime has no use for the noise that they were chosen for.
+    return Limits(**{**tree, "axes": axes, "noise": None})
 
 
 def _axis(tree: Mapping[str, Any], name: str) -> AxisLaw:

@@ -179,6 +179,11 @@ def payload_word(identified: Identified) -> str:
     return "given" if identified.payload.mass_kg.status is Status.GIVEN else "identified"
 
 
+def has_no_weight(identified: Identified) -> bool:
+    """Return whether the weight was taken off the log's wrench, so that only the mass that moves is known."""
+    return any(finding.code == "gravity-removed" for finding in identified.findings)
+
+
 def is_mass_range(identified: Identified) -> bool:
     """Return whether a person gave a range of mass: a given mass without a deviation, the middle of the range."""
     return identified.payload.mass_kg.status is Status.GIVEN and identified.payload.mass_kg.std is None

@@ -23,7 +23,7 @@ from .compliance import Compliance, compliance_tree
 from .defaults import DefaultAdmittance
 from .optimality_report import OptimalityReport, optimality_tree
 from .plausible import doubtful_ranges, left_out_contacts, left_out_tree
-from .problems import is_identified_mass, payload_word
+from .problems import has_no_weight, is_identified_mass, payload_word
 
 
 def exact_names(plant: IdentifiedFile, problems: Mapping[str, DesignProblem]) -> tuple[str, ...]:
@@ -48,6 +48,11 @@ def design_notes(
         message = exact_message(exact) if finding.code == TAKEN_AS_EXACT else finding.message
         if finding.severity != "info" and message:
             yield f"{source}{finding.severity}: {message}" if source else message
+    if controller.payload.set_in_cell and has_no_weight(plant.result):
+        yield (
+            "The runtime reads the raw wrench, and centre of mass and bias are not known (set_in_cell): it does not "
+            "start until the whole payload is given there, payload= in Python, a cell_payload of your own in C."
+        )
     if not is_identified_mass(plant.result, controller.payload.mass_kg):
         yield (
             f"The runtime will compensate {controller.payload.mass_kg:g} kg with the centre of mass of the "

@@ -42,7 +42,7 @@ from problems.design.uncertainty import Scenario
 from problems.model.controller import AdmittanceController
 from problems.model.response import hand_force_per_speed
 
-from .problems import is_mass_range
+from .problems import has_no_weight, is_mass_range
 from .search import SearchResult
 
 _DEFAULT_DEADBAND_N = 5.0
@@ -135,19 +135,20 @@ def runtime_payload(identified: Identified, mass_kg: float, *, is_chosen: bool) 
     """Return what gravity compensation needs; raises EstimateError for a log that showed no centre of mass or bias.
 
     Where a person wrote the plant and left them out, or gave a range of mass of which none was chosen (`is_chosen`),
-    the payload must be set in the cell.
+    or the log's wrench has no weight, the payload must be set in the cell.
     """
     is_range = is_mass_range(identified) and not is_chosen
     estimates = (identified.payload.com_m, identified.sensor.force_bias_n, identified.sensor.torque_bias_n_m)
     com, force, torque = (each.value for each in estimates)
     is_written = all(each.value is not None or each.status is Status.GIVEN for each in estimates)
-    if is_written and (is_range or None in (com, force, torque)):
+    if (is_written or has_no_weight(identified)) and (is_range or None in (com, force, torque)):
         none = (0.0, 0.0, 0.0)
         return RuntimePayload(mass_kg=mass_kg, com_m=none, force_bias_n=none, torque_bias_n_m=none, set_in_cell=True)
     if com is None or force is None or torque is None:
         raise EstimateError(
             "payload.com_m, sensor.force_bias_n and sensor.torque_bias_n_m must be identified, because the runtime "
-            "compensates gravity with them; record poses at rest, forces and torques."
+            "compensates gravity with them; record poses at rest, forces and torques, or write those that you know "
+            "into identified.yaml with the status given."
         )
     return RuntimePayload(
         mass_kg=mass_kg,

@@ -68,6 +68,7 @@ UNITS: Mapping[str, str] = FrozenDict(
     | {"n.m": "N·m", "nmm": "N·mm", "n·mm": "N·mm", "knm": "kN·m", **_TIME_UNITS}
 )
 """Units by how they are written, in small letters."""
+_FORCE_UNITS, _TORQUE_UNITS = frozenset({"N", "kN", "lbf", "kgf"}), frozenset({"N·m", "N·mm", "kN·m"})
 _TRAILING = frozenset(UNITS) - {"m", "in", "°"}
 _BRACKETED = re.compile(r"\s*[\[(<{]\s*([^\])>}]*?)\s*[\])>}]\s*$")
 _MATRIX = 16
@@ -223,7 +224,7 @@ def _split(path: str, unit: str) -> tuple[tuple[str, ...], str, str]:
         return tuple(before), last, unit
     if last in ("roll", "pitch", "yaw"):
         return (*before, "rpy"), last, unit
-    if last[-1] in "xyzw" and last[:-1] in _KNOWN:
+    if last[-1] in "xyzw" and (last[:-1] in _KNOWN or _kind_by_unit(unit) is not None):
         return (*before, last[:-1]), last[-1], unit
     return tuple(words), "", unit
 
@@ -244,7 +245,7 @@ def _vectors(words: tuple[str, ...], group: _Group) -> Iterator[NamedVector]:
     elif {*"xyzw"} <= {*group.paths} and last not in _FORCE | _TORQUE:
         yield vector(Meaning.TURN, "xyzw", "xyzw")
     elif {*"xyz"} <= {*group.paths}:
-        kind = _kind_of_three(last, words)
+        kind = _kind_of_three(last, words) or _kind_by_unit(unit)
         if kind is not None:
             yield vector(kind, "xyz", "xyz")
         if {*"abc"} <= {*group.paths} and kind is Meaning.POSITION:
@@ -274,6 +275,14 @@ def _kind_of_three(last: str, words: tuple[str, ...]) -> Meaning | None:
     # Bare x, y and z are a place, as is what has no other word than one for a command or a measurement.
     is_place = last in _POSITION or last == _TRANSLATION_OR_TORQUE or {*words} <= _COMMANDS | _MEASURED
     return Meaning.POSITION if is_place else None
+
+
+def _kind_by_unit(unit: str) -> Meaning | None:
+    """Return what a unit alone says: that `Lx [N]`, whatever L is, is a force."""
+    written = UNITS.get(unit, "")
+    if written in _FORCE_UNITS:
+        return Meaning.FORCE
+    return Meaning.TORQUE if written in _TORQUE_UNITS else None
 
 
 def _kind_of_counted(last: str, words: tuple[str, ...], count: int) -> Meaning | None:

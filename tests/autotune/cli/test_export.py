@@ -221,6 +221,19 @@ def test_limits_that_validate_refuses_are_not_exported(
     assert [path.name for path in source.parent.iterdir()] == ["controller.yaml"]
 
 
+def test_c_of_a_payload_that_is_set_in_the_cell_holds_none(source: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """No mass of 0 is certified, so the check of the exported code refuses the payload of the file."""
+    tree = load_yaml(source)
+    none = [0.0, 0.0, 0.0]
+    tree["payload"] |= {"com_m": none, "force_bias_n": none, "torque_bias_n_m": none, "set_in_cell": True}
+    tree["checksum"] = checksum(tree)
+    source.write_text(dump_yaml(tree), encoding="utf-8")
+    assert main(["export", str(source), "--target", "c", "-o", str(source.with_name("cell.c"))]) == 0
+    assert "cell_file_payload is empty" in capsys.readouterr().out
+    after = source.with_name("cell.c").read_text("utf-8").partition("cell_file_payload = {")[2]
+    assert float.fromhex(after.split(",")[0].strip()) == 0.0
+
+
 def test_margins_that_are_better_than_those_of_the_law_are_exit_6(run_cli: RunCli, source: Path) -> None:
     tree = load_yaml(source)
     tree["certificate"]["margins"]["x"]["modulus"] *= 1.1

@@ -9,8 +9,17 @@ import pytest
 from autotune.errors import UsageError
 from autotune.formats.problem import ProblemSpec
 from autotune.tuning.problems import build_problems, is_identified_mass, runtime_mass_kg
+from autotune.tuning.record import runtime_payload
 from identification.errors import EstimateError
-from identification.result import CONTACT_UNEXPLAINED, AxisEstimate, Estimate, Finding, Identified, Status
+from identification.result import (
+    CONTACT_UNEXPLAINED,
+    AxisEstimate,
+    Estimate,
+    Finding,
+    Identified,
+    Status,
+    VectorEstimate,
+)
 from problems.contact.transient import Approach
 from problems.design.objectives import SensorForce
 from problems.design.problem import DEFAULT_BOUNDS, AdmittanceTarget, NoiseLimit, Requirements
@@ -227,3 +236,15 @@ def test_the_noise_is_the_sensors_unless_it_is_said() -> None:
     with pytest.raises(EstimateError, match="say force_noise_rms_n in requirements"):
         limit(None, deaf)
     assert limit(0.5, deaf) is not None
+
+
+def test_a_log_without_weight_makes_a_controller_whose_payload_is_set_in_the_cell() -> None:
+    """Its mass is what moves; of centre of mass and bias it shows nothing."""
+    of_log = identified_plant()
+    unknown = VectorEstimate(value=None, std=None, status=Status.UNIDENTIFIABLE, method="no weight")
+    sensor = replace(of_log.sensor, force_bias_n=unknown, torque_bias_n_m=unknown)
+    bare = replace(of_log, payload=replace(of_log.payload, com_m=unknown), sensor=sensor)
+    with pytest.raises(EstimateError, match="compensates gravity"):
+        runtime_payload(bare, 16.0, is_chosen=False)
+    weightless = replace(bare, findings=(Finding.warning("gravity-removed", "Gravity is already removed.", ""),))
+    assert runtime_payload(weightless, 16.0, is_chosen=False).set_in_cell

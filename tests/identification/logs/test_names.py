@@ -16,6 +16,8 @@ def named(*paths: str) -> list[tuple[Meaning, tuple[str, ...]]]:
         (("force_x", "force_y", "force_z"), Meaning.FORCE),
         (("ForceX", "ForceY", "ForceZ"), Meaning.FORCE),
         (("Fx [N]", "Fy [N]", "Fz [N]"), Meaning.FORCE),
+        (("Lx_N", "Ly_N", "Lz_N"), Meaning.FORCE),
+        (("Ux [Nmm]", "Uy [Nmm]", "Uz [Nmm]"), Meaning.TORQUE),
         (("wrench.force.x", "wrench.force.y", "wrench.force.z"), Meaning.FORCE),
         (("wrench.torque.x", "wrench.torque.y", "wrench.torque.z"), Meaning.TORQUE),
         (("Mx", "My", "Mz"), Meaning.TORQUE),
