@@ -162,6 +162,8 @@ class Figures:
         self.largest_n = math.inf
         self.colours = LinearColorMapper(palette=_CELLS, low=0.0, high=1.0, nan_color="rgba(0,0,0,0)", name="colours")
         self.mapped: tuple[float, float] | None = None
+        # Of the map's x and y, from SI to the units of its axes.
+        self.scales = 1.0, 1.0
         self.plots = {
             "contact": self._contact(),
             "admittance": self._admittance(),
@@ -338,8 +340,7 @@ class Figures:
     def show_map(self, found: DesignMap, sender: Sender) -> None:
         """Show which designs around are stable and feasible."""
         window = found.window
-        left, right = _edges(window.x_values(), True)
-        bottom, top = _edges(window.y_values(), False)
+        left, right, bottom, top = self._edges(window)
         self.mapped = (
             (float(np.nanmin(found.peak_n)), float(np.nanmax(found.peak_n))) if found.is_feasible.any() else None
         )
@@ -357,13 +358,18 @@ class Figures:
         """Turn the map to a window of two ranges."""
         plot = self.plots["map"]
         plot.xaxis.axis_label, plot.yaxis.axis_label = x.title, y.title
-        plot.x_range.start, plot.x_range.end = _edges(window.x_values(), True)
-        plot.y_range.start, plot.y_range.end = _edges(window.y_values(), False)
+        self.scales = x.scale, y.scale
+        plot.x_range.start, plot.x_range.end, plot.y_range.start, plot.y_range.end = self._edges(window)
+
+    def _edges(self, window: MapWindow) -> tuple[float, float, float, float]:
+        """Return where the cells of a window begin and end, x then y, in the units of the axes."""
+        x, y = self.scales
+        return *_edges(x * window.x_values(), True), *_edges(y * window.y_values(), False)
 
     def show_own(self, view: View, place: tuple[float, float], window: MapWindow, sender: Sender) -> None:
         """Mark the design at `place`, in a cell of its own that is judged there; the colours reach its peak too."""
-        x, y = place
-        ratio, step = np.exp(0.5 * _step(np.log(window.x_values()))), 0.5 * _step(window.y_values())
+        x, y = (scale * each for scale, each in zip(self.scales, place, strict=True))
+        ratio, step = np.exp(0.5 * _step(np.log(window.x_values()))), 0.5 * self.scales[1] * _step(window.y_values())
         own = view.evaluation
         peak = own.cost if own.is_feasible else math.nan
         cell: dict[str, Any] = {"left": x / ratio, "right": x * ratio, "bottom": y - step, "top": y + step}

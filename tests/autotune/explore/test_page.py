@@ -103,6 +103,8 @@ def test_what_is_turned_between_two_pictures_is_computed_once(page: ExplorePage)
 
 def test_the_cell_of_the_star_says_what_the_page_says(page: ExplorePage) -> None:
     start = small_exploration().axes["x"].design
+    plot = page.figures.plots["map"]
+    assert plot.yaxis.axis_label.endswith("[ms]")
     seen = set()
     for damping, lead in ((1250.0, 0.018), (1180.0, 0.0185), (1400.0, 0.018), (1300.0, 0.013), (1100.0, 0.012)):
         page.sliders["lead_s"].value = page.ranges["lead_s"].position(lead)
@@ -110,9 +112,10 @@ def test_the_cell_of_the_star_says_what_the_page_says(page: ExplorePage) -> None
         assert page.prepared is not None
         said = page.prepared[1].screen.prepared.evaluate(np.array([start[0], damping, lead, start[3]]))
         cell = {name: float(values[0]) for name, values in page.figures.sources["own"].data.items()}
-        assert (cell["x"], cell["y"], cell["stable"]) == (damping, lead, said.is_stable)
+        # The axis of the lead is in milliseconds.
+        assert (cell["x"], cell["y"], cell["stable"]) == (damping, 1e3 * lead, said.is_stable)
         assert cell["left"] < damping < cell["right"]
-        assert cell["bottom"] < lead < cell["top"]
+        assert plot.y_range.start <= cell["bottom"] < 1e3 * lead < cell["top"] <= plot.y_range.end
         assert ("Meets every requirement" in page.verdict.text) == said.is_feasible == bool(np.isfinite(cell["peak"]))
         if said.is_feasible:
             assert cell["peak"] == said.cost
