@@ -438,7 +438,12 @@ def proof_table(controller: Controller) -> Table:
     )
     for proofs, word, tone in kinds:
         for proof in proofs:
-            numbers = (f"{name.replace('_', ' ')} {value:.4g}" for name, value in (proof.numbers or {}).items())
+            numbers = (
+                f"{name.replace('_', ' ')} {value:.0f}"
+                if value == round(value)
+                else f"{name.replace('_', ' ')} {value:.4g}"
+                for name, value in (proof.numbers or {}).items()
+            )
             method = TableCell(text=proof.method, tone="quiet")
             rows.append((proof.claim, TableCell(text=word, tone=tone), proof.over_text(), method, ", ".join(numbers)))
     return build_table(
