@@ -105,18 +105,17 @@ def target_facts(controller: Controller) -> Iterator[Facts | Table]:
 
 def led_table(controller: Controller, designs: Sequence[AxisDesign]) -> Table | None:
     """Return up to which speed of a payload led by hand no certified contact exceeds a limit of ISO/TS 15066."""
-    peaks = {each.name: peak_per_speed(controller, each.name) for each in designs if each.name not in ROTATIONAL_AXES}
-    columns = [(name, found, hand) for name, found in peaks.items() if found is not None for hand in HANDS]
+    straight = (each.name for each in designs if each.name not in ROTATIONAL_AXES)
+    columns = [(name, hand) for name in straight if peak_per_speed(controller, name) is not None for hand in HANDS]
     if not columns:
         return None
     runs = f", as {target} runs it" if (target := designed_for(controller)) else ""
-    heads = (f"{name}, hand {hand.replace('_', ' ')} [m/s]" for name, _, hand in columns)
-
+    heads = (f"{name}, hand {hand.replace('_', ' ')} [m/s]" for name, hand in columns)
     rows = [
         (
             region.replace("_", " "),
             f"{force:g}",
-            *(led_speed_text(controller, name, force, hand) for name, _, hand in columns),
+            *(led_speed_text(controller, name, force, hand) for name, hand in columns),
         )
         for region, force in BODY_REGIONS.items()
     ]
@@ -438,12 +437,9 @@ def proof_table(controller: Controller) -> Table:
     )
     for proofs, word, tone in kinds:
         for proof in proofs:
-            numbers = (
-                f"{name.replace('_', ' ')} {value:.0f}"
-                if value == round(value)
-                else f"{name.replace('_', ' ')} {value:.4g}"
-                for name, value in (proof.numbers or {}).items()
-            )
+            # Whole numbers, such as counts and the seed, are written whole.
+            shown = {key: f"{value:.{4 if value % 1.0 else 12}g}" for key, value in (proof.numbers or {}).items()}
+            numbers = (f"{key.replace('_', ' ')} {text}" for key, text in shown.items())
             method = TableCell(text=proof.method, tone="quiet")
             rows.append((proof.claim, TableCell(text=word, tone=tone), proof.over_text(), method, ", ".join(numbers)))
     return build_table(
