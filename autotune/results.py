@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from hashlib import sha256
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from autotune.arguments import file_path, in_arguments
 from autotune.formats.atomic import check_target
@@ -17,9 +17,6 @@ from identification.errors import EstimateError
 from identification.evidence import Evidence
 from identification.result import Finding, Identified
 from problems.frozen import freeze
-
-if TYPE_CHECKING:
-    pass
 
 _CONTRADICTIONS = frozenset({"given-contradicts", "logs-disagree"})
 _ALL_THE_SAME = " With --allow-partial what was found is written all the same."

@@ -94,11 +94,11 @@ class Output:
     def replacing(self, path: Path, kind: str) -> Iterator[None]:
         """Note after the block, which writes `path`, what it replaced, if anything.
 
-        Raises UsageError before it where the existing file is not of `kind` (`autotune.formats.replaceable`).
+        Raises UsageError before it where the existing file is not of `kind` (`autotune.formats.kinds`).
         """
-        from autotune.formats.replaceable import check_kind
+        from autotune.formats.kinds import check_replaced
 
-        was = check_kind(path, kind)
+        was = check_replaced(path, kind)
         yield
         if was:
             self.note(f"{path}: replaced {was}.")

@@ -259,7 +259,7 @@ def _number(text: str | None, kind: str, option: str) -> float | None:
 def _write_plot(output: Output, path: Path, found: "PredictedContact | TouchComparison") -> None:
     from autotune.charts.matplotlib_renderer import render
     from autotune.formats.atomic import write_atomic
-    from autotune.formats.replaceable import PICTURE_MARK
+    from autotune.formats.kinds import PICTURE_MARK
 
     picture = render(found.chart(), path.suffix, mark=PICTURE_MARK)
     with output.replacing(path, "picture"):

@@ -87,7 +87,7 @@ def begins_with(pattern: bytes) -> Callable[[Path], bool]:
     mark = re.compile(pattern)
 
     def is_own(path: Path) -> bool:
-        from autotune.formats.replaceable import HEAD_BYTES  # noqa: PLC0415
+        from autotune.formats.kinds import HEAD_BYTES  # noqa: PLC0415
 
         with path.open("rb") as stream:
             return mark.match(stream.read(HEAD_BYTES)) is not None

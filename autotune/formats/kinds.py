@@ -1,26 +1,40 @@
-"""What kind of file a path names, seen in its first bytes, and which command it is for."""
+"""What kind of file a path names, by its first bytes: which command it is for, and what a command would replace."""
 
 import re
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from hashlib import sha256
 from pathlib import Path
 
-from autotune.errors import UsageError
+from autotune.errors import AutotuneError, UsageError
 from problems.frozen import FrozenDict
+
+from .canonical import checksum, short
 
 LOG = "log"
 PLANTS = ("identified", "plant")
-_HEAD_BYTES = 4096
-_FILES: Mapping[str, str] = FrozenDict(
+HEAD_BYTES = 4096
+PICTURE_MARK = "autotune map"
+"""What a picture says of its maker: as `Software` of a PNG, as the creator of an SVG."""
+_FORMAT = re.compile(rb"""^\s*(?:/\* |\{\s*)?["']?format["']?\s*:\s*["']?autotune/([a-z_]+)""", re.MULTILINE)
+_LOG_BEGINS = (b"\x89MCAP0\r\n", b"#ROSBAG", b"SQLite format 3", b"PAR1", b"\x28\xb5\x2f\xfd")
+_PAGE = b'<meta name="generator" content="autotune report">'
+_TABLE = b"# autotune/map version "
+_PICTURES = (
+    (b"\x89PNG\r\n\x1a\n", f"Software\0{PICTURE_MARK}".encode()),
+    (b"<?xml ", f"<dc:title>{PICTURE_MARK}</dc:title>".encode()),
+)
+_NOUNS: Mapping[str, str] = FrozenDict(
     {
-        "cell": "a description of a cell",
-        "problem": "a description of a problem",
-        "plan": "a plan of a recording",
-        "pareto": "a Pareto front",
+        "c": "C export",
+        "cell": "description of a cell",
+        "identified": "identified plant",
+        "map": "table of a map",
+        "pareto": "Pareto front",
+        "picture": "picture of a map",
+        "problem": "description of a problem",
     }
 )
-_LOG_BEGINS = (b"\x89MCAP0\r\n", b"#ROSBAG", b"SQLite format 3", b"PAR1", b"\x28\xb5\x2f\xfd")
-_FORMAT = re.compile(rb"""^\s*[{]?\s*["']?format["']?\s*:\s*["']?autotune/([a-z_]+)""", re.MULTILINE)
 _COMMANDS: Mapping[str, str] = FrozenDict(
     {
         LOG: "autotune identify {}",
@@ -33,18 +47,36 @@ _COMMANDS: Mapping[str, str] = FrozenDict(
         "problem": "autotune optimize identified.yaml --problem {}",
     }
 )
+_SEALED = ("controller", "schedule")
 
 
-def kind_of_path(path: Path) -> str:
-    """Return `log`, or what a file says that it is, such as `identified`; "" for what neither is plain."""
-    if path.is_dir():
-        return LOG
+def kind_of(path: Path) -> str | None:
+    """Return the kind of a file of this tool, such as "controller"; None for a log or a file of another program.
+
+    "" where nothing is lost: no file, an empty one or a device.
+    """
+    if not path.is_file():
+        return ""
     with path.open("rb") as stream:
-        head = stream.read(_HEAD_BYTES)
-    if head.startswith(_LOG_BEGINS):
-        return LOG
+        head = stream.read(HEAD_BYTES)
+    if not head:
+        return ""
+    if _PAGE in head:
+        return "report"
+    if head.startswith(_TABLE):
+        return "map"
+    if any(head.startswith(begin) and mark in head for begin, mark in _PICTURES):
+        return "picture"
     found = _FORMAT.search(head)
-    return "" if found is None else found[1].decode()
+    return None if found is None else found[1].decode()
+
+
+def is_log(path: Path) -> bool:
+    """Return whether a path is plainly a log: a folder, or a file that begins as one."""
+    if path.is_dir():
+        return True
+    with path.open("rb") as stream:
+        return stream.read(HEAD_BYTES).startswith(_LOG_BEGINS)
 
 
 def check_kind(path: Path, kinds: Sequence[str]) -> None:
@@ -53,18 +85,63 @@ def check_kind(path: Path, kinds: Sequence[str]) -> None:
     A file that cannot be opened is left to whoever reads it.
     """
     try:
-        found = kind_of_path(path)
+        found = LOG if is_log(path) else kind_of(path)
     except OSError:
         return
     if not found or found in kinds:
         return
-    wanted = " or ".join(_name(kind) for kind in kinds)
+    wanted = " or ".join(f"a {kind}.yaml" if kind in ("cell", "problem") else _named(kind) for kind in kinds)
     command = _COMMANDS.get(found)
     advice = "" if command is None else f": run `{command.format(shlex.quote(str(path)))}`"
-    raise UsageError(f"{path} is {_FILES.get(found) or _name(found)}, not {wanted}{advice}.")
+    raise UsageError(f"{path} is {_named(found)}, not {wanted}{advice}.")
 
 
-def _name(kind: str) -> str:
-    if kind == "identified":
-        return "an identified plant"
-    return f"a {kind}.yaml" if kind in _FILES else f"a {kind}"
+def _noun(kind: str) -> str:
+    return _NOUNS.get(kind, kind)
+
+
+def _named(kind: str) -> str:
+    return f"{'an' if kind == 'identified' else 'a'} {_noun(kind)}"
+
+
+def describe_existing(path: Path | str) -> str:
+    """Return in a few words which file exists there, with its checksum; "" where nothing would be lost.
+
+    A controller or schedule has a checksum of its own, others that of their bytes (sha256).
+    """
+    path = Path(path)
+    kind = kind_of(path)
+    if kind == "":
+        return ""
+    if kind is None:
+        return "a file of another program"
+    if kind not in _SEALED:
+        return f"the {_noun(kind)} of sha256 {short(sha256(path.read_bytes()).hexdigest())}"
+    from .yaml12 import load_yaml  # noqa: PLC0415 - slow to import, and mostly there is no file
+
+    try:
+        tree = load_yaml(path)
+    except AutotuneError:
+        return f"a file that is no whole {kind}"
+    found = checksum(tree)
+    return f"the {kind} of checksum {short(found)}" if tree.get("checksum") == found else f"a {kind} that is not whole"
+
+
+def check_replaced(
+    path: Path | str, kind: str, *, option: str = "-o", is_own: Callable[[Path], bool] | None = None
+) -> str:
+    """Return what a file of `kind` will replace, in words as `describe_existing`; "" where nothing would be lost.
+
+    `is_own` decides instead of `kind_of` for kinds that this module does not know, such as exports. Raises UsageError
+    where another file exists: only a file of the same kind is replaced.
+    """
+    path = Path(path)
+    try:
+        found = kind_of(path)
+        if found == "" or (found == kind if is_own is None else is_own(path)):
+            return describe_existing(path)
+    except OSError as error:
+        raise UsageError(f"{path} cannot be read: {error.strerror or error}.") from error
+    noun = "file of this tool" if found is None and is_own is None else _noun(kind)
+    what = f" ({_noun(found)})" if found is not None else ""
+    raise UsageError(f"{path} exists and is no {noun}{what}, so it is not replaced; name another one with {option}.")

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from autotune.formats.atomic import check_target, write_atomic
-from autotune.formats.replaceable import PICTURE_MARK, check_kind
+from autotune.formats.kinds import PICTURE_MARK, check_replaced
 from autotune.version import __version__
 from problems.maps.maps import MapAxis, MapPoint, MapRequest, MapResult, compute_map, evaluate_point
 from problems.maps.parameters import MAP_PARAMETERS, MapParameter, MapQuantity
@@ -62,7 +62,7 @@ def _replaced(options: MapOptions) -> tuple[str, ...]:
     """Say what the two files will replace; raises UsageError where it is no earlier map."""
     data = "-o" if options.data is None else "--data"
     asked = ((options.picture, "picture", "-o"), (options.table, "map", data))
-    found = [(path, check_kind(path, kind, option=option)) for path, kind, option in asked]
+    found = [(path, check_replaced(path, kind, option=option)) for path, kind, option in asked]
     return tuple(f"{path}: replaced {was}." for path, was in found if was)
 
 

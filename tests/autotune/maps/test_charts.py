@@ -10,7 +10,7 @@ import pytest
 from autotune.charts.chart import Heat
 from autotune.charts.matplotlib_renderer import render
 from autotune.errors import UsageError
-from autotune.formats.replaceable import HEAD_BYTES, PICTURE_MARK
+from autotune.formats.kinds import HEAD_BYTES, PICTURE_MARK
 from autotune.maps.charts import _pieces, has_lower_limits_only, map_chart
 from autotune.maps.make import make_map, summary_tree
 from autotune.maps.options import MapOptions

@@ -7,7 +7,7 @@ import pytest
 
 from autotune.errors import UsageError
 from autotune.formats.controller import write_controller
-from autotune.formats.replaceable import check_kind, describe_existing, kind_of
+from autotune.formats.kinds import check_replaced, describe_existing, kind_of
 from tests.autotune.formats.samples import make_controller
 
 
@@ -37,9 +37,9 @@ def test_what_stands_there_is_reported_with_its_checksum(tmp_path: Path) -> None
     path = tmp_path / "controller.yaml"
     assert describe_existing(path) == ""
     digest = write_controller(path, make_controller())
-    assert describe_existing(path) == check_kind(path, "controller") == f"the controller of checksum {digest[:8]}"
+    assert describe_existing(path) == check_replaced(path, "controller") == f"the controller of checksum {digest[:8]}"
     path.write_text(path.read_text(encoding="utf-8").replace("mass: 12.5", "mass: 12.4"), encoding="utf-8")
-    assert check_kind(path, "controller") == "a controller that is not whole"
+    assert check_replaced(path, "controller") == "a controller that is not whole"
     plan = b"format: autotune/plan\n"
     path.write_bytes(plan)
     assert describe_existing(path) == f"the plan of sha256 {sha256(plan).hexdigest()[:8]}"
@@ -49,9 +49,9 @@ def test_anything_else_is_not_replaced(tmp_path: Path) -> None:
     path = tmp_path / "a.yaml"
     path.write_text("format: autotune/identified\n")
     with pytest.raises(UsageError, match=r"a\.yaml exists and is no controller \(identified plant\), .* with --out"):
-        check_kind(path, "controller", option="--out")
+        check_replaced(path, "controller", option="--out")
     path.write_text("axes: {}\n")
     with pytest.raises(UsageError, match="is no file of this tool, so it is not replaced"):
-        check_kind(path, "controller")
+        check_replaced(path, "controller")
     path.write_text("")
-    assert check_kind(path, "controller") == ""
+    assert check_replaced(path, "controller") == ""
