@@ -1,10 +1,29 @@
-"""Time to search a controller for contacts that bounce for ever, and to find one: runs, seconds, verdict."""
+"""Contacts that bounce for ever: drawn designs that are proved not to, an attack on that, the cost of the search."""
 
+import itertools
 import time
+from collections.abc import Iterator
+from dataclasses import replace
 
+import numpy as np
+from tuning_problems import draw_problem
+
+from autotune.certificate.bouncing import prove_rest
+from autotune.certificate.family import build_families
+from autotune.certificate.multiplier_search import find_multiplier
+from autotune.errors import AutotuneError
 from autotune.formats.certificate_record import AxisDomain
+from autotune.tuning.search import solve_design
+from autotune.validation.axis_proof import ProofOptions, Prover
 from autotune.validation.bouncing import search_bouncing
+from autotune.validation.bouncing_proof import prove_bouncing
+from problems.contact.bouncing import Ending, follow_contact, settling_window
+from problems.contact.transient import Approach, build_sampled_contact
+from problems.design.problem import DesignProblem
+from problems.design.uncertainty import Scenario
 from problems.model.controller import AdmittanceController
+from problems.model.sampled import build_sampled_plant
+from problems.stability.margins import UnstableLoopError
 
 PERIOD_S = 8e-4
 
@@ -43,7 +62,64 @@ CASES = {
 }
 
 
+def drawn_designs(count: int) -> Iterator[tuple[DesignProblem, AdmittanceController]]:
+    """Yield the first designs that the search makes for drawn cells; a cell without one is passed over."""
+    for seed in itertools.count():
+        if count == 0:
+            return
+        try:
+            found = solve_design(draw_problem(seed), seed=0)
+        except AutotuneError:
+            continue
+        count -= 1
+        yield found.problem, found.problem.controller(found.design)
+
+
+def proofs(count: int) -> None:
+    """Print how many drawn designs are proved to come to rest, and what that costs."""
+    proved, spent = 0, []
+    for problem, law in drawn_designs(count):
+        start, of = time.process_time(), AxisDomain.of(problem.plants, problem.approach)
+        found = prove_bouncing(Prover(), of, law, problem.sample_time_s, "x", ProofOptions())
+        spent.append(time.process_time() - start)
+        proved += found.is_proved
+    print(
+        f"{proved} of {count} drawn designs are proved to come to rest, in {np.median(spent):.2f} s (median), "
+        f"{max(spent):.2f} s (most)"
+    )
+
+
+def attack(count: int) -> None:
+    """Print of designs on both sides of where bouncing begins how many bounce, are proved, and both: 0."""
+    rng, (of, law) = np.random.default_rng(1), CASES["a light payload on a stiff wall"]
+    plants, (mass, stiffness) = of.plants, (4.0, 3.12e6)
+    plant = Scenario(environment_stiffness_n_per_m=stiffness, payload_mass_kg=mass).plant(plants.nominal)
+    (one,) = build_families(plant, {}, PERIOD_S)
+    pair = build_sampled_contact(build_sampled_plant(plant, PERIOD_S))
+    bounced, proved, both, followed = 0, 0, 0, 0
+    while followed < count:
+        drawn = replace(
+            law,
+            lead_s=float(rng.uniform(0.02, 0.045)),
+            damping_n_s_per_m=float(rng.uniform(2500.0, 5000.0)),
+            feedback_damping_s=float(rng.uniform(0.015, 0.03)),
+        )
+        try:
+            window = min(settling_window(pair, drawn), 1000)
+        except UnstableLoopError:
+            continue
+        followed += 1
+        multiplier = find_multiplier([one], drawn)
+        is_proved = multiplier is not None and prove_rest(one, drawn, multiplier, work=40_000).holds
+        impacts = (Approach(speed_m_s=0.01, after_impact_n=force) for force in (1.0, 3.0, 10.0, 30.0))
+        bounces = any(follow_contact(pair, drawn, each, window=window).ending is Ending.BOUNCING for each in impacts)
+        bounced, proved, both = bounced + bounces, proved + is_proved, both + (bounces and is_proved)
+    print(f"of {followed} designs near bouncing {bounced} bounce, {proved} are proved to come to rest, {both} are both")
+
+
 def main() -> None:
+    proofs(30)
+    attack(200)
     of, law = CASES["the paper's cell"]
     search_bouncing("x", of, law, PERIOD_S)  # compiles
     for name, (of, law) in CASES.items():

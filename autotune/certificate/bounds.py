@@ -44,7 +44,7 @@ class Verdicts:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Linear:
+class Linear:
     """A quantity over a cell and an arc: `terms` (m, 2 + d) of value, frequency and coordinates, and what is left."""
 
     terms: NDArray[np.complex128]
@@ -53,9 +53,11 @@ class _Linear:
     rest: FloatArray
 
     def error(self) -> FloatArray:
+        """Return a bound (m,) of what is not linear."""
         return np.asarray(self.curve + np.sum(self.cross, axis=1) + self.rest)
 
     def size(self) -> FloatArray:
+        """Return a bound (m,) of the linear part."""
         return np.asarray(np.sum(np.abs(self.terms), axis=1))
 
     def spread(self) -> FloatArray:
@@ -74,10 +76,10 @@ def judge(arcs: Arcs, cell: PlantCell, modulus: float) -> Verdicts:
     parts = []
     for jet, linear, whole in zip(arcs.groups, cell.groups, cell.whole(), strict=True):
         parts.append((jet[0] @ linear, jet[1] @ linear, jet[2] @ whole))
-    closed = _linear(parts, (1.0,) + (-1.0,) * (len(parts) - 1), arcs.half)
+    closed = linear_part(parts, (1.0,) + (-1.0,) * (len(parts) - 1), arcs.half)
     # Of stability alone the loops that are cut say nothing.
     cuts = arcs.opened if modulus > 0.0 else arcs.opened[:1]
-    found = [_compare(closed, _linear(parts, signs, arcs.half), modulus) for signs in cuts]
+    found = [_compare(closed, linear_part(parts, signs, arcs.half), modulus) for signs in cuts]
     worse = np.argmin([slack for slack, _, _ in found], axis=0)
     pick = np.arange(len(worse))
     return Verdicts(
@@ -97,10 +99,10 @@ def judge_at_rest(arcs: Arcs, cell: PlantCell, modulus: float) -> Verdicts:
     parts = []
     for jet, linear, whole in zip(arcs.groups, cell.groups, cell.whole(), strict=True):
         parts.append((jet[0] @ linear, jet[1] @ linear, jet[2] @ whole))
-    rest, pull = parts[:-1], _linear(parts[-1:], (1.0,), arcs.half)
-    closed = _linear(rest, (1.0,) + (-1.0,) * (len(rest) - 1), arcs.half)
+    rest, pull = parts[:-1], linear_part(parts[-1:], (1.0,), arcs.half)
+    closed = linear_part(rest, (1.0,) + (-1.0,) * (len(rest) - 1), arcs.half)
     cuts = arcs.opened if modulus > 0.0 else arcs.opened[:1]
-    cut_loops = [_linear(rest, signs, arcs.half) for signs in cuts]
+    cut_loops = [linear_part(rest, signs, arcs.half) for signs in cuts]
     towards = np.abs(pull.terms[:, 0])
     along = np.abs(np.real(np.conj(closed.terms[:, 0]) * pull.terms[:, 0])) / towards
     turned = pull.spread() / towards
@@ -114,13 +116,13 @@ def judge_at_rest(arcs: Arcs, cell: PlantCell, modulus: float) -> Verdicts:
     return Verdicts(holds=slack > 0.0, middle=middle, blame=np.asarray(blame))
 
 
-def _linear(parts: list[tuple[Balls, Balls, Balls]], signs: tuple[float, ...], half: FloatArray) -> _Linear:
+def linear_part(parts: list[tuple[Balls, Balls, Balls]], signs: tuple[float, ...], half: FloatArray) -> Linear:
     """Add up the groups with their signs; what is not linear in frequency and coordinates goes into the errors."""
     value, slope, curve = (
         _sum([part[order] for part, sign in zip(parts, signs, strict=False) if sign], signs) for order in range(3)
     )
     terms = np.concatenate([value.mid[:, :1], half[:, None] * slope.mid[:, :1], value.mid[:, 1:]], axis=1)
-    return _Linear(
+    return Linear(
         terms=terms,
         curve=half**2 * curve.magnitude()[:, 0],
         cross=half[:, None] * slope[:, 1:].magnitude(),
@@ -136,7 +138,7 @@ def _sum(balls: list[Balls], signs: tuple[float, ...]) -> Balls:
     return out
 
 
-def _compare(closed: _Linear, opened: _Linear, modulus: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _compare(closed: Linear, opened: Linear, modulus: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return a lower bound of |χ|² − m²|R|² less all errors, its value at the middle, and the blame.
 
     With t in the unit cube it is q + 2 g·t + tᵀHt; each coordinate alone is minimised exactly.

@@ -5,7 +5,6 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
-from typing import Any
 
 import numpy as np
 
@@ -20,7 +19,8 @@ from .base_plant import fails_at, is_stable
 from .bounds import PlantCell, Verdicts, judge, judge_at_rest
 from .circle import Circle
 from .family import LATE, Family
-from .law import LawPolynomials, law_polynomials, without_constant
+from .law import LawPolynomials, law_polynomials
+from .plant_cells import Raw, coefficients, loop_groups, with_derivatives
 from .plant_polynomials import plant_polynomials
 
 # Work is counted in arcs judged, so that the same claim ends the same way on every machine; a cell of plants costs as
@@ -31,9 +31,6 @@ _AT_ONCE = 4096
 # Arcs below this angle [rad/sample] are judged with the factor of the integrator taken out, if a spring is soft.
 _NEAR_REST = 0.02
 _MOST_CORNERS = 4  # of more coordinates the corners are left to the cells
-
-# d, n_F and n_x in w, ascending.
-_Raw = tuple[list[Any], ...]
 
 METHOD = "zero exclusion on the unit circle in ball arithmetic"
 # A proof's work is counted, not timed, so that the same input gives the same file; this many are done in a second.
@@ -202,7 +199,7 @@ class _Search:
         """
         part = self.waiting.pop(-1 if self.modulus > 0.0 else 0)
         columns = self._coefficients(part.cell)
-        cell = self._with_derivatives(part.cell, [self._groups(each) for each in columns])
+        cell = with_derivatives(part.cell, [self._groups(each) for each in columns])
         soft = None if self.at_rest is None else self._cell_at_rest(part.cell, columns)
         self.work += CELL_WORK
         arcs, left, blame = part.arcs, [np.zeros(0, dtype=np.int64)], np.zeros(len(self.box))
@@ -271,50 +268,17 @@ class _Search:
             return None
         return self._ended(Verdict.REFUTED, point, angle)
 
-    def _coefficients(self, cell: FloatArray) -> list[_Raw]:
-        """Return d, n_F and n_x in the middle of a cell, then all over it with derivatives along each coordinate."""
-        middle = np.mean(cell, axis=1)
-        found = [plant_polynomials(self.family, np.stack([middle, middle], axis=1), None)]
-        return found + [plant_polynomials(self.family, cell, along) for along in range(len(cell))]
+    def _coefficients(self, cell: FloatArray) -> list[Raw]:
+        return coefficients(self.family, cell)
 
     def _plant_cell(self, cell: FloatArray) -> PlantCell:
         """Return the coefficients over a cell."""
-        return self._with_derivatives(cell, [self._groups(each) for each in self._coefficients(cell)])
+        return with_derivatives(cell, [self._groups(each) for each in self._coefficients(cell)])
 
-    def _with_derivatives(self, cell: FloatArray, columns: list[tuple[list[DualBall], ...]]) -> PlantCell:
-        """Return coefficients over a cell: their values at its middle, and derivatives that hold all over it."""
-        middle = np.mean(cell, axis=1)
-        # Rounded up, as the middle is not exactly in the middle.
-        half = 0.5 * (cell[:, 1] - cell[:, 0]) * (1.0 + 1e-12) + 2.0 * np.spacing(middle)
-        groups = []
-        for kind in range(len(columns[0])):
-            value = enclose([each.value for each in columns[0][kind]])
-            derivatives = [
-                enclose([derivative_of(e) for e in part[kind]]).times(h)
-                for part, h in zip(columns[1:], half, strict=True)
-            ]
-            rest = value.rad + np.sum([s.rad for s in derivatives], axis=0)
-            mid = np.stack([value.mid, *(s.mid for s in derivatives)], axis=1)
-            rad = np.zeros_like(mid)
-            rad[:, 0] = rest * (1.0 + 1e-12)
-            groups.append(Balls(mid=mid, rad=rad))
-        return PlantCell(groups=tuple(groups))
+    def _groups(self, found: Raw) -> tuple[list[DualBall], ...]:
+        return loop_groups(self.family, self.law, found, is_deflated=self.is_deflated)
 
-    def _groups(self, found: _Raw) -> tuple[list[DualBall], ...]:
-        """Return the groups of coefficients that the circle has factors for."""
-        d, force, position = found
-        if self.family.is_free_space:
-            # At rest nothing pulls on the flange: the factor w is there for every plant.
-            without_constant([as_series(force[0]).value])
-            force = force[1:] if self.is_deflated else [0, *force[1:]]
-        groups = [d, force]
-        if self.law.follows:
-            groups.append(rational.add(d, [-1 * each for each in position])[1:] if self.is_deflated else position)
-        if self.law.position:
-            groups.append(position)
-        return tuple([as_series(each) for each in part] for part in groups)
-
-    def _groups_at_rest(self, found: _Raw) -> tuple[list[DualBall], ...]:
+    def _groups_at_rest(self, found: Raw) -> tuple[list[DualBall], ...]:
         """Return the groups with the factor w taken out, without the force at rest."""
         d, force, position = found
         groups = [d, force[1:]]
@@ -324,14 +288,14 @@ class _Search:
             groups.append(position)
         return tuple([as_series(each) for each in part] for part in groups)
 
-    def _cell_at_rest(self, cell: FloatArray, columns: list[_Raw]) -> PlantCell:
+    def _cell_at_rest(self, cell: FloatArray, columns: list[Raw]) -> PlantCell:
         """Return the coefficients for `judge_at_rest`: the last is ½ K₂ n_F'(K) at z = 1, where n_F is 0 for K = 0."""
         place = self.family.varying.index(STIFFNESS)
         slope = enclose([derivative_of(as_series(columns[1 + place][1][0]))])
         slope = slope.times(0.5 * cell[place, 1] * (1.0 + 1e-12))
         padding = ((0, 0), (0, len(cell)))
         pull = Balls(mid=np.pad(slope.mid[:, None], padding), rad=np.pad(slope.rad[:, None], padding))
-        rest = self._with_derivatives(cell, [self._groups_at_rest(each) for each in columns])
+        rest = with_derivatives(cell, [self._groups_at_rest(each) for each in columns])
         return PlantCell(groups=(*rest.groups, pull))
 
     def _ended(self, verdict: Verdict, point: FloatArray, angle: float | None) -> ProofOutcome:

@@ -26,6 +26,23 @@ def peak_lines(controller: "Controller") -> Iterator[str]:
             yield f"axis {name}: {_proved(claim, peak.share)}"
 
 
+def rest_lines(controller: "Controller") -> Iterator[str]:
+    """Say of every axis whether its contacts are proved to come to rest, or how many impacts were followed."""
+    from autotune.prediction.as_run_by import designed_for
+    from problems.design.uncertainty import SYMBOLS
+
+    for name, each in (controller.certificate.bouncing or {}).items():
+        if designed_for(controller):
+            continue
+        sampled = f"{each.impacts:g} impacts on plants of the whole set come to rest, sampled"
+        if each.share == 0.0:
+            yield f"axis {name}: no contact found that bounces for ever; {sampled}"
+            continue
+        over = ", ".join(SYMBOLS[key] for key in each.over)
+        more = f"; {sampled}" if each.impacts > 0.0 else ""
+        yield f"axis {name}: {_proved(f'every contact comes to rest, over {over}', each.share)}{more}"
+
+
 def led_lines(controller: "Controller", limit: tuple[float, str] | None = None) -> Iterator[str]:
     """Say how hard a payload that is led by hand touches, and up to which speed a force is not exceeded.
 

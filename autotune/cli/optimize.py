@@ -26,7 +26,7 @@ from ._optimized import (
 )
 from ._options import SETTINGS, FilePath, GroupedCommand, PresentType, fields_with_unit, typed_range
 from ._pareto import FrontWriter, pareto_options, proof_options
-from ._proved import held_lines, led_lines, peak_lines
+from ._proved import held_lines, led_lines, peak_lines, rest_lines
 from ._report import check_report, print_report_path, report_option, report_refusal, write_report
 from ._schedule import schedule_options
 from ._terminal import detect_terminal, echo, print_message, print_table
@@ -328,6 +328,7 @@ def print_optimized(
     for line in (
         *response_lines(controller),
         *peak_lines(controller),
+        *rest_lines(controller),
         *held_lines(controller),
         *led_lines(controller),
         *limit_lines(controller),

@@ -10,7 +10,6 @@ from typing import Annotated, Any
 import numpy as np
 
 from problems.contact.transient import Approach
-from problems.design.hand import HandImpedance
 from problems.design.requirements import (
     AdmittanceTarget,
     ContactAtSpeed,
@@ -19,13 +18,14 @@ from problems.design.requirements import (
     NoiseLimit,
     PassivityTarget,
 )
-from problems.design.uncertainty import ALWAYS_UNCERTAIN, FURTHER_UNCERTAIN, Ellipsoid, PlantSet
+from problems.design.uncertainty import ALWAYS_UNCERTAIN, FURTHER_UNCERTAIN, SYMBOLS, Ellipsoid, PlantSet
 from problems.errors import ParameterError
 from problems.frozen import FrozenDict, Rule, freeze
 from problems.model.plant import NO_FILTER, WrenchFilter
 from problems.model.plant_parameters import PARAMETERS
 from problems.model.robot import RobotModel
 
+from .proof_records import AboveZero, BouncingProof, HeldProof, NotNegative, PeakProof, Text
 from .units import AXES, ROTATIONAL_AXES, axis_units
 
 Interval = tuple[float, float]
@@ -34,10 +34,7 @@ FurtherName = Annotated[str, Rule(enum=FURTHER_UNCERTAIN)]
 Period = Annotated[float, Rule(minimum=1e-5, maximum=0.1)]
 Band = Annotated[Interval, Rule(items=Rule(minimum=0, maximum=10000))]
 Polynomial = Annotated[tuple[float, ...], Rule(items=Rule(minimum=-1e40, maximum=1e40), minItems=1, maxItems=24)]
-AboveZero = Annotated[float, Rule(exclusiveMinimum=0)]
-NotNegative = Annotated[float, Rule(minimum=0)]
 Share = Annotated[float, Rule(exclusiveMinimum=0, exclusiveMaximum=1)]
-Text = Annotated[str, Rule(minLength=1)]
 
 _STIFFNESS = Rule(minimum=0, maximum=1_000_000_000)
 _TIME = Rule(minimum=0, maximum=1)
@@ -283,42 +280,6 @@ class ProvenRegion:
             raise ParameterError("budget_s", self.budget_s, "above 0, and no run time below 0")
 
 
-@dataclass(frozen=True, kw_only=True)
-class HeldProof:
-    """What of the modulus is proved while any hand up to `hand` holds the payload, on every surface and off it.
-
-    K_e and M_p vary in their whole ranges, the rest is nominal. `modulus` and `share` are 0 where some such hand makes
-    the loop unstable. The other fields are those of `ProvenRegion`.
-    """
-
-    hand: HandImpedance
-    modulus: Annotated[float, Rule(description="What |1 + L| is proved to exceed", minimum=0, exclusiveMaximum=1)]
-    method: Text
-    share: Annotated[float, Rule(description="Share of the set that is proved; 1 is all of it", minimum=0, maximum=1)]
-    cells: NotNegative
-    arcs: NotNegative
-    budget_s: AboveZero
-    run_time_s: NotNegative
-
-
-@dataclass(frozen=True, kw_only=True)
-class PeakProof:
-    """That no first contact exceeds `force_n`, wherever between two ticks it begins.
-
-    K_e and M_p vary in their whole ranges, the rest is nominal.
-    `staying` is the share in which the payload stays on the wall, so that its first contact is all of the contact. The
-    other fields are those of `ProvenRegion`.
-    """
-
-    force_n: Annotated[float, Rule(description="What no first contact exceeds", exclusiveMinimum=0)]
-    method: Text
-    share: Annotated[float, Rule(description="Share of the set that is proved; 1 is all of it", minimum=0, maximum=1)]
-    staying: Annotated[float, Rule(description="Share in which the payload stays on the wall", minimum=0, maximum=1)]
-    cells: NotNegative
-    budget_s: AboveZero
-    run_time_s: NotNegative
-
-
 _APPROACH = [{"required": ["approach_force_n"]}, {"required": ["approach_speed_m_s"]}]
 _APPROACHED = "a domain that says how contact is approached: {} or both"
 _ABOVE_ZERO = Rule(exclusiveMinimum=0)
@@ -379,7 +340,8 @@ class Certificate:
     `proved` holds for every plant that it names, `sampled` was looked for on many plants of the set and not found.
     `requirements` are those of x, y, z, `rotational_requirements` those of rx, ry, rz (rad, N·m), None without them.
     `soft` holds by axis what need not be met, and what was achieved, `continuous` what of the modulus is proved, `held`
-    what of it while a hand holds the payload, `peaks` what no first contact exceeds (None: earlier releases).
+    what of it while a hand holds the payload, `peaks` what no first contact exceeds, `bouncing` whether every
+    contact comes to rest (None: earlier releases).
     """
 
     domain: Mapping[
@@ -403,23 +365,17 @@ class Certificate:
     continuous: Mapping[Axis, Annotated[tuple[ProvenRegion, ...], Rule(minItems=1)]] | None = None
     held: Mapping[Axis, HeldProof] | None = None
     peaks: Mapping[Axis, PeakProof] | None = None
+    bouncing: Mapping[Axis, BouncingProof] | None = None
 
     def __post_init__(self) -> None:
         freeze(self, "domain", "requirements", "margins")
-        if self.continuous is not None:
-            freeze(self, "continuous")
-        if self.held is not None:
-            freeze(self, "held")
-        if self.peaks is not None:
-            freeze(self, "peaks")
-        if self.rotational_requirements is not None:
-            freeze(self, "rotational_requirements")
-        if self.soft is not None:
-            freeze(self, "soft")
+        for name in ("continuous", "held", "peaks", "bouncing", "rotational_requirements", "soft"):
+            if getattr(self, name) is not None:
+                freeze(self, name)
 
     @property
     def proved_further(self) -> tuple[Proof, ...]:
-        """What `held` and `peaks` say is proved, in words."""
+        """What `held`, `peaks` and `bouncing` say is proved, in words."""
         held = tuple(
             Proof(
                 claim=f"axis {name}: stable with |1 + L| > {each.modulus:.4g} while a hand holds the payload",
@@ -430,7 +386,7 @@ class Certificate:
             for name, each in (self.held or {}).items()
             if each.share > 0.0
         )
-        return held + tuple(
+        peaks = tuple(
             Proof(
                 claim=f"axis {name}: no first contact exceeds {each.force_n:.4g} {axis_units(name).force}",
                 method=each.method,
@@ -438,6 +394,21 @@ class Certificate:
                 numbers={"share": each.share, "staying": each.staying, "cells": each.cells},
             )
             for name, each in (self.peaks or {}).items()
+            if each.share > 0.0
+        )
+        return (*held, *peaks, *self._resting)
+
+    @property
+    def _resting(self) -> tuple[Proof, ...]:
+        return tuple(
+            Proof(
+                claim=f"axis {name}: every contact comes to rest, whatever it begins with",
+                method=each.method,
+                over=f"every {', '.join(SYMBOLS[key] for key in each.over)} of the domain, everything else nominal; "
+                f"every constant {axis_units(name).force_name} above 0",
+                numbers={"share": each.share, "cells": each.cells, "arcs": each.arcs},
+            )
+            for name, each in (self.bouncing or {}).items()
             if each.share > 0.0
         )
 

@@ -11,11 +11,12 @@ from autotune.errors import CertificateError, InfeasibleError
 from autotune.formats.controller_record import Controller, RuntimePayload
 from autotune.formats.identified import IdentifiedFile
 from autotune.formats.problem import ComplianceSpec, ProblemSpec
-from autotune.formats.units import ROTATIONAL_AXES, axis_units
+from autotune.formats.units import ROTATIONAL_AXES
 from autotune.prediction.before_after import BeforeAndAfter, compare_before_after
 from autotune.prediction.law import PresentGains
 from autotune.validation.axis_proof import AxisProof, ProofOptions, Prover, prove_axis
-from autotune.validation.bouncing import RefutedError, search_bouncing
+from autotune.validation.bouncing import RefutedError
+from autotune.validation.bouncing_proof import prove_bouncing
 from autotune.validation.held import prove_held
 from autotune.validation.peak_proof import prove_peaks
 from autotune.validation.report import ValidationReport
@@ -212,7 +213,10 @@ def certify(
     regions = {name: each.regions for name, each in found.items()}
     held = {name: each.held for name, each in found.items() if each.held is not None}
     peaks = {name: each.peak for name, each in found.items() if each.peak is not None and threshold is None}
-    controller = build_controller(searches, payload, proofs, regions, provenance, held=held, peaks=peaks)
+    bouncing = {name: each.bouncing for name, each in found.items() if each.bouncing is not None}
+    controller = build_controller(
+        searches, payload, proofs, regions, provenance, held=held, peaks=peaks, bouncing=bouncing
+    )
     if threshold is not None:
         controller, _ = choose_threshold(controller, searches, threshold)
     controller = with_limits(controller, limits or LimitsSettings())
@@ -393,18 +397,12 @@ def prove_search(
     problem, law = search.problem, search.problem.controller(search.design)
     swept = min(each.margins.modulus for each in search.margins)
     proved = prove_axis(problem.plants, law, problem.sample_time_s, name, swept, asked, report)
-    bouncing = search_bouncing(name, build_domain(problem), law, problem.sample_time_s)
-    if bouncing.found is not None:
-        raise RefutedError(
-            f"Axis {name}: {bouncing.message()}. Stability in contact and in free space does not exclude that, so the "
-            f"{axis_units(name).force_name} never comes to rest.",
-            axis=name,
-            scenario=bouncing.found.scenario,
-            impact=bouncing.found,
-        )
+    prover, hand = Prover(), _hand(name, problem)
+    bouncing = prove_bouncing(prover, build_domain(problem), law, problem.sample_time_s, name, asked)
+    proved = replace(proved, bouncing=bouncing, answers=(*proved.answers, *prover.answers))
     if asked.further_s == 0.0:
         return proved
-    prover, hand = Prover(), _hand(name, problem)
+    prover = Prover()
     bounded = replace(asked, budget_s=asked.further_s)
     held = prove_held(prover, problem.plants, law, problem.sample_time_s, hand, bounded)
     largest = max(each.peak_contact_force_n for each in search.evaluation.peaks)

@@ -8,8 +8,6 @@ from autotune.formats.certificate_record import (
     AxisDomain,
     AxisMargins,
     Certificate,
-    HeldProof,
-    PeakProof,
     Proof,
     ProvenRegion,
     Requirement,
@@ -28,6 +26,7 @@ from autotune.formats.controller_record import (
     ScenarioPrediction,
 )
 from autotune.formats.limits import CollisionResponse
+from autotune.formats.proof_records import BouncingProof, HeldProof, PeakProof
 from autotune.formats.units import ROTATIONAL_AXES, axis_units
 from autotune.validation.validation_samples import sampled_claims
 from identification.axes.turning import LEVER_M
@@ -61,10 +60,11 @@ def build_controller(
     provenance: Mapping[str, Any],
     held: Mapping[str, HeldProof] | None = None,
     peaks: Mapping[str, PeakProof] | None = None,
+    bouncing: Mapping[str, BouncingProof] | None = None,
 ) -> Controller:
     """Assemble the controller of all tuned axes.
 
-    `proofs`, `regions`, `held` and `peaks` are what validation's code has shown, per axis.
+    `proofs`, `regions`, `held`, `peaks` and `bouncing` are what validation's code has shown, per axis.
 
     The axes share h, filters and payload, and axes of a kind their requirements; they come from one identified file
     and one problem. `payload` is what the runtime compensates.
@@ -100,13 +100,21 @@ def build_controller(
             sampled=tuple(
                 claim
                 for name in results
-                for claim in sampled_claims(domain[name], margins[name], predicted[name], name, regions.get(name, ()))
+                for claim in sampled_claims(
+                    domain[name],
+                    margins[name],
+                    predicted[name],
+                    name,
+                    regions.get(name, ()),
+                    (bouncing or {}).get(name),
+                )
             ),
             margins=margins,
             soft=soft or None,
             continuous=regions or None,
             held=held or None,
             peaks=peaks or None,
+            bouncing=bouncing or None,
         ),
         provenance=provenance,
     )

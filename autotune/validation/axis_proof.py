@@ -10,7 +10,8 @@ from autotune.certificate.certify import METHOD, WORK_PER_SECOND, ProofOutcome
 from autotune.certificate.claim import Claim, CombinedCertificate, prove
 from autotune.certificate.family import PROVABLE
 from autotune.errors import CertificateError
-from autotune.formats.certificate_record import HeldProof, PeakProof, Proof, ProvenRegion
+from autotune.formats.certificate_record import Proof, ProvenRegion
+from autotune.formats.proof_records import BouncingProof, HeldProof, PeakProof
 from autotune.formats.units import axis_units
 from problems.design.uncertainty import ALWAYS_UNCERTAIN, PlantSet
 from problems.errors import ParameterError
@@ -87,7 +88,8 @@ class Prover:
 class AxisProof:
     """What is proved of one axis, as its certificate states it, and the `answers` that say so.
 
-    `held` is of a payload that a hand holds, `peak` of first contacts, None where that was not looked at.
+    `held` is of a payload that a hand holds, `peak` of first contacts, `bouncing` of contacts that come to rest; None
+    where that was not looked at.
     """
 
     proofs: tuple[Proof, ...]
@@ -95,6 +97,7 @@ class AxisProof:
     answers: Answers
     held: HeldProof | None = None
     peak: PeakProof | None = None
+    bouncing: BouncingProof | None = None
 
 
 def prove_axis(

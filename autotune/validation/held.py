@@ -7,8 +7,8 @@ from functools import partial
 
 from autotune.certificate.certify import METHOD, WORK_PER_SECOND
 from autotune.certificate.claim import Claim
-from autotune.formats.certificate_record import HeldProof
 from autotune.formats.controller_record import Controller
+from autotune.formats.proof_records import HeldProof
 from autotune.formats.units import ROTATIONAL_AXES, axis_units
 from problems.design.hand import HandImpedance
 from problems.design.uncertainty import PlantSet

@@ -7,9 +7,9 @@ from functools import partial
 from autotune.certificate.certify import WORK_PER_SECOND
 from autotune.certificate.family import build_families
 from autotune.certificate.peaks import PeakOutcome, prove_peak
-from autotune.formats.certificate_record import PeakProof
 from autotune.formats.controller_record import Controller
 from autotune.formats.limits import CollisionResponse
+from autotune.formats.proof_records import PeakProof
 from autotune.formats.units import axis_units
 from problems.contact.transient import Approach
 from problems.design.uncertainty import PlantSet

@@ -89,7 +89,8 @@ def wrong_statements(controller: Controller, name: str, proved: Sequence[Proof])
     # As releases before this one say it: by another method, and before that of the same loops in fewer words.
     composed = [*proved, *(replace(each, method=FORMER_METHOD, numbers=None) for each in proved)]
     composed += [replace(each, claim=each.claim.replace("stable while it stays", "stable")) for each in composed]
-    sampled = sampled_claims(domain, certificate.margins[name], controller.predicted[name], name, regions)
+    bouncing = (certificate.bouncing or {}).get(name)
+    sampled = sampled_claims(domain, certificate.margins[name], controller.predicted[name], name, regions, bouncing)
     wrong = [
         f"{kind} states {stated.claim!r} over {stated.over!r}{_expected(stated, known)}"
         for kind, stated_all, known in (

@@ -14,7 +14,7 @@ from problems.model.axis_kind import AxisKind
 from problems.model.controller import AdmittanceController
 
 from .axis_proof import Answers, Prover
-from .bouncing import search_bouncing
+from .bouncing_proof import check_bouncing
 from .certified_requirements import limit_n
 from .contacts import verify_led, verify_peaks, verify_response
 from .held import check_held
@@ -249,8 +249,7 @@ def _led(case: AxisCase) -> Iterator[Check]:
 
 
 def _bouncing(case: AxisCase) -> Iterator[Check]:
-    found = search_bouncing(case.name, case.domain, case.law, case.controller.sample_time_s)
-    yield case.check("bouncing", "" if found.passed else found.message(), found.message())
+    yield from check_bouncing(case.controller, case.name, case.law, case.prover)
 
 
 def _limits(case: AxisCase) -> Iterator[Check]:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from autotune.formats.certificate_record import AxisDomain, AxisMargins, Proof, ProvenRegion
 from autotune.formats.controller_record import AxisPrediction
+from autotune.formats.proof_records import BouncingProof
 from autotune.formats.units import axis_units
 from problems.design.uncertainty import STIFFNESS, SYMBOLS, PlantSet, Scenario
 from problems.model.plant import Plant, WrenchFilter
@@ -67,16 +68,26 @@ def recorded_plants(domain: AxisDomain, margins: AxisMargins) -> tuple[Plant, ..
 
 
 def sampled_claims(
-    domain: AxisDomain, margins: AxisMargins, predicted: AxisPrediction, name: str, regions: Sequence[ProvenRegion] = ()
+    domain: AxisDomain,
+    margins: AxisMargins,
+    predicted: AxisPrediction,
+    name: str,
+    regions: Sequence[ProvenRegion] = (),
+    bouncing: BouncingProof | None = None,
 ) -> tuple[Proof, ...]:
     """Return what is looked for, and not found, beyond what is proved.
 
-    Of every axis that no contact bounces for ever; where more than K_e and M_p is uncertain, of that set too. Where
-    `regions` hold a proof over all that is uncertain, stability is none of it.
+    Of every axis that no contact bounces for ever, unless `bouncing` says that this is proved of all of it; where more
+    than K_e and M_p is uncertain, of that set too. Where `regions` hold a proof over all that is uncertain, stability
+    is none of it.
     """
-    bouncing = bouncing_claim(name, domain, "" if domain.uncertain is None else describe_set(domain, name))
+    searched: tuple[Proof, ...] = ()
+    if bouncing is None or bouncing.impacts > 0.0:
+        whole = "" if domain.uncertain is None else describe_set(domain, name)
+        is_short = bouncing is not None and bouncing.is_proved
+        searched = (bouncing_claim(name, domain, whole, is_short=is_short),)
     if domain.uncertain is None:
-        return (bouncing,)
+        return searched
     others = build_validation_samples(domain, margins, predicted)
     is_proved = any(region.share == 1.0 and set(domain.uncertain) <= set(region.over) for region in regions)
     stable = "the margins stated" if is_proved else "stable with the margins stated"
@@ -87,7 +98,7 @@ def sampled_claims(
             over=describe_set(domain, name),
             numbers={"plants": float(len(others.plants)), "replayed": float(len(others.replayed)), "seed": float(SEED)},
         ),
-        bouncing,
+        *searched,
     )
 
 

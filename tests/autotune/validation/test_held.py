@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import pytest
 
-from autotune.formats.certificate_record import HeldProof
 from autotune.formats.controller_record import Controller, admittance_controller
+from autotune.formats.proof_records import HeldProof
 from autotune.validation.axis_proof import ProofOptions, Prover
 from autotune.validation.held import check_held, prove_held
 from autotune.validation.report import Check

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import pytest
 
-from autotune.formats.certificate_record import PeakProof
 from autotune.formats.controller_record import CollisionSettings, Controller, admittance_controller
 from autotune.formats.limits import CollisionResponse
+from autotune.formats.proof_records import PeakProof
 from autotune.validation.axis_proof import ProofOptions, Prover
 from autotune.validation.bouncing import RefutedError
 from autotune.validation.peak_proof import check_peaks, prove_peaks

@@ -27,14 +27,17 @@ POLE, DELAY_S, FILTER = 41.42, 0.00172616, BOUNCY.velocity_filter_rad_per_s
 K_S, B_S, B_P, M_P, K_E = 365_490.0, 2.207, 78.109, 4.0, 3_120_224.0
 
 
-def pair() -> SampledContact:
-    plant = Plant(
+def bouncing_plant() -> Plant:
+    return Plant(
         robot=RobotModel(numerator=np.array([POLE]), denominator=np.array([1.0, POLE]), delay_s=DELAY_S),
         coupling=Coupling(stiffness_n_per_m=K_S, damping_n_s_per_m=B_S),
         payload=PayloadDynamics(mass_kg=M_P, drag_n_s_per_m=B_P),
         environment=Environment(stiffness_n_per_m=K_E),
     )
-    return build_sampled_contact(build_sampled_plant(plant, PERIOD_S))
+
+
+def pair() -> SampledContact:
+    return build_sampled_contact(build_sampled_plant(bouncing_plant(), PERIOD_S))
 
 
 def impact(law: AdmittanceController, ratio: float, force: float = 3.0) -> Approach:

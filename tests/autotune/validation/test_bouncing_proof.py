@@ -1,0 +1,97 @@
+"""That every contact comes to rest is proved again by the multiplier of the file, and not believed."""
+
+from dataclasses import replace
+
+import pytest
+
+from autotune.formats.controller_record import Controller, admittance_controller
+from autotune.formats.proof_records import BouncingProof
+from autotune.validation import bouncing
+from autotune.validation.axis_proof import ProofOptions, Prover
+from autotune.validation.bouncing import RefutedError
+from autotune.validation.bouncing_proof import check_bouncing, covers, prove_bouncing
+from autotune.validation.report import Check
+from problems.contact.multiplier import Multiplier
+from problems.design.uncertainty import ALWAYS_UNCERTAIN
+from tests.autotune.tuning.cases import small_controller, uncertain_optimized
+from tests.autotune.validation.bouncing_cases import bouncing_controller, written
+from tests.problems.contact.test_bouncing import BOUNCY, CALMED, PERIOD_S
+
+WRONG = Multiplier(rate_s=0.0, shifts_s=(0.05,), shift_weights=(1.0,), fading_per_s=(300.0,), fading_weights=(0.01,))
+
+
+def stated(of: Controller, **changes: object) -> BouncingProof:
+    return replace((of.certificate.bouncing or {})["x"], **changes)  # type: ignore[arg-type]
+
+
+def checks(of: Controller, said: BouncingProof) -> tuple[Check, ...]:
+    changed = replace(of, certificate=replace(of.certificate, bouncing={"x": said}))
+    return tuple(check_bouncing(changed, "x", admittance_controller(of, "x"), Prover()))
+
+
+def test_a_design_over_stiffness_and_mass_is_proved_and_nothing_of_it_is_sampled() -> None:
+    of = small_controller()
+    said = stated(of)
+    assert covers(said, of.certificate.domain["x"])
+    assert said.impacts == 0.0
+    (found,) = checks(of, said)
+    assert found.passed
+    assert found.message.startswith("every contact comes to rest, over K_e, M_p, from any state")
+    assert not any("bounces" in each.claim for each in of.certificate.sampled)
+    claims = [each.claim for each in of.certificate.proved_further]
+    assert "axis x: every contact comes to rest, whatever it begins with" in claims
+
+
+@pytest.mark.parametrize(
+    ("changes", "reported"),
+    [
+        ({"multiplier": WRONG}, "claimed for the share 1, proved for 0"),
+        ({"multiplier": None}, "stated without a multiplier"),
+        ({"method": "trust"}, "by a method that is not"),
+        ({"over": (*ALWAYS_UNCERTAIN, "delay_s")}, "delay_s"),
+        ({"budget_s": 1e-3}, "proved for 0"),
+    ],
+)
+def test_more_than_is_true_is_not_believed(changes: dict[str, object], reported: str) -> None:
+    of = small_controller()
+    found = checks(of, stated(of, **changes))[0]
+    assert not found.passed
+    assert reported in found.message
+
+
+def test_what_bounces_is_refuted_whatever_is_stated_of_it() -> None:
+    of = bouncing_controller()
+    domain = of.certificate.domain["x"]
+    with pytest.raises(RefutedError, match="bounces for ever") as refuted:
+        prove_bouncing(Prover(), domain, BOUNCY, PERIOD_S, "x", ProofOptions())
+    assert refuted.value.impact is not None
+    (found,) = checks(of, replace(stated(small_controller()), budget_s=10.0))
+    assert not found.passed
+
+
+def test_the_same_plant_with_less_lead_is_proved() -> None:
+    found = prove_bouncing(Prover(), written(CALMED).certificate.domain["x"], CALMED, PERIOD_S, "x", ProofOptions())
+    assert (found.share, found.impacts) == (1.0, 0.0)
+
+
+def test_without_a_budget_or_a_multiplier_the_search_speaks(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bouncing, "RUNS", 64)
+    of = small_controller()
+    law, domain = admittance_controller(of, "x"), of.certificate.domain["x"]
+    found = prove_bouncing(Prover(), domain, law, of.sample_time_s, "x", ProofOptions(further_s=0.0))
+    assert found.multiplier is None
+    assert found.share == 0.0
+    assert found.impacts >= 64.0
+    assert checks(of, found)[0].passed
+    wrong = checks(of, replace(found, impacts=found.impacts + 1.0))[0]
+    assert "impacts, and" in wrong.message
+    assert not wrong.passed
+
+
+def test_a_set_with_damped_surfaces_is_proved_without_their_damping_and_searched_with_it() -> None:
+    of = uncertain_optimized().controller
+    said = stated(of)
+    domain = of.certificate.domain["x"]
+    assert said.is_proved
+    assert set(said.over) == {*ALWAYS_UNCERTAIN, *(domain.uncertain or {})} - {"environment_damping_n_s_per_m"}
+    assert covers(said, domain) is ("environment_damping_n_s_per_m" not in (domain.uncertain or {}))
