@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-from tuning_problems import draw_problem
 
 from autotune.certificate.bouncing import prove_rest
 from autotune.certificate.family import build_families
@@ -17,6 +16,7 @@ from autotune.tuning.search import solve_design
 from autotune.validation.axis_proof import ProofOptions, Prover
 from autotune.validation.bouncing import search_bouncing
 from autotune.validation.bouncing_proof import prove_bouncing
+from benchmarks.tuning_problems import draw_problem
 from problems.contact.bouncing import Ending, follow_contact, settling_window
 from problems.contact.transient import Approach, build_sampled_contact
 from problems.design.problem import DesignProblem

@@ -228,7 +228,8 @@ def multiplier_over_s(multiplier: Multiplier, middle: FloatArray, half: FloatArr
     """
     h, size = sample_time_s, len(middle)
     omega, width = middle / h, half / h * (1.0 + 1e-12)
-    value, slope, rest = np.full(size, multiplier.rate_s, dtype=np.complex128), np.zeros(size, dtype=np.complex128), 0.0
+    value, slope = np.full(size, multiplier.rate_s, dtype=np.complex128), np.zeros(size, dtype=np.complex128)
+    rest = np.zeros(size)
     # What an arc from 0 on has of 1/ω is not bounded.
     largest = 1.0 / np.where(omega > 1.001 * width, omega - width, 1e-300)
     for shift, weight in multiplier.shifts:

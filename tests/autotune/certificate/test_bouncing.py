@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from autotune.certificate.bouncing import prove_rest
 from autotune.certificate.family import Family, build_families
 from autotune.certificate.multiplier_search import find_multiplier, spring_response
 from autotune.certificate.plant_cells import coefficients, with_derivatives
-from problems.arrays import ComplexArray, FloatArray
+from problems.arrays import FloatArray
 from problems.contact.bouncing import Ending, follow_contact, settling_window
 from problems.contact.multiplier import Multiplier
 from problems.contact.transient import Approach, build_sampled_contact
@@ -40,7 +41,7 @@ def damped(robot: object = TWO_POLES, **others: object) -> Plant:
     return replace(paper_plant(stiffness=1.3e5, mass=16.0, drag=400.0, coupling_damping=120.0, robot=robot), **others)  # type: ignore[arg-type]
 
 
-def lifted(plant: Plant, law: AdmittanceController, omega: float, reach: int) -> tuple[ComplexArray, ...]:
+def lifted(plant: Plant, law: AdmittanceController, omega: float, reach: int) -> tuple[Any, ...]:
     """Return ω_k, P, A and W of one plant at the frequencies that the sampler mixes, and D, in plain floats."""
     h, k = PERIOD_S, np.arange(-reach, reach + 1)
     held = plant_response(build_sampled_plant(plant.in_contact_with(FREE_SPACE), h), np.array([omega]))

@@ -228,7 +228,7 @@ _PURE = (
     *("autotune.tuning.optimize.settle", "autotune.studies.front.trace_front"),
     *("autotune.validation.contacts.replay_contact", "autotune.validation.requirements.sampled_admittance"),
     *("autotune.validation.validate.sweep_margins", "autotune.validation.law.sweep_margins"),
-    *("autotune.validation.validate.search_bouncing", "autotune.tuning.optimize.search_bouncing"),
+    "autotune.validation.bouncing_proof.search_bouncing",
     *("autotune.certificate.certify.certify", "autotune.validation.law.certify_law", *OF_TARGETS),
 )
 
