@@ -220,9 +220,11 @@ def _number(side: "EvaluatedController", name: str, scale: float) -> str:
 
 
 def _verdict(side: "EvaluatedController", units: "AxisKind") -> str:
+    from autotune.text import stiffness_text
+
     if side.unstable_at is not None:
         mass, stiffness = side.unstable_at
-        where = f"K_e {stiffness:.4g} {units.stiffness}" if stiffness > 0.0 else "free space"
+        where = f"K_e {stiffness_text(stiffness, units)}" if stiffness > 0.0 else "free space"
         return f"{painted('UNSTABLE')} in {where} with {mass:.4g} {units.mass} (largest |z| {side.spectral_radius:.5f})"
     missed = {} if side.performance is None else side.performance.missed
     text = ", ".join(f"{name} ({min(100.0 / value, 99.99):.4g} %)" for name, value in missed.items())

@@ -118,12 +118,12 @@ def outside_domain(domain: AxisDomain, found: PredictedContact) -> tuple[str, ..
     if found.plant is None or not found.has_payload:
         return ()
     units, outside = axis_units(found.axis), []
-    shown = {STIFFNESS: f" {units.stiffness}", MASS: f" {units.mass}"}
     for name, (low, high) in domain.plants.ranges.items():
         if name == "robot_damping_ratio" and not has_damping_ratio(found.plant.robot):
             continue
         value = PARAMETERS[name].value(found.plant)
         if not low * (1.0 - _ROUNDING) <= value <= high * (1.0 + _ROUNDING):
-            unit = shown.get(name, "")
-            outside.append(f"{SYMBOLS[name]} {interval_text((low, high))}{unit}, here {value:.4g}{unit}")
+            scale, unit = units.shown(PARAMETERS[name].kind)
+            certified = f"{interval_text((scale * low, scale * high))} {unit}".rstrip()
+            outside.append(f"{SYMBOLS[name]} {certified}, here {scale * value:.4g} {unit}".rstrip())
     return tuple(outside)

@@ -13,6 +13,7 @@ from autotune.errors import CertificateError
 from autotune.formats.certificate_record import Proof, ProvenRegion
 from autotune.formats.proof_records import BouncingProof, HeldProof, PeakProof
 from autotune.formats.units import axis_units
+from autotune.text import scenario_text
 from problems.design.uncertainty import ALWAYS_UNCERTAIN, PlantSet
 from problems.errors import ParameterError
 from problems.model.axis_kind import AxisKind
@@ -269,9 +270,7 @@ def describe_false(false: ProofOutcome, units: AxisKind) -> str:
     if plant is None or frequency is None:
         return f"a modulus of {false.modulus:.4g} is not proved"
     return (
-        f"stability with a modulus of {false.modulus:.4g} is refuted at "
-        f"M_p = {plant.payload_mass_kg:.6g} {units.mass}, "
-        f"K_e = {plant.environment_stiffness_n_per_m:.6g} {units.stiffness}{plant.off_nominal}, "
+        f"stability with a modulus of {false.modulus:.4g} is refuted at {scenario_text(plant, units)}, "
         f"{frequency / (2.0 * math.pi):.4g} Hz"
     )
 
@@ -281,10 +280,5 @@ def describe_unstable(found: CombinedCertificate, units: AxisKind) -> str:
     failed = found.failed
     where = "free space" if failed in found.free_space else "contact"
     plant = None if failed is None else failed.plant
-    at = (
-        ""
-        if plant is None
-        else f": fails at M_p = {plant.payload_mass_kg:.6g} {units.mass}, "
-        f"K_e = {plant.environment_stiffness_n_per_m:.6g} {units.stiffness}"
-    )
+    at = "" if plant is None else f": fails at {scenario_text(plant, units)}"
     return f"stability in {where} does not hold or cannot be proved{at}"

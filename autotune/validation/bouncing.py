@@ -13,6 +13,7 @@ import numpy as np
 from autotune.errors import CertificateError
 from autotune.formats.certificate_record import AxisDomain, Proof
 from autotune.formats.units import axis_units
+from autotune.text import scenario_text
 from problems.contact.bouncing import ContactOutcome, Ending, follow_contact, settling_window
 from problems.contact.linear_controller_contact import force_per_speed
 from problems.contact.transient import Approach, SampledContact, build_sampled_contact
@@ -92,11 +93,10 @@ class BounceSearch:
 
 def describe_impact(impact: Impact, axis: str) -> str:
     """Return an impact in words."""
-    units, plant = axis_units(axis), impact.scenario
+    units = axis_units(axis)
     return (
-        f"K_e = {plant.environment_stiffness_n_per_m:.6g} {units.stiffness}, M_p = {plant.payload_mass_kg:.4g} "
-        f"{units.mass}{plant.off_nominal}, touched at {impact.speed:.3g} {units.speed} with F^d = {impact.force:.3g} "
-        f"{units.force}"
+        f"{scenario_text(impact.scenario, units)}, touched at {impact.speed:.3g} {units.speed} with F^d = "
+        f"{impact.force:.3g} {units.force}"
     )
 
 

@@ -111,38 +111,42 @@ def _outside(name: str, domain: AxisDomain, axis: AxisEstimate) -> Iterator[str]
     if name in ROTATIONAL_AXES:
         inertia = axis.mass_kg or Estimate(value=None, std=None, status=Status.UNIDENTIFIABLE)
         yield from _interval(f"payload inertia [{units.mass}]", inertia, domain.payload_mass_kg)
+    scale, unit = units.shown_stiffness
     for surface in axis.environments:
-        yield from _interval(
-            f"K_e of {surface.name} [{units.stiffness}]",
-            surface.stiffness_n_per_m,
-            domain.environment_stiffness_n_per_m,
-        )
+        what, span = f"K_e of {surface.name} [{unit}]", domain.environment_stiffness_n_per_m
+        yield from _interval(what, surface.stiffness_n_per_m, span, scale=scale)
     for key, estimate in axis.plant_estimates().items():
         of, (low, high) = PARAMETERS[key], domain.plants.range_of(key)
-        what = f"{of.label if of.kind == 'frequency' else of.symbol} [{units.unit(of.kind)}]"
+        scale, unit = units.shown(of.kind)
+        what = f"{of.label if of.kind == 'frequency' else of.symbol} [{unit}]"
         if key in domain.plants.ranges:
-            yield from _interval(what, estimate, (low, high))
+            yield from _interval(what, estimate, (low, high), scale=scale)
         elif of.kind != "frequency":
             # A robot's nominal bandwidth is in its coefficients, which nothing here compares.
-            yield from _same(what, estimate, low)
+            yield from _same(what, estimate, low, scale=scale)
 
 
 def _interval(
-    what: str, estimate: Estimate, interval: tuple[float, float], *, certified: tuple[float, float] | None = None
+    what: str,
+    estimate: Estimate,
+    interval: tuple[float, float],
+    *,
+    certified: tuple[float, float] | None = None,
+    scale: float = 1.0,
 ) -> list[str]:
-    """Say what lies outside of an interval; `certified` is what is shown where it was widened."""
+    """Say what lies outside of an interval, shown times `scale`; `certified` is shown where it was widened."""
     if estimate.value is None:
         return [f"{what} is not identified"]
     if not interval[0] <= estimate.value <= interval[1]:
-        low, high = certified or interval
-        return [f"{what} is {estimate.value:.6g}, certified for [{low:.6g}, {high:.6g}]"]
+        low, high = (scale * each for each in certified or interval)
+        return [f"{what} is {scale * estimate.value:.6g}, certified for [{low:.6g}, {high:.6g}]"]
     return []
 
 
-def _same(what: str, estimate: Estimate, certified: float) -> list[str]:
+def _same(what: str, estimate: Estimate, certified: float, *, scale: float = 1.0) -> list[str]:
     if estimate.value is None:
         return [f"{what} is not identified"]
     tolerance = max(_STDS * (estimate.std or 0.0), _LEAST_SHARE * abs(estimate.value))
     if abs(estimate.value - certified) > tolerance:
-        return [f"{what} is {estimate.value:.6g}, certified for {certified:.6g}"]
+        return [f"{what} is {scale * estimate.value:.6g}, certified for {scale * certified:.6g}"]
     return []

@@ -34,8 +34,8 @@ def _surface(axis: AxisEstimate, stiffness: float) -> AxisEstimate:
 @pytest.mark.parametrize(
     ("axis", "message"),
     [
-        (_surface(identified_axis(), 2e5), "K_e of x1 [N/m] is 200000, certified for [100000, 120000]"),
-        (_surface(identified_axis(), 9e4), "K_e of x1 [N/m] is 90000, certified for [100000, 120000]"),
+        (_surface(identified_axis(), 2e5), "K_e of x1 [N/mm] is 200, certified for [100, 120]"),
+        (_surface(identified_axis(), 9e4), "K_e of x1 [N/mm] is 90, certified for [100, 120]"),
         (replace(identified_axis(), drag_n_s_per_m=known(350.0, 1.0)), "B_p [N·s/m] is 350, certified for 330"),
         (replace(identified_axis(), drag_n_s_per_m=absent()), "B_p [N·s/m] is not identified"),
     ],
@@ -59,9 +59,9 @@ def test_another_payload_and_another_axis_are_reported() -> None:
 def test_another_robot_and_another_coupling_are_reported() -> None:
     axis = identified_axis()
     slow = replace(axis, robot=replace(axis.robot, delay_s=known(4e-3, 1e-5)))
-    assert messages(with_axis(slow)) == ["T_d [s] is 0.004, certified for 0.0024"]
+    assert messages(with_axis(slow)) == ["T_d [ms] is 4, certified for 2.4"]
     soft = replace(axis, coupling=replace(axis.coupling, stiffness_n_per_m=known(2e5, 500.0)))
-    assert messages(with_axis(soft)) == ["K_s [N/m] is 200000, certified for 300000"]
+    assert messages(with_axis(soft)) == ["K_s [N/mm] is 200, certified for 300"]
 
 
 @pytest.mark.parametrize(
