@@ -83,14 +83,8 @@ class Unrolled:
     axis: AxisMotion
 
 
-def find_turns(
-    recording: Recording,
-    log: AlignedLog,
-    motion: MotionSpans,
-    gravity: GravityFit,
-    origin_S_m: FloatArray | None = None,
-) -> tuple[AxisTurn, ...]:
-    """Return the axes of S about which the tool went to and fro, the point `origin_S_m` of S (its origin) at rest.
+def find_turns(recording: Recording, log: AlignedLog, motion: MotionSpans, gravity: GravityFit) -> tuple[AxisTurn, ...]:
+    """Return the axes of S about which the tool went to and fro, the origin of S at rest.
 
     Turns of more than 0.35 rad are changes of pose: they are left to the inertia tensor, and so is an axis that was
     crossed less than three times. `log` and `motion` are those of the recording; without torques nothing is known of
@@ -98,13 +92,12 @@ def find_turns(
     """
     if not log.has_torque:
         return ()
-    origin = np.zeros(3) if origin_S_m is None else np.asarray(origin_S_m, dtype=np.float64)
     by_axis: dict[int, list[Span]] = {}
     for span in motion.moving:
-        index = _turned_axis(log, span, origin)
+        index = _turned_axis(log, span)
         if index is not None:
             by_axis.setdefault(index, []).append(span)
-    turns = (_turn(recording, log, gravity, index, spans, origin) for index, spans in sorted(by_axis.items()))
+    turns = (_turn(recording, log, gravity, index, spans) for index, spans in sorted(by_axis.items()))
     return tuple(turn for turn in turns if turn is not None)
 
 
@@ -130,7 +123,7 @@ def rests_after(spans: Sequence[Span], rests: Sequence[Span]) -> tuple[Span, ...
     return tuple(rest for rest in rests if rest.start in ends)
 
 
-def _turned_axis(log: AlignedLog, span: Span, origin_S_m: FloatArray) -> int | None:
+def _turned_axis(log: AlignedLog, span: Span) -> int | None:
     """Return the axis of S about which the tool turns in a span, None where it does not, or moves along too."""
     if len(span) * log.period_s < _SHORTEST_S:
         return None
@@ -149,7 +142,7 @@ def _turned_axis(log: AlignedLog, span: Span, origin_S_m: FloatArray) -> int | N
         return None
     index = int(np.argmax(np.sum(np.abs(rate), axis=0)))
     along = np.abs(rate[turning, index]) > _ABOUT_ONE_AXIS * speed[turning]
-    centre = low_pass(log.position_B_m[span.slice] + orientation.apply(origin_S_m), log.period_s, _RATE_BAND_HZ)
+    centre = low_pass(log.position_B_m[span.slice], log.period_s, _RATE_BAND_HZ)
     moved = float(np.sqrt(np.sum(np.var(centre, axis=0))))
     return index if np.mean(along) > 0.5 and moved < _LARGEST_OFFSET_M * float(np.std(away[:, index])) else None
 
@@ -160,7 +153,6 @@ def _turn(
     gravity: GravityFit,
     index: int,
     spans: list[Span],
-    origin_S_m: FloatArray,
 ) -> AxisTurn | None:
     """Return the turn about one axis from where the longest span is, with the spans that are near it; None if few."""
     reference = log.orientation_BS[max(spans, key=len).slice].mean()
@@ -176,7 +168,6 @@ def _turn(
     if widest < _SMALLEST_TURN_RAD or crossed < _FEWEST_CROSSINGS * widest:
         return None
     moment = gravity.compensated_torque_S_n_m(log)
-    moment -= np.cross(origin_S_m, gravity.compensated_force_S_n(log))
     turned = AxisTurn(
         motion=AxisMotion(
             name=AXIS_NAMES[index],
@@ -186,14 +177,14 @@ def _turn(
             spans=tuple(near),
         ),
         reference_BS=reference,
-        weight_n_m_per_rad=_weight_stiffness(gravity, reference, index, origin_S_m),
+        weight_n_m_per_rad=_weight_stiffness(gravity, reference, index),
     )
     # Position is interpolated by cubic splines, orientation by straight turns, which would flatten a fast sweep.
     along = align(replace(recording, pose=turned.unrolled(recording.pose))).position_B_m @ turned.motion.direction_B
     return replace(turned, motion=replace(turned.motion, position_m=np.asarray(along / LEVER_M)))
 
 
-def _weight_stiffness(gravity: GravityFit, reference: Rotation, index: int, origin_S_m: FloatArray) -> float:
+def _weight_stiffness(gravity: GravityFit, reference: Rotation, index: int) -> float:
     """Return −m g·c across the axis with its sign: positive where the payload hangs below the axis."""
-    down, arm = reference.inv().apply(GRAVITY_B_M_S2), gravity.com_S_m - origin_S_m
+    down, arm = reference.inv().apply(GRAVITY_B_M_S2), gravity.com_S_m
     return gravity.mass_kg * float(np.delete(down, index) @ np.delete(arm, index))

@@ -27,7 +27,6 @@ class ReadLog:
     log: AlignedLog
     motion: MotionSpans
     poses: tuple[StaticPose, ...]
-    ranking: ConventionRanking
     convention: Convention | None
     findings: tuple[Finding, ...]
 
@@ -56,27 +55,15 @@ def read_by_weight(recording: Recording, log: AlignedLog, motion: MotionSpans, f
                 f"`{', '.join(chosen.entries(frames))}`.",
                 advice="Declare it in cell.yaml.",
             )
-            return _read(recording, ranking, chosen, frames, (finding,))
+            return _read(recording, chosen, frames, (finding,))
     chosen_by_weight = ranking.chosen()
     if chosen_by_weight is None or chosen_by_weight.changes == 0:
-        return ReadLog(
-            recording=recording,
-            log=log,
-            motion=motion,
-            poses=poses,
-            ranking=ranking,
-            convention=None,
-            findings=findings,
-        )
-    return _read(recording, ranking, chosen_by_weight, frames, findings)
+        return ReadLog(recording=recording, log=log, motion=motion, poses=poses, convention=None, findings=findings)
+    return _read(recording, chosen_by_weight, frames, findings)
 
 
 def _read(
-    recording: Recording,
-    ranking: ConventionRanking,
-    convention: Convention,
-    frames: Frames | None,
-    findings: tuple[Finding, ...],
+    recording: Recording, convention: Convention, frames: Frames | None, findings: tuple[Finding, ...]
 ) -> ReadLog:
     read = convention.apply(recording, frames)
     log = align(read)
@@ -86,7 +73,6 @@ def _read(
         log=log,
         motion=motion,
         poses=collect_static_poses(log, motion.still),
-        ranking=ranking,
         convention=convention,
         findings=findings,
     )
@@ -97,7 +83,7 @@ def _decided_by_moves(
 ) -> tuple[Convention, float] | None:
     """Read the wrench as the other body's: the inertia comes out positive if it is, negative if gravity is reversed."""
     by_pull = {each.sign_origin: each for each in ranking.alike}
-    tried = _read(recording, ranking, by_pull[SignOrigin.WRENCH], frames, ())
+    tried = _read(recording, by_pull[SignOrigin.WRENCH], frames, ())
     try:
         sign = inertial_sign(tried.log, tried.motion, tried.poses, identify_gravity(tried.poses))
     except EstimateError:

@@ -48,15 +48,12 @@ _AS_GOOD_AS_EQUAL = 1e-4  # half the squared distance, in standard deviations, w
 class InertiaFit:
     """The inertia tensor about the sensor's origin in S [kg·m²]: `components` xx, yy, zz, xy, xz, yz with verdicts.
 
-    `matrix_S_kg_m2` (3, 3) is the physically consistent estimate, `std_S_kg_m2` (3, 3) its deviation; both None where
-    no component is known, and of components that are not identified no more than one possible value. `mass_kg` is the
-    inertial mass where the origin was accelerated, free of the weight. `lag_s` is how much the wrench comes after the
-    pose, `lag_std_s` its deviation (NaN without moves). `moves` took part, `left_out` did not fit.
+    They are those of the physically consistent estimate. `mass_kg` is the inertial mass where the origin was
+    accelerated, free of the weight. `lag_s` is how much the wrench comes after the pose, `lag_std_s` its deviation (NaN
+    without moves). `moves` took part, `left_out` did not fit.
     """
 
     components: tuple[Estimate, ...]
-    matrix_S_kg_m2: FloatArray | None
-    std_S_kg_m2: FloatArray | None
     mass_kg: Estimate
     lag_s: float
     lag_std_s: float
@@ -106,11 +103,8 @@ def identify_inertia(
         else _component(index, values[4:], std, bool(findings))
         for index in range(6)
     )
-    shown = any(each.value is not None for each in components)
     return InertiaFit(
         components=components,
-        matrix_S_kg_m2=inertia_matrix(values[4:]) if shown else None,
-        std_S_kg_m2=inertia_matrix(std) if shown else None,
         mass_kg=mass,
         lag_s=lag,
         lag_std_s=lag_std,
@@ -280,8 +274,6 @@ def _nothing(note: str) -> InertiaFit:
     unknown = unidentifiable(method=_METHOD, note=note)
     return InertiaFit(
         components=(unknown,) * 6,
-        matrix_S_kg_m2=None,
-        std_S_kg_m2=None,
         mass_kg=unknown,
         lag_s=float("nan"),
         lag_std_s=float("nan"),

@@ -48,14 +48,13 @@ class Ending(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class ContactOutcome:
-    """How a contact ended after `duration_s`, and its last settling time (`window_s`).
+    """How a contact ended after `duration_s`.
 
     `peak_contact_force_n` is the largest contact force in that time, `leaves_per_s` how often the contact was left.
     """
 
     ending: Ending
     duration_s: float
-    window_s: float
     peak_contact_force_n: float
     leaves_per_s: float
 
@@ -97,7 +96,6 @@ def follow_contact(
     return ContactOutcome(
         ending={SETTLED: Ending.SETTLED, BOUNCING: Ending.BOUNCING}.get(verdict, Ending.DECAYING),
         duration_s=count * length * h,
-        window_s=length * h,
         peak_contact_force_n=float(peaks[count - 1]),
         leaves_per_s=0.5 * int(switches[count - 1]) / (length * h),
     )

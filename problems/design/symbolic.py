@@ -314,7 +314,6 @@ class SymbolicForm:
     |1 + L_x|², and the rendered admittance G as (Re, Im).
     """
 
-    structure: Structure
     plant: ca.Function
     loop: ca.Function
     response: ca.Function
@@ -328,7 +327,6 @@ def build_symbolic_form(structure: Structure) -> SymbolicForm:
     response = _response(structure, plant, symbols.plant, blocks, omega)
     inputs = symbols.all()
     return SymbolicForm(
-        structure=structure,
         plant=ca.Function("plant", inputs[:4], list(vars(plant).values()), list(_INPUTS[:4]), list(vars(plant))),
         loop=ca.Function("loop", inputs, list(vars(loop).values()), list(_INPUTS), list(vars(loop))),
         response=ca.Function(

@@ -91,8 +91,6 @@ def test_the_inertia_of_a_turn_is_compared_with_the_tensors(value: float, std: f
     unknown = unidentifiable(note="not turned")
     tensor = InertiaFit(
         components=(xx, *(5 * (unknown,))),
-        matrix_S_kg_m2=None,
-        std_S_kg_m2=None,
         mass_kg=unknown,
         lag_s=0.0,
         lag_std_s=0.0,

@@ -73,6 +73,6 @@ def recorded(
     return Recording(wrench=wrench, pose=pose, command=pose)
 
 
-def turns_of(recording: Recording, origin_S_m: FloatArray | None = None) -> tuple[AxisTurn, ...]:
+def turns_of(recording: Recording) -> tuple[AxisTurn, ...]:
     log = align(recording)
-    return find_turns(recording, log, find_motion(log), WEIGHTLESS, origin_S_m)
+    return find_turns(recording, log, find_motion(log), WEIGHTLESS)

@@ -239,7 +239,6 @@ class ClockReport:
     """What the clocks say, and the offset between wrench and pose."""
 
     channels: tuple[ChannelClock, ...]
-    differences: tuple[ClockDifference, ...]
     offset: ClockOffset
     findings: tuple[Finding, ...]
 
@@ -292,7 +291,6 @@ def check_clocks(recording: Recording, times: Sequence[ChannelTimes] = ()) -> Cl
     findings.append(_offset_finding(recording, offset, apart, far=far))
     return ClockReport(
         channels=tuple(clocks.values()),
-        differences=tuple(between),
         offset=offset,
         findings=tuple(findings),
     )

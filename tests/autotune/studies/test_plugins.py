@@ -40,7 +40,7 @@ from problems.design.objectives import BUILT_IN, Admittance, CommandNoise, HandF
 from problems.design.problem import AdmittanceTarget, DesignProblem, Requirements
 from problems.errors import ParameterError
 from problems.model.controller import AdmittanceController
-from problems.stability.noise import predict_command_noise
+from problems.stability.noise import command_speed_gain
 from problems.stability.passivity import check_passivity
 from tests.autotune.studies.small import ROOT
 from tests.autotune.tuning.cases import FAST_PROBLEM_YAML, FAST_SPEC, identified_plant, write_plant
@@ -109,7 +109,7 @@ def test_noise_is_the_worst_of_contact_and_free_space() -> None:
     problem = sample_problem()
     for design in sample_designs(problem):
         law = design.controller
-        free = [predict_command_noise(p, law, 1.0).speed_rms_m_s for p in design.prepared.free]
+        free = [command_speed_gain(p, law) for p in design.prepared.free]
         assert CommandNoise().worst(problem.requirements, design) >= max(free)
         # Tustin's first answer of the speed to a force is about K_l/(2 M_a); the later ones add to it.
         assert CommandNoise().worst(problem.requirements, design) > 0.95 * law.lead_s / (2.0 * law.mass_kg)

@@ -10,7 +10,7 @@ from problems.model.controller import AdmittanceController
 from problems.model.plant import FREE_SPACE, Plant, WrenchFilter
 from problems.model.robot import RobotModel
 from problems.model.sampled import build_sampled_plant
-from problems.stability.noise import predict_command_noise
+from problems.stability.noise import command_speed_gain
 from problems.stability.passivity import check_passivity
 from tests.autotune.tuning.cases import design_problem
 
@@ -46,7 +46,7 @@ def plants(delay_s: float) -> tuple[Plant, ...]:
 def test_squares_of_an_impulse_response_add_up_to_the_variance(delay: float, law: AdmittanceController) -> None:
     set_ = plants(delay)
     found = speed_rms(set_, law, H)
-    reported = [predict_command_noise(build_sampled_plant(plant, H), law, 1.0).speed_rms_m_s for plant in set_]
+    reported = [command_speed_gain(build_sampled_plant(plant, H), law) for plant in set_]
     # The response is followed until a thousandth is left, whose square is a millionth.
     assert found == pytest.approx(reported, rel=1e-6)
     assert worst_speed_rms(set_[:6], law, H) == pytest.approx(max(reported), rel=1e-6)
@@ -75,7 +75,7 @@ def test_the_passive_band_ends_where_the_real_part_of_the_response_turns(
 def test_behind_a_filter_noise_and_passive_band_are_those_of_the_exact_loop(wrench: WrenchFilter) -> None:
     law = replace(LAWS["lead and feedback"], feedback_damping_s=0.0, damping_n_s_per_m=3000.0)
     set_ = [replace(plant, wrench_filter=wrench) for plant in plants(2.4e-3)]
-    reported = [predict_command_noise(build_sampled_plant(plant, H), law, 1.0).speed_rms_m_s for plant in set_]
+    reported = [command_speed_gain(build_sampled_plant(plant, H), law) for plant in set_]
     assert speed_rms(set_, law, H) == pytest.approx(reported, rel=1e-6)
     fails = check_passivity(build_sampled_plant(set_[0], H), law).fails_above_hz
     assert fails is not None
