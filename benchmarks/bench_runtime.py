@@ -17,6 +17,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from autotune.export.c_source import render_c
+from autotune.formats.limits import VariableDampingSettings
 from autotune.runtime import (
     AXES,
     START,
@@ -48,6 +49,10 @@ LIMITS = Limits(
     rest_samples=1,
     rest_force_n=1e3,
     rest_torque_n_m=1e3,
+)
+
+VARIED = VariableDampingSettings(
+    highest=1800.0, lowest=1200.0, decay_s_per_m=10.0, update_periods=13, largest_change=30.0
 )
 
 LOOP = """
@@ -89,19 +94,20 @@ int main(int count, char **words)
 
 
 def main() -> int:
-    controller = example()
-    _print_time("Python step", _python_s(controller))
-    if shutil.which("gcc") is None:
-        print("no gcc: the C was not measured")
-    else:
-        _print_time("C step (gcc -O2)", _c_s(controller))
+    for what, controller in (("", example()), (", B_a varies", example(VARIED))):
+        _print_time(f"Python step{what}", _python_s(controller))
+        if shutil.which("gcc") is None:
+            print("no gcc: the C was not measured")
+        else:
+            _print_time(f"C step (gcc -O2){what}", _c_s(controller))
     _print_processes()
     return 0
 
 
-def example() -> RuntimeController:
-    """Return a controller of six axes with deadband and collision response."""
-    axes = tuple(make_axis(name, deadband=5.0, is_subtractive=True) for name in AXES)
+def example(variable: VariableDampingSettings | None = None) -> RuntimeController:
+    """Return a controller of six axes with deadband and collision response; B_a of three of them may vary."""
+    plain = (make_axis(name, deadband=5.0, is_subtractive=True) for name in AXES)
+    axes = tuple(replace(each, variable_damping=None if each.turns else variable) for each in plain)
     payload = Payload(
         mass_kg=16.0, com_S_m=(0.01, -0.02, 0.1), force_bias_S_n=(1.5, -0.2, 3.0), torque_bias_S_n_m=(0.1, 0.2, -0.3)
     )
@@ -147,7 +153,7 @@ def _c_s(controller: RuntimeController) -> float:
 
 
 def _print_time(what: str, seconds: float) -> None:
-    print(f"{what:<22}{seconds * 1e6:9.3f} µs   {100.0 * seconds / PERIOD_S:8.4f} % of the period")
+    print(f"{what:<30}{seconds * 1e6:9.3f} µs   {100.0 * seconds / PERIOD_S:8.4f} % of the period")
 
 
 def _print_processes() -> None:

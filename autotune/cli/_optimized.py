@@ -317,6 +317,35 @@ _ENDS = {
 }
 
 
+def damping_lines(controller: "Controller") -> Iterator[str]:
+    """Say which variable damping was chosen in `controller.provenance`, where one was asked for, and what it costs."""
+    from autotune.formats.units import axis_units
+
+    chosen: Mapping[str, Any] = controller.provenance.get("variable_damping", {})
+    for axis, tree in chosen.items():
+        low, high = tree["bounds_n_s_per_m"]
+        variable, units = controller.damping_of(axis), axis_units(axis)
+        peaks = tree["worst_contact_peak_n"]
+        if variable is None:
+            yield (
+                f"axis {axis}: no variable damping. None from {low:g} to {high:g} {units.damping} is lighter "
+                f"or gentler, keeps the worst peak of {peaks['without']:.2f} N (or max_peak_force_n) and most of the "
+                "modulus"
+            )
+            continue
+        hand, every_ms = tree["hand_force_n_per_m_s"], 1e3 * controller.sample_time_s * variable.update_periods
+        yield (
+            f"axis {axis}: B_a goes from {variable.highest:g} at rest to {variable.lowest:g} {units.damping} at the "
+            f"speed of the approach, by at most {variable.largest_change:g} every {every_ms:.3g} ms; a hand needs "
+            f"{hand['without']:.0f} → {hand['with']:.0f} {units.hand}, the worst peak at the contact goes from "
+            f"{peaks['without']:.2f} to {peaks['with']:.2f} N"
+        )
+        yield (
+            f"axis {axis}: stable however B_a varies in that range, proved; the loops that keep its ends have a "
+            f"modulus of {tree['modulus_at_ends']:.3g}, swept"
+        )
+
+
 def response_lines(controller: "Controller") -> Iterator[str]:
     """Say which threshold was chosen in `controller.provenance`, where one was asked for, and what it saves."""
     collision: Mapping[str, Any] | None = controller.provenance.get("collision")
@@ -325,11 +354,11 @@ def response_lines(controller: "Controller") -> Iterator[str]:
     where = f"at the {collision['objective'].removesuffix('_force')}"
     without, with_it = collision["worst_peak_n"]["without"], collision["worst_peak_n"]["with"]
     best, (low, high), lowest = collision["best_threshold_n"], collision["bounds_n"], collision["lowest_n"]
-    if collision["response"] == "reset":
+    if collision["response"] != "none":
         end = f"; {_ENDS[collision['limited_by']]}" if collision["limited_by"] in _ENDS else ""
         yield (
-            f"collision response: reset at {best:g} N takes the worst peak {where} from {without:.2f} to {with_it:.2f} "
-            f"N ({100.0 * (with_it / without - 1.0):+.1f} %){end}"
+            f"collision response: {collision['response']} at {best:g} N takes the worst peak {where} from "
+            f"{without:.2f} to {with_it:.2f} N ({100.0 * (with_it / without - 1.0):+.1f} %){end}"
         )
     else:
         rises = with_it > without + _SHOWN_N
@@ -338,6 +367,10 @@ def response_lines(controller: "Controller") -> Iterator[str]:
             f"collision response: none. No threshold from {max(low, lowest):.4g} to {high:g} N lowers the worst peak "
             f"{where} of {without:.2f} N by 0.1 % without raising the other one; {at_best}"
         )
+    if controller.collision.false_triggers is not None:
+        from autotune.validation.false_triggers import describe_false_triggers
+
+        yield describe_false_triggers(controller.collision.false_triggers)
     if collision.get("noise_is_assumed", False):
         yield (
             f"the sensor's noise was not identified: {collision['noise_rms_n']:.3g} N RMS was taken; record rests to "

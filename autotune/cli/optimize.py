@@ -18,6 +18,7 @@ from ._optimized import (
     compare_lines,
     compare_tree,
     contact_spark,
+    damping_lines,
     default_lines,
     limit_lines,
     print_before_after,
@@ -326,6 +327,7 @@ def print_optimized(
         for line in (*default_lines(found, name), *active_lines(found, name)):
             print_message(f"  {line}")
     for line in (
+        *damping_lines(controller),
         *response_lines(controller),
         *peak_lines(controller),
         *rest_lines(controller),

@@ -144,7 +144,7 @@ def save_controller(
                 raise InfeasibleError(f"Axis {name}: {error}") from error
             progress(0.0)
         controller, report = certify(
-            searches, exploration.payload, exploration.provenance, ProofOptions(), progress, exploration.threshold
+            searches, exploration.payload, exploration.provenance, ProofOptions(), progress, exploration.strategies
         )
         checks = len(report.checks)
         return keep_deadband(exploration, controller)

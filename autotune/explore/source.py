@@ -10,8 +10,7 @@ import numpy as np
 from autotune.errors import InfeasibleError, UsageError
 from autotune.formats.certificate_record import AxisDomain
 from autotune.formats.controller import ControllerFile, read_controller
-from autotune.formats.controller_record import AxisGains, Controller, RuntimePayload, admittance_controller
-from autotune.formats.limits import CollisionResponse
+from autotune.formats.controller_record import AxisGains, Controller, RuntimePayload, admittance_controller, is_linear
 from autotune.formats.plant_file import read_plant
 from autotune.formats.problem import ProblemSpec, read_problem
 from autotune.formats.records import record_tree, rename_axis_keys
@@ -24,7 +23,7 @@ from autotune.tuning.optimize import carried_payload
 from autotune.tuning.problems import build_problems, within_domain
 from autotune.tuning.provenance import make_provenance
 from autotune.tuning.search import SearchResult, solve_design
-from autotune.tuning.threshold import ThresholdSettings, threshold_settings
+from autotune.tuning.strategies import StrategySettings, strategy_settings
 from autotune.validation.axis_proof import ProofOptions
 from autotune.validation.certified_requirements import certified_problem_requirements
 from autotune.version import __version__
@@ -77,7 +76,7 @@ class Exploration:
     payload: RuntimePayload
     provenance: Mapping[str, Any]
     gains: Mapping[str, AxisGains] = field(default_factory=dict)
-    threshold: ThresholdSettings | None = None
+    strategies: StrategySettings | None = None
 
     def __post_init__(self) -> None:
         freeze(self, "axes", "provenance", "gains")
@@ -114,7 +113,7 @@ def _from_identified(path: Path, problem_path: Path | None, progress: Progress) 
         axes={name: _searched(each, lambda done: progress(done / len(problems))) for name, each in problems.items()},
         payload=payload,
         provenance=_by_hand(provenance),
-        threshold=threshold_settings(identified.result, spec),
+        strategies=strategy_settings(identified.result, spec),
     )
 
 
@@ -202,9 +201,9 @@ def _from_controller(read: ControllerFile) -> Exploration:
 def _dropped(controller: Controller) -> str:
     if designed_for(controller):
         return " ".join(f"{each[0].upper()}{each[1:]}." for each in own_law_notes(controller))
-    if controller.collision.response is CollisionResponse.NONE:
+    if is_linear(controller):
         return ""
-    return "The collision response of the file was chosen for its gains; what is saved here has none."
+    return "Collision response and variable damping of the file were chosen for its gains; what is saved here has none."
 
 
 def problem_of(controller: Controller, name: str) -> DesignProblem:

@@ -134,7 +134,12 @@ def _law(axis: AxisLaw, speed: float, change: float) -> str:
     rows = ",\n".join(f"            {{{_numbers(axis.blocks[row, i] for i in range(3))}}}" for row in range(6))
     numbers = _numbers((axis.deadband, *axis.payload_range, speed, change))
     start = f"    {{{axis.index}, {int(axis.is_subtractive)}, {numbers}, /* {axis.name} */"
-    return f"{start}\n        {{\n{rows}\n        }}}}"
+    variable, periods, vary = axis.variable_damping, 0, (0.0, 0.0, 0.0, 0.0)
+    if variable is not None:
+        periods = variable.update_periods
+        vary = (variable.highest, variable.lowest, variable.decay_s_per_m, variable.largest_change)
+    gains = _numbers((axis.mass, axis.start_damping, axis.lead_s))
+    return f"{start}\n        {{\n{rows}\n        }},\n        {gains}, {periods}, {{{_numbers(vary)}}}}}"
 
 
 def _numbers(values: Iterable[float]) -> str:

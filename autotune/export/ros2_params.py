@@ -13,7 +13,7 @@ from .target import ExportRequest, ExportTarget, Rendered, TargetOption, begins_
 _ANY_NODE = "/**"
 _PARTS = (
     *("sample_time_s", "delay_samples", "discretization", "axes", "filters", "compensation_mass_kg"),
-    *("collision", "payload", "limits"),
+    *("collision", "variable_damping", "payload", "limits"),
 )
 _COUNTS = ("rest_samples",)
 

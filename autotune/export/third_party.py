@@ -256,6 +256,8 @@ def _dropped(controller: Controller) -> Iterator[str]:
         yield f"acceleration compensation of {controller.compensation_mass_kg:g} kg"
     if controller.collision.response is not CollisionResponse.NONE:
         yield f"collision response {controller.collision.response.value} at {controller.collision.threshold_n:g} N"
+    for axis, variable in (controller.variable_damping or {}).items():
+        yield f"variable damping {variable.lowest:g} to {variable.highest:g} {axis_units(axis).damping} of axis {axis}"
     limits = controller.limits
     if limits is not None:
         speeds = (f"{axis} {each.speed:g} {axis_units(axis).speed}" for axis, each in limits.axes.items())

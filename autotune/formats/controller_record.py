@@ -21,8 +21,9 @@ from .certificate_record import (
     Period,
     check_interval,
 )
-from .limits import CollisionResponse, Limits, Peak, ResidualPeaks
+from .limits import CollisionResponse, Limits, Peak, ResidualPeaks, VariableDampingSettings
 from .proof_records import Text
+from .units import AXES, ROTATIONAL_AXES
 
 Vector = tuple[float, float, float]
 Corner = Annotated[float, Rule(minimum=0.1, maximum=1_000_000)]
@@ -79,11 +80,32 @@ class Filters:
 
 
 @dataclass(frozen=True, kw_only=True)
+class FalseTriggers:
+    """How often a response is expected to begin in free motion, where nothing was touched.
+
+    `free_motion_n` is what opposes the motion at most without noise, `noise_rms_n` the noise on top, with
+    `noise_correlation` from one tick to the next; `noise_per_hour` times an hour both pass the threshold.
+    `braking_share` is the share of the simulated movements of an operator that do, `braking_per_hour` the probability
+    that one of an hour's does; `braking_n` is what opposes the hardest of them.
+    """
+
+    free_motion_n: Annotated[float, Rule(minimum=0, maximum=10_000)]
+    noise_rms_n: Annotated[float, Rule(minimum=0, maximum=1000)]
+    noise_correlation: Annotated[float, Rule(minimum=0, exclusiveMaximum=1)]
+    noise_per_hour: Annotated[float, Rule(minimum=0)]
+    movements_per_hour: Annotated[float, Rule(exclusiveMinimum=0)]
+    braking_n: Annotated[float, Rule(minimum=0)]
+    braking_share: Annotated[float, Rule(minimum=0, maximum=1)]
+    braking_per_hour: Annotated[float, Rule(minimum=0, maximum=1)]
+
+
+@dataclass(frozen=True, kw_only=True)
 class CollisionSettings:
     """The collision response and its force threshold (N); None exactly when there is no response."""
 
     response: CollisionResponse
     threshold_n: Annotated[float | None, Rule(minimum=0.1, maximum=10_000)]
+    false_triggers: FalseTriggers | None = None
 
     def __post_init__(self) -> None:
         if (self.response == CollisionResponse.NONE) != (self.threshold_n is None):
@@ -176,13 +198,20 @@ class PeakPerSpeed:
 class AxisPrediction:
     """What the model predicts for one axis; `scenarios` are contacts without a collision response.
 
-    `with_collision_response` holds all of these with it, and the worst one where that is another; empty without one.
+    `with_variable_damping` holds all of these with it, and the worst one where that is another; empty without one. So
+    does `with_collision_response`, with the variable damping where there is one too.
     `with_residual_weight` holds the worst peaks of all under the residual that the start check of the runtime allows,
     `peak_per_speed` those of a payload that is led by hand; None in files of an earlier release.
     """
 
     scenarios: Annotated[tuple[ScenarioPrediction, ...], Rule(description="without a collision response", minItems=1)]
     free_space_admittance: FreeSpaceAdmittance
+    with_variable_damping: Annotated[
+        tuple[ScenarioPrediction, ...],
+        Rule(
+            description="the same contacts with it, and the worst one where that is another", minItems=1, turning=None
+        ),
+    ] = ()
     with_collision_response: Annotated[
         tuple[ScenarioPrediction, ...],
         Rule(
@@ -225,9 +254,13 @@ class Controller:
     certificate: Certificate
     provenance: Mapping[str, Any]
     limits: Limits | None = None
+    variable_damping: (
+        Annotated[Mapping[Annotated[str, Rule(enum=AXES[:3])], VariableDampingSettings], Rule(minProperties=1)] | None
+    ) = None
 
     def __post_init__(self) -> None:
         freeze(self, "axes", "predicted", "provenance")
+        self._check_variable_damping()
         if self.limits is not None and set(self.axes) - set(self.limits.axes):
             must = f"given for all tuned axes, {', '.join(self.axes)}"
             raise ParameterError("limits.axes", sorted(self.limits.axes), must)
@@ -251,6 +284,21 @@ class Controller:
         if self.status == ControllerStatus.VALIDATED and not self.certificate.proved:
             raise ParameterError("certificate.proved", (), "at least one claim in a validated controller")
 
+    def _check_variable_damping(self) -> None:
+        if self.variable_damping is None:
+            return
+        freeze(self, "variable_damping")
+        for name, variable in self.variable_damping.items():
+            if name not in self.axes or name in ROTATIONAL_AXES:
+                raise ParameterError("variable_damping", name, "given for tuned x, y, z only")
+            if not variable.lowest <= self.axes[name].damping <= variable.highest:
+                must = f"around the damping of the axis, {self.axes[name].damping:g}"
+                raise ParameterError(f"variable_damping.{name}", (variable.lowest, variable.highest), must)
+
+    def damping_of(self, axis: str) -> VariableDampingSettings | None:
+        """Return the variable damping of an axis, None where B_a is constant."""
+        return (self.variable_damping or {}).get(axis)
+
 
 def admittance_controller(controller: Controller, name: str) -> AdmittanceController:
     """Return the control law of one axis."""
@@ -264,6 +312,11 @@ def admittance_controller(controller: Controller, name: str) -> AdmittanceContro
         acceleration_filter_rad_per_s=controller.filters.acceleration_rad_per_s,
         compensation_mass_kg=controller.compensation_mass_kg,
     )
+
+
+def is_linear(controller: Controller) -> bool:
+    """Return whether the controller is its gains alone: no collision response, no variable damping."""
+    return controller.collision.response is CollisionResponse.NONE and not controller.variable_damping
 
 
 def file_deadband(gains: AxisGains) -> Deadband:

@@ -1,4 +1,4 @@
-"""The `limits` of `controller.yaml`: which readings the runtime takes, and which commands it sends."""
+"""What of `controller.yaml` the runtime does beside its law: collision response, variable damping, limits."""
 
 import math
 from collections.abc import Mapping
@@ -21,6 +21,34 @@ class CollisionResponse(StrEnum):
     NONE = "none"
     RESET = "reset"
     STOP = "stop"
+
+
+@dataclass(frozen=True, kw_only=True)
+class VariableDampingSettings:
+    """B_a(|v|) = max(highest·exp(−decay·|v|), lowest) [N·s/m], in place of B_a; v is the flange's way over a period.
+
+    B_a is updated every `update_periods` periods, by `largest_change` at most. The difference equation goes on from its
+    last two commands, so that the command and its speed stay continuous.
+
+    Raises ParameterError unless 0 < lowest ≤ highest, the others are positive, and `decay_s_per_m` is not negative.
+    """
+
+    highest: Annotated[float, Rule(minimum=1, maximum=1_000_000)]
+    lowest: Annotated[float, Rule(minimum=1, maximum=1_000_000)]
+    decay_s_per_m: Annotated[float, Rule(minimum=0, maximum=10_000)]
+    update_periods: Annotated[int, Rule(minimum=1, maximum=100_000)]
+    largest_change: Annotated[float, Rule(exclusiveMinimum=0, maximum=1_000_000)]
+
+    def __post_init__(self) -> None:
+        for name in ("highest", "lowest", "largest_change"):
+            if not 0.0 < getattr(self, name) < math.inf:
+                raise ParameterError(name, getattr(self, name), "greater than 0")
+        if self.lowest > self.highest:
+            raise ParameterError("lowest", self.lowest, f"at most the highest, {self.highest:g}")
+        if not 0.0 <= self.decay_s_per_m < math.inf:
+            raise ParameterError("decay_s_per_m", self.decay_s_per_m, "at least 0")
+        if self.update_periods < 1:
+            raise ParameterError("update_periods", self.update_periods, "at least 1")
 
 
 @dataclass(frozen=True, kw_only=True)

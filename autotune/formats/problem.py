@@ -20,7 +20,7 @@ from problems.frozen import freeze, short_repr
 from problems.model.controller import check_feedback_damping
 
 from .canonical import Place, spell
-from .limits import LimitsSpec
+from .limits import CollisionResponse, LimitsSpec
 from .plant import DOMAIN_NAMES
 from .quantity import as_interval, as_numbers
 from .records import ROTATIONAL_KEYS, rename_axis_keys
@@ -36,9 +36,9 @@ _RANGES = frozenset({*UNCERTAIN, *(ROTATIONAL_KEYS[name] for name in UNCERTAIN i
 
 _MOST_OF_AN_APPROACH = {"force_n": 1e4, "speed_m_s": 5.0, "torque_n_m": 2e3, "speed_rad_s": 25.0}
 """What an approach may ask at most; about a turning axis the same at a lever of 0.2 m."""
-# Among the free variables in the file, but none of the search: the one is chosen for the gains that were found, the
-# other one is the cell's.
-_THRESHOLD = "collision_threshold_n"
+# Among the free variables in the file, but none of the search: two are chosen for the gains that were found, the third
+# is the cell's.
+_THRESHOLD, _DAMPING = "collision_threshold_n", "variable_damping_n_s_per_m"
 _STIFFNESS = "environment_stiffness_n_per_m"
 # What a plant that a person writes, and gains, call the same; a corner is in another unit than a time constant.
 _PLAIN_NAMES: Mapping[str, Mapping[str, str]] = {
@@ -82,8 +82,9 @@ class ProblemSpec:
     """What is asked of a controller, by `problem.yaml`, options or arguments; None or empty where the default holds.
 
     `free` makes further parameters of the controller variables, with their bounds; `collision_threshold` bounds the
-    threshold of the collision response, which is chosen after the gains (there is none without); `compliance` makes K_e
-    a variable, which is the cell's.
+    threshold of the collision response, which is chosen after the gains (there is none without), and is answered with
+    `collision_response`; `variable_damping` bounds a B_a that follows the speed [N·s/m] likewise; `compliance` makes
+    K_e a variable, which is the cell's.
     `objective` may be given by its registered name.
     Names in `bounds` and `uncertain` are those of problem.yaml, or of gains and of `Plant`, as `lead` and `drag`.
     `uncertain` maps further parameters of the plant to a range, to "identified" (the confidence set of the identified
@@ -103,6 +104,8 @@ class ProblemSpec:
     rotational: RotationalSpec = field(default_factory=RotationalSpec)
     free: Mapping[str, Interval] = field(default_factory=dict)
     collision_threshold: Interval | None = None
+    collision_response: CollisionResponse = CollisionResponse.RESET
+    variable_damping: Interval | None = None
     compliance: ComplianceSpec | None = None
     limits: LimitsSpec = field(default_factory=LimitsSpec)
     options: Mapping[str, Interval] = field(default_factory=dict)
@@ -110,7 +113,7 @@ class ProblemSpec:
 
     def __post_init__(self) -> None:
         self._check_types()
-        for name in ("environment_stiffness", "payload_mass", "collision_threshold"):
+        for name in ("environment_stiffness", "payload_mass", "collision_threshold", "variable_damping"):
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, _range(name, getattr(self, name)))
         known = {"bounds": (*VARIABLES, *FURTHER_VARIABLES), "free": FURTHER_VARIABLES, "uncertain": FURTHER_UNCERTAIN}
@@ -177,6 +180,10 @@ def read_problem(path: Path) -> ProblemSpec:
         _check_feedback_damping(document, within)
         _check_approach(document, within)
     free = tree.get("free", {})
+    if "collision_response" in tree and _THRESHOLD not in free:
+        document.refuse(
+            ("collision_response",), f"collision_response needs free.{_THRESHOLD}, the range to choose from."
+        )
     axis, turned = tree.get("axis"), rename_axis_keys("rx", tree.get("rotational", {}), reading=True)
     try:
         return ProblemSpec(
@@ -184,8 +191,10 @@ def read_problem(path: Path) -> ProblemSpec:
             **_ranges(tree),
             requirements=build_requirements(*_requirements(tree.get("requirements", {}))),
             objective=load_objective(tree.get("objective", CONTACT_FORCE.name)),
-            free={name: _pair(value) for name, value in free.items() if name not in (_THRESHOLD, _STIFFNESS)},
+            free={name: _pair(value) for name, value in free.items() if name not in (_THRESHOLD, _DAMPING, _STIFFNESS)},
             collision_threshold=_optional_pair(free.get(_THRESHOLD)),
+            collision_response=CollisionResponse(tree.get("collision_response", CollisionResponse.RESET)),
+            variable_damping=_optional_pair(free.get(_DAMPING)),
             compliance=_compliance(document),
             limits=_limits(tree.get("limits", {})),
             rotational=_rotational(turned),

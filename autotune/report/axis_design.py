@@ -10,7 +10,9 @@ import numpy as np
 from autotune.formats.certificate_record import Asked, AxisDomain, AxisMargins, ProvenRegion, SoftRequirement
 from autotune.formats.controller_record import AxisPrediction, Controller, ScenarioPrediction, admittance_controller
 from autotune.formats.units import axis_units
+from autotune.validation.disturbances import file_strategy
 from problems.arrays import FloatArray
+from problems.contact.nonlinearities import NO_NONLINEARITIES, Nonlinearities
 from problems.contact.transient import Approach, ContactTransient, build_sampled_contact, simulate_contact
 from problems.design.uncertainty import Scenario
 from problems.errors import ParameterError
@@ -27,7 +29,7 @@ _STIFFNESS = "environment_stiffness_n_per_m"
 class AxisDesign:
     """An axis `name` that runs `law` every `sample_time_s`, and what its certificate says; SI units of the axis.
 
-    `regions` are those over which the modulus is proved.
+    `regions` are those over which the modulus is proved, `strategy` holds collision response and variable damping.
     """
 
     name: str
@@ -39,6 +41,7 @@ class AxisDesign:
     asked: Asked
     soft: Mapping[str, SoftRequirement]
     regions: tuple[ProvenRegion, ...] = ()
+    strategy: Nonlinearities = NO_NONLINEARITIES
 
     @property
     def units(self) -> AxisKind:
@@ -105,6 +108,7 @@ def axis_designs(controller: Controller) -> tuple[AxisDesign, ...]:
             asked=certificate.requirements_of(name) or {},
             soft=(certificate.soft or {}).get(name, {}),
             regions=(certificate.continuous or {}).get(name, ()),
+            strategy=file_strategy(controller, name),
         )
         for name in controller.axes
         if name in certificate.domain and name in certificate.margins and name in controller.predicted

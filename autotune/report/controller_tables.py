@@ -148,6 +148,10 @@ def gains_table(controller: Controller) -> Table:
     response = ""
     if collision.threshold_n is not None:
         response = f", collision response {collision.response} at {collision.threshold_n:g} N"
+    for name, variable in (controller.variable_damping or {}).items():
+        response += (
+            f", B_a of {name} from {variable.highest:g} at rest to {variable.lowest:g} {axis_units(name).damping}"
+        )
     virtual = controller.compensation_mass_kg
     feedback = f", acceleration feedback P̂ {virtual:g} kg" if virtual else ""
     return build_table(
@@ -160,10 +164,10 @@ def gains_table(controller: Controller) -> Table:
 
 
 def response_table(design: AxisDesign) -> Table | None:
-    """Return the predicted contacts with the collision response beside those without; None where there is none."""
-    without = {each.scenario(): each for each in design.predicted.scenarios}
+    """Return the predicted contacts with all strategies beside those without; None where there are none."""
+    without, predicted = {each.scenario(): each for each in design.predicted.scenarios}, design.predicted
     rows = []
-    for each in design.predicted.with_collision_response:
+    for each in predicted.with_collision_response or predicted.with_variable_damping:
         both = (without.get(each.scenario()), each)
         peaks = (
             None if run is None else getattr(run, name)
@@ -171,8 +175,10 @@ def response_table(design: AxisDesign) -> Table | None:
             for run in both
         )
         rows.append((each.name, *("" if peak is None else f"{peak:.1f} {design.units.force}" for peak in peaks)))
-    heads = ("contact", "at the contact", "with the response", "at the sensor", "with the response")
-    caption = "Peaks without and with the collision response"
+    heads = ("contact", "at the contact", "with it", "at the sensor", "with it")
+    names = ("variable damping", "collision response")
+    asked = (predicted.with_variable_damping, predicted.with_collision_response)
+    caption = f"Peaks without and with {' and '.join(name for name, of in zip(names, asked, strict=True) if of)}"
     return build_table(caption, heads, rows, numbers=range(1, 5)) if rows else None
 
 

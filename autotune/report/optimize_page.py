@@ -14,6 +14,7 @@ from autotune.prediction.as_run_by import as_run_by, designed_for
 from autotune.prediction.before_after import BeforeAndAfter
 from autotune.prediction.law import PresentGains
 from autotune.text import NOTHING_BEFORE
+from autotune.validation.false_triggers import describe_false_triggers
 from problems.arrays import FloatArray
 from problems.model.axis_kind import AxisKind
 
@@ -38,6 +39,7 @@ from .controller_tables import (
     worst_table,
 )
 from .page import Block, Fact, Facts, Note, Page, Section, Table, TableCell, Tone, build_table
+from .strategy_chart import strategy_chart
 
 if TYPE_CHECKING:
     from autotune.tuning.search import SearchStep
@@ -76,7 +78,7 @@ def build_optimize_page(
                 Section(
                     key="result",
                     title="Result",
-                    blocks=(design_facts(designs), gains_table(controller), *active_notes(controller)),
+                    blocks=(design_facts(designs), gains_table(controller), *_notes(controller)),
                 ),
                 *(
                     design_section(design, optimality_of(controller, design.name), old, checksum, replayed)
@@ -172,6 +174,15 @@ def _before_fact(old: PresentGains | None) -> Iterator[Fact]:
         yield Fact(label="before, in grey", value=old.name, detail=detail)
 
 
+def _notes(controller: Controller) -> Iterator[Note]:
+    """Say which requirements hold the result, and how often the collision response begins without a collision."""
+    yield from active_notes(controller)
+    found = controller.collision.false_triggers
+    if found is not None:
+        text = describe_false_triggers(found)
+        yield Note(text=f"{text[0].upper()}{text[1:]}.")
+
+
 def _tone(controller: Controller) -> Tone:
     return "good" if controller.status.value == "validated" else "bad"
 
@@ -226,8 +237,7 @@ def design_section(
         blocks += [] if chart is None else [chart]
     blocks += [stiffness_chart(design, before), admittance_chart(design, before), nyquist_chart(design, before)]
     blocks.append(map_chart(design))
-    responses = response_table(design)
-    blocks += [] if responses is None else [responses]
+    blocks += [each for each in (strategy_chart(design), response_table(design)) if each is not None]
     return Section(key=f"axis-{design.name}", title=f"Axis {design.name}", blocks=tuple(blocks))
 
 

@@ -5,12 +5,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from numbers import Real
 
+from autotune.formats.limits import VariableDampingSettings
 from autotune.formats.units import AXES
 from problems.errors import ParameterError
 from problems.model.difference import write_blocks
 
 Vector = tuple[float, float, float]
 Interval = tuple[float, float]
+Blocks = Mapping[tuple[int, int], float]
 
 TRANSLATIONS = 3
 
@@ -63,7 +65,8 @@ class AxisLaw:
 
     `mass` M_a, `damping` B_a, `lead_s` K_l, `feedback_damping_s` B_fb, both filters' corners and `compensation_mass_kg`
     P̂; `payload_range` holds the masses, or inertias, for which the certificate holds. `blocks` are the coefficients of
-    `problems.model.difference.controller_step` in the Tustin form at `sample_time_s`, by row and column.
+    `problems.model.difference.controller_step` in the Tustin form at `sample_time_s`, by row and column; with a
+    `variable_damping` those at its highest B_a, that of rest, and `damping` is then that of the design.
     """
 
     name: str
@@ -78,20 +81,32 @@ class AxisLaw:
     deadband: float
     is_subtractive: bool
     payload_range: Interval
+    variable_damping: VariableDampingSettings | None = None
     index: int = field(init=False)
-    blocks: Mapping[tuple[int, int], float] = field(init=False, repr=False)
+    blocks: Blocks = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        blocks: dict[tuple[int, int], float] = {}
-        numbers = (self.mass, self.damping, self.lead_s, self.feedback_damping_s)
-        filters = (self.velocity_filter_rad_per_s, self.acceleration_filter_rad_per_s, self.compensation_mass_kg)
-        write_blocks(blocks, (*numbers, *filters), self.sample_time_s, _THETA, ideal=False)
+        blocks = self.blocks_at(self.start_damping)
         if not all(map(math.isfinite, blocks.values())):
+            numbers = (self.mass, self.damping, self.lead_s, self.feedback_damping_s)
             raise ParameterError(
                 f"axes.{self.name}", numbers, "gains whose difference equation has finite coefficients"
             )
         object.__setattr__(self, "index", AXES.index(self.name))
         object.__setattr__(self, "blocks", blocks)
+
+    @property
+    def start_damping(self) -> float:
+        """B_a at rest."""
+        return self.damping if self.variable_damping is None else self.variable_damping.highest
+
+    def blocks_at(self, damping: float) -> Blocks:
+        """Return the coefficients with another B_a."""
+        blocks: dict[tuple[int, int], float] = {}
+        numbers = (self.mass, damping, self.lead_s, self.feedback_damping_s)
+        filters = (self.velocity_filter_rad_per_s, self.acceleration_filter_rad_per_s, self.compensation_mass_kg)
+        write_blocks(blocks, (*numbers, *filters), self.sample_time_s, _THETA, ideal=False)
+        return blocks
 
     @property
     def turns(self) -> bool:

@@ -10,7 +10,13 @@ from typing import Any
 from autotune.errors import CertificateError, UsageError
 from autotune.formats.canonical import checksum as checksum_of
 from autotune.formats.canonical import short
-from autotune.formats.limits import MOST_REST_SAMPLES, AxisLimits, CollisionResponse, Limits
+from autotune.formats.limits import (
+    MOST_REST_SAMPLES,
+    AxisLimits,
+    CollisionResponse,
+    Limits,
+    VariableDampingSettings,
+)
 from autotune.formats.schema import check_format, explain, load_schema, refuse_first
 from autotune.formats.units import AXES
 from autotune.formats.yaml12 import Document, load_document
@@ -157,8 +163,11 @@ def _verified_law(document: Document, payload: Payload | None = None) -> Runtime
 
 def _check_stable(document: Document, axis: AxisLaw) -> None:
     """Refuse gains to which the certificate cannot belong: a checksum can be made anew, a stable loop cannot."""
+    variable = axis.variable_damping
+    dampings = (axis.damping,) if variable is None else (variable.lowest, variable.highest)
+    laws = [replace(axis, damping=damping, variable_damping=None) for damping in dampings]
     for plant in corner_plants(document.tree["certificate"]["domain"][axis.name], turns=axis.turns):
-        if not is_stable(axis, plant):
+        if not all(is_stable(law, plant) for law in laws):
             reason = (
                 f"with these gains the loop of axis {axis.name} is unstable on a plant for which it is certified "
                 f"(payload {plant.mass:g}, stiffness {plant.stiffness:g}, in SI); the file is false."
@@ -213,6 +222,7 @@ def _limits(tree: Mapping[str, Any]) -> Limits:
 
 def _axis(tree: Mapping[str, Any], name: str) -> AxisLaw:
     gains, domain = tree["axes"][name], tree["certificate"]["domain"][name]
+    variable = tree.get("variable_damping", {}).get(name)
     low, high = domain["payload_inertia_kg_m2" if name.startswith("r") else "payload_mass_kg"]
     return AxisLaw(
         name=name,
@@ -227,6 +237,7 @@ def _axis(tree: Mapping[str, Any], name: str) -> AxisLaw:
         deadband=float(gains["deadband"]),
         is_subtractive=gains["deadband_type"] == "subtractive",
         payload_range=(float(low), float(high)),
+        variable_damping=None if variable is None else VariableDampingSettings(**variable),
     )
 
 

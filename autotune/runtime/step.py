@@ -8,12 +8,20 @@ from typing import NamedTuple
 
 from autotune.formats.limits import CollisionResponse
 from problems.errors import ParameterError
-from problems.model.difference import controller_step, measured_motion, opposes_motion, resume, through_deadband
+from problems.model.difference import (
+    Entry,
+    controller_step,
+    measured_motion,
+    opposes_motion,
+    resume,
+    through_deadband,
+    varied_damping,
+)
 
 from .controller import RuntimeController
 from .frames import Nine, Place, Six, external_wrench, is_rotation, way_between
 from .guard import MOST_HELD, UNFELT_WAY, UNSEEN_WAY, Guard, Watch, rest, see, send, weigh
-from .law import AxisLaw
+from .law import AxisLaw, Blocks
 
 NOTHING: Six = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
@@ -65,12 +73,21 @@ class Phase(IntEnum):
 
 
 class AxisState(NamedTuple):
-    """What one axis keeps: the four states of the difference equation, the last drive, x and x^d as sent."""
+    """What one axis keeps: the four states of the difference equation, the last drive, x and x^d as sent.
+
+    `output` is the admittance's own share of x^d, `older` output, drive and x a period before. `damping` and `blocks`
+    are those in use where B_a varies, None before it did; they are `periods` old.
+    """
 
     control: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     drive: float = 0.0
     position: float = 0.0
     command: float = 0.0
+    output: float = 0.0
+    older: Entry = (0.0, 0.0, 0.0)
+    damping: float | None = None
+    blocks: Blocks | None = None
+    periods: int = 0
 
 
 class State(NamedTuple):
@@ -262,9 +279,41 @@ def rearm(state: State) -> State:
 
 def _tick(axis: AxisLaw, before: AxisState, desired: float, external: float, way: float) -> _Tick:
     position, seen = before.position + way, through_deadband(external, axis.deadband, axis.is_subtractive)
-    added, inertial = measured_motion(axis.blocks, before.control, position)
-    wanted, control = controller_step(axis.blocks, before.control, desired + seen, position)
-    return _Tick(seen, way, added, AxisState(control, desired + seen + inertial, position, wanted))
+    if axis.variable_damping is not None:
+        before = _varied(axis, before, way)
+    blocks = before.blocks or axis.blocks
+    added, inertial = measured_motion(blocks, before.control, position)
+    wanted, control = controller_step(blocks, before.control, desired + seen, position)
+    older = (before.output, before.drive, before.position)
+    following = before._replace(
+        control=control,
+        drive=desired + seen + inertial,
+        position=position,
+        command=wanted,
+        output=wanted - added,
+        older=older,
+        periods=before.periods + 1,
+    )
+    return _Tick(seen, way, added, following)
+
+
+def _varied(axis: AxisLaw, before: AxisState, way: float) -> AxisState:
+    """Return the axis with the B_a of its speed, once an update is due; the equation goes on from its last entries."""
+    variable = axis.variable_damping
+    if variable is None or before.periods < variable.update_periods:
+        return before
+    damping = varied_damping(
+        axis.start_damping if before.damping is None else before.damping,
+        way / axis.sample_time_s,
+        variable.highest,
+        variable.lowest,
+        variable.decay_s_per_m,
+        variable.largest_change,
+    )
+    blocks = axis.blocks_at(damping)
+    integral, lag = resume(blocks, (before.output, before.drive, before.position), before.older)
+    control = (integral, lag, before.control[2], before.control[3])
+    return before._replace(control=control, damping=damping, blocks=blocks, periods=0)
 
 
 def _phase(controller: RuntimeController, phase: Phase, ticks: Sequence[_Tick]) -> tuple[Phase, bool]:
@@ -284,10 +333,12 @@ def _phase(controller: RuntimeController, phase: Phase, ticks: Sequence[_Tick]) 
 
 def _rest(axis: AxisLaw, before: AxisState, tick: _Tick) -> AxisState:
     """Return the axis with its command held: both past outputs of the admittance are the same from here on."""
-    control, drive, position, _ = tick.following
-    output = before.command - tick.added
-    integral, lag = resume(axis.blocks, (output, drive, position), (output, before.drive, before.position))
-    return AxisState((integral, lag, control[2], control[3]), drive, position, before.command)
+    following, output = tick.following, before.command - tick.added
+    older = (output, before.drive, before.position)
+    blocks = following.blocks or axis.blocks
+    integral, lag = resume(blocks, (output, following.drive, following.position), older)
+    control = (integral, lag, following.control[2], following.control[3])
+    return following._replace(control=control, command=before.command, output=output, older=older)
 
 
 def _held(state: State, fault: Fault) -> tuple[State, Command]:

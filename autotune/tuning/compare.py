@@ -7,7 +7,7 @@ import numpy as np
 
 from autotune.errors import InfeasibleError, UsageError
 from autotune.formats.controller import ControllerFile
-from autotune.formats.limits import CollisionResponse
+from autotune.formats.controller_record import is_linear
 from autotune.prediction.law import PresentGains
 from problems.arrays import FloatArray
 from problems.design.evaluation import PreparedScenarios, build_scenarios
@@ -75,7 +75,7 @@ def check_comparable(present: PresentGains, problems: Mapping[str, DesignProblem
 
 
 def _check_same_run(old: ControllerFile, problems: Mapping[str, DesignProblem]) -> None:
-    """Raise UsageError for a controller file of another period, or with a collision response."""
+    """Raise UsageError for a controller file of another period, or with more than gains."""
     controller = old.controller
     period = next(iter(problems.values())).sample_time_s
     if abs(controller.sample_time_s / period - 1.0) > _SAME_PERIOD:
@@ -83,10 +83,10 @@ def _check_same_run(old: ControllerFile, problems: Mapping[str, DesignProblem]) 
             f"{old.path} runs every {controller.sample_time_s * 1e3:.6g} ms and this cell every {period * 1e3:.6g} ms; "
             "its numbers make another controller here."
         )
-    if controller.collision.response is not CollisionResponse.NONE:
+    if not is_linear(controller):
         raise UsageError(
-            f"{old.path} responds to collisions, which the comparison does not evaluate; compare with its gains alone, "
-            "optimized without free.collision_threshold_n."
+            f"{old.path} responds to collisions or varies its damping, which the comparison does not evaluate; compare "
+            "with its gains alone, optimized without free.collision_threshold_n and variable_damping_n_s_per_m."
         )
 
 

@@ -1,19 +1,29 @@
-"""First contacts of a controller in the full simulation, with the collision response and nothing else besides."""
+"""First contacts of a controller in the full simulation, with its strategies for contacts and nothing else besides."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from autotune.formats.certificate_record import AxisDomain
-from autotune.formats.controller_record import Controller, admittance_controller, file_deadband
+from autotune.formats.controller_record import (
+    AxisPrediction,
+    Controller,
+    ScenarioPrediction,
+    admittance_controller,
+    file_deadband,
+)
+from autotune.formats.limits import VariableDampingSettings
+from autotune.validation.disturbances import simulated_damping
 from problems.arrays import FloatArray
 from problems.contact.nonlinear_simulation import NonlinearRun, needed_substeps, simulate_nonlinear
-from problems.contact.nonlinearities import NO_NONLINEARITIES, Collision, Deadband, Nonlinearities
+from problems.contact.nonlinearities import Collision, Deadband, Nonlinearities, Response
 from problems.contact.transient import Approach
 from problems.design.uncertainty import Scenario
 from problems.model.controller import AdmittanceController
+
+from .record import scenario_name
 
 # Peaks at the contact and at the sensor, N.
 Pair = tuple[float, float]
@@ -27,13 +37,18 @@ _FAR = 5.0
 
 @dataclass(frozen=True, kw_only=True)
 class FirstContacts:
-    """Contacts of one axis, each `duration_s` long, from the steady approach of its certificate."""
+    """Contacts of one axis, each `duration_s` long, from the steady approach of its certificate.
+
+    `variable` is what B_a does with the speed, `response` what a detected collision is answered with.
+    """
 
     domain: AxisDomain
     law: AdmittanceController
     deadband: Deadband
     sample_time_s: float
     duration_s: float
+    variable: VariableDampingSettings | None = None
+    response: Response = "reset"
 
     @property
     def approach(self) -> Approach:
@@ -42,10 +57,16 @@ class FirstContacts:
 
     def run(self, scenario: Scenario, threshold_n: float | None) -> NonlinearRun:
         """Simulate one contact from its impact on; `threshold_n` None is no response."""
-        effects = (
-            NO_NONLINEARITIES if threshold_n is None else Nonlinearities(collision=Collision(threshold_n=threshold_n))
-        )
-        return self._simulate(scenario, effects, self.duration_s, None)
+        collision = None if threshold_n is None else Collision(response=self.response, threshold_n=threshold_n)
+        return self._simulate(scenario, self._effects(collision=collision), self.duration_s, None)
+
+    def _effects(self, *, collision: Collision | None = None, deadband: Deadband | None = None) -> Nonlinearities:
+        variable = None if self.variable is None else simulated_damping(self.variable, self.sample_time_s)
+        return Nonlinearities(collision=collision, deadband=deadband, variable_damping=variable)
+
+    def _starts(self) -> tuple[Nonlinearities, Nonlinearities]:
+        """Return what acts in free motion, with the file's deadband and without."""
+        return self._effects(), self._effects(deadband=self.deadband)
 
     def free_motion_n(self, scenarios: Iterable[Scenario]) -> float:
         """Return the largest force against the motion, N, as the approach begins from rest and until it is steady.
@@ -60,7 +81,7 @@ class FirstContacts:
         distance = _FAR * speed * _APPROACH_S
         largest = 0.0
         for scenario in different:
-            for effects in (NO_NONLINEARITIES, Nonlinearities(deadband=self.deadband)):
+            for effects in self._starts():
                 run = self._simulate(scenario, effects, _APPROACH_S, distance)
                 largest = max(largest, float(np.max(opposing_force(run, begins_moving=False))))
         return largest
@@ -69,7 +90,7 @@ class FirstContacts:
         """Yield the command (n,) of an approach from rest far from the wall, with the file's deadband and without."""
         speed = self.domain.approach_speed_m_s or (self.domain.approach_force_n or 0.0) / self.law.damping_n_s_per_m
         for scenario in scenarios:
-            for effects in (NO_NONLINEARITIES, Nonlinearities(deadband=self.deadband)):
+            for effects in self._starts():
                 yield self._simulate(scenario, effects, _APPROACH_S, _FAR * speed * _APPROACH_S).command_m
 
     def _simulate(
@@ -150,4 +171,26 @@ def contacts_of(controller: Controller, name: str) -> FirstContacts:
         deadband=file_deadband(controller.axes[name]),
         sample_time_s=controller.sample_time_s,
         duration_s=min(max(_SHORTEST_S, _PEAKS_LATER * latest), _LONGEST_S),
+        variable=controller.damping_of(name),
+    )
+
+
+def predictions(
+    name: str, predicted: AxisPrediction, runs: Mapping[Scenario, NonlinearRun]
+) -> tuple[ScenarioPrediction, ...]:
+    """Return the predicted contacts as they are in `runs`, and the worst ones of all runs."""
+    known = {each.scenario() for each in predicted.scenarios}
+    worst = {max(runs, key=lambda each: peaks_of(runs[each])[kind]) for kind in (0, 1)}
+    return tuple(
+        ScenarioPrediction(
+            name=scenario_name(name, scenario),
+            environment_stiffness_n_per_m=scenario.environment_stiffness_n_per_m,
+            payload_mass_kg=scenario.payload_mass_kg,
+            peak_sensor_force_n=run.peak_sensor_force_n,
+            peak_contact_force_n=run.peak_contact_force_n,
+            time_of_peak_s=run.time_of_peak_s,
+            further=scenario.further() or None,
+        )
+        for scenario, run in runs.items()
+        if scenario in known or scenario in worst
     )

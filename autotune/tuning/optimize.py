@@ -40,7 +40,7 @@ from .provenance import design_notes, make_provenance, result_trees, with_notes
 from .record import build_controller, build_domain, runtime_payload
 from .scenario_exchange import NOTHING, Counterexamples, ImpactTest
 from .search import SearchResult, solve_design
-from .threshold import ThresholdSettings, choose_threshold, threshold_settings
+from .strategies import StrategySettings, choose_strategies, strategy_settings
 
 # Of the time of a usual run, measured, for the progress bar alone. The second is a share of what comes
 # after the search.
@@ -133,7 +133,7 @@ def optimize(
     provenance |= result_trees(problems, identified.result, optimality_reports, defaults, chosen)
     controller, checked = certify(
         searches, payload, provenance, asked, lambda done: report((1.0 - _SEARCH_SHARE) * done),
-        threshold=threshold_settings(identified.result, spec),
+        strategies=strategy_settings(identified.result, spec),
         limits=limits_settings(identified.result, spec),
         proved={name: each.proved for name, each in settled.items()},
     )  # fmt: skip
@@ -195,16 +195,16 @@ def certify(
     provenance: Mapping[str, Any],
     proof: ProofOptions,
     progress: Callable[[float], None],
-    threshold: ThresholdSettings | None = None,
+    strategies: StrategySettings | None = None,
     proved: Mapping[str, AxisProof] | None = None,
     limits: LimitsSettings | None = None,
 ) -> tuple[Controller, ValidationReport]:
     """Prove what can be proved of the designs, write them down, and return the controller once validation passed it.
 
-    `threshold` asks for a collision response, chosen for these designs, `limits` says what is known of the cell for
+    `strategies` asks for what is chosen for these designs beside gains, `limits` says what is known of the cell for
     those of the runtime. `progress` gets the share of the work done since the last call; `proved` is what has been
     proved already. Raises CertificateError when a claim cannot be proved or verified, RefutedError among them
-    (`prove_search`), and what `choose_threshold` raises.
+    (`prove_search`), and what `choose_strategies` raises.
     """
     for name, search in searches.items():
         check_within_bounds(search, name)
@@ -212,16 +212,16 @@ def certify(
     proofs = {name: each.proofs for name, each in found.items()}
     regions = {name: each.regions for name, each in found.items()}
     held = {name: each.held for name, each in found.items() if each.held is not None}
-    peaks = {name: each.peak for name, each in found.items() if each.peak is not None and threshold is None}
+    peaks = {name: each.peak for name, each in found.items() if each.peak is not None and strategies is None}
     bouncing = {name: each.bouncing for name, each in found.items() if each.bouncing is not None}
     controller = build_controller(
         searches, payload, proofs, regions, provenance, held=held, peaks=peaks, bouncing=bouncing
     )
-    if threshold is not None:
-        controller, _ = choose_threshold(controller, searches, threshold)
+    prover = Prover(tuple(answer for each in found.values() for answer in each.answers))
+    if strategies is not None:
+        controller = choose_strategies(controller, searches, strategies, prover)
     controller = with_limits(controller, limits or LimitsSettings())
-    answers = tuple(answer for each in found.values() for answer in each.answers)
-    checked = validate_controller(controller, lambda done: progress((1.0 - _PROOF_SHARE) * done), proved=answers)
+    checked = validate_controller(controller, lambda done: progress((1.0 - _PROOF_SHARE) * done), proved=prover.answers)
     checked.require()
     return controller, checked
 

@@ -9,19 +9,25 @@ from typing import Any
 import numpy as np
 
 from autotune.errors import InfeasibleError, UsageError
-from autotune.formats.controller_record import AxisPrediction, CollisionSettings, Controller, ScenarioPrediction
+from autotune.formats.controller_record import AxisPrediction, CollisionSettings, Controller
 from autotune.formats.limits import CollisionResponse
 from autotune.formats.problem import ProblemSpec
 from autotune.formats.units import ROTATIONAL_AXES
-from autotune.validation.limits import NOISE_DEVIATIONS
-from identification.result import Identified
+from autotune.validation.false_triggers import (
+    MOST_PER_HOUR,
+    correlation_of,
+    count_false_triggers,
+    needed_deviations,
+)
+from autotune.validation.variable_damping import METHOD as VARIED
+from identification.result import Identified, NoiseSpectrum
 from problems.arrays import FloatArray
+from problems.contact.nonlinearities import Response
 from problems.design.objectives import PLACES, PeakObjective, force_of
 from problems.design.uncertainty import Scenario
 from problems.errors import ParameterError
 
-from .first_contacts import RespondingContact, build_contact, contacts_of, peaks_of
-from .record import scenario_name
+from .first_contacts import RespondingContact, build_contact, contacts_of, peaks_of, predictions
 from .search import SearchResult
 
 Interval = tuple[float, float]
@@ -37,9 +43,14 @@ _SPLIT_DIGITS = range(4, 16)
 
 @dataclass(frozen=True, kw_only=True)
 class ThresholdSettings:
-    """What is asked: the bounds of the threshold, and the RMS of the sensor's noise, N, known or assumed."""
+    """What is asked: the bounds of the threshold, and the RMS of the sensor's noise, N, known or assumed.
+
+    `response` is what a detected collision is answered with, `noise` is the noise's spectrum.
+    """
 
     bounds_n: Interval
+    response: CollisionResponse = CollisionResponse.RESET
+    noise: NoiseSpectrum | None = None
     noise_rms_n: float = ASSUMED_NOISE_N
     is_assumed: bool = False
 
@@ -52,9 +63,13 @@ def threshold_settings(identified: Identified, spec: ProblemSpec) -> ThresholdSe
     if spec.collision_threshold is None:
         return None
     noise = identified.sensor.force_noise_rms_n.value
-    if noise is None:
-        return ThresholdSettings(bounds_n=spec.collision_threshold, noise_rms_n=ASSUMED_NOISE_N, is_assumed=True)
-    return ThresholdSettings(bounds_n=spec.collision_threshold, noise_rms_n=noise)
+    return ThresholdSettings(
+        bounds_n=spec.collision_threshold,
+        response=spec.collision_response,
+        noise_rms_n=ASSUMED_NOISE_N if noise is None else noise,
+        is_assumed=noise is None,
+        noise=None if noise is None else identified.sensor.noise,
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,7 +102,7 @@ class ThresholdChoice:
             "best_threshold_n": self.threshold_n,
             "limited_by": self.limited_by,
             "worst_peak_n": {"without": self.worst_without_n, "with": self.worst_with_n},
-            "response": "reset" if self.is_used else "none",
+            "response": self.settings.response.value if self.is_used else "none",
         }
 
 
@@ -96,7 +111,7 @@ def choose_threshold(
     searches: Mapping[str, SearchResult],
     settings: ThresholdSettings,
 ) -> tuple[Controller, ThresholdChoice]:
-    """Return the controller with the response "reset", or without one where none lowers the worst peak.
+    """Return the controller with the response that is asked, or without one where none lowers the worst peak.
 
     Minimised is the worst peak of the objective's force (at the contact where the objective is no force) over the
     predicted contacts and the scenarios of the search of every tuned x, y, z; of none of these axes may the worst peak
@@ -110,8 +125,9 @@ def choose_threshold(
     if not straight:
         raise UsageError("collision_threshold_n is a force, and only axes that turn are tuned; leave it out of free.")
     objective = force_of(searches[straight[0]].problem.objective)
-    simulations = {name: contacts_of(controller, name) for name in straight}
-    scenarios = {name: _scenarios(controller.predicted[name], searches[name]) for name in straight}
+    kind: Response = "stop" if settings.response is CollisionResponse.STOP else "reset"
+    simulations = {name: replace(contacts_of(controller, name), response=kind) for name in straight}
+    scenarios = {name: predicted_scenarios(controller.predicted[name], searches[name]) for name in straight}
     try:
         free = max(simulations[name].free_motion_n(scenarios[name]) for name in straight)
         lowest = _lowest(controller, straight, settings, free)
@@ -130,36 +146,54 @@ def choose_threshold(
         else controller.predicted[name]
         for name in controller.axes
     }
-    collision = CollisionSettings(response=CollisionResponse.RESET, threshold_n=choice.threshold_n)
-    return replace(controller, collision=collision, predicted=predicted, provenance=provenance), choice
+    collision = CollisionSettings(response=settings.response, threshold_n=choice.threshold_n)
+    controller = replace(controller, collision=collision, predicted=predicted, provenance=provenance)
+    false_triggers = count_false_triggers(
+        controller,
+        free_motion_n=free,
+        noise_rms_n=settings.noise_rms_n,
+        correlation=correlation_of(settings.noise, controller.sample_time_s),
+    )
+    return replace(controller, collision=replace(collision, false_triggers=false_triggers)), choice
 
 
 def without_response(controller: Controller) -> Controller:
-    """Return the same gains and certificate without a collision response."""
+    """Return the same gains and certificate, but what is proved of a B_a that varies, without any strategy."""
     return replace(
         controller,
         collision=CollisionSettings(response=CollisionResponse.NONE, threshold_n=None),
-        predicted={name: replace(each, with_collision_response=()) for name, each in controller.predicted.items()},
+        variable_damping=None,
+        predicted={
+            name: replace(each, with_collision_response=(), with_variable_damping=())
+            for name, each in controller.predicted.items()
+        },
+        certificate=replace(
+            controller.certificate,
+            proved=tuple(each for each in controller.certificate.proved if each.method != VARIED),
+        ),
     )
 
 
-def _scenarios(predicted: AxisPrediction, search: SearchResult) -> tuple[Scenario, ...]:
+def predicted_scenarios(predicted: AxisPrediction, search: SearchResult) -> tuple[Scenario, ...]:
+    """Return the contacts that are predicted, and those that the search ended with."""
     return tuple(dict.fromkeys((*(each.scenario() for each in predicted.scenarios), *search.active.scenarios)))
 
 
 def _lowest(controller: Controller, straight: Sequence[str], settings: ThresholdSettings, free_n: float) -> float:
     """Return what the threshold must be above; refuse bounds that hold nothing of it."""
     deadband = max(controller.axes[name].deadband for name in straight)
-    lowest = max(free_n + NOISE_DEVIATIONS * settings.noise_rms_n, deadband)
+    h = controller.sample_time_s
+    deviations = needed_deviations(correlation_of(settings.noise, h), h, len(straight))
+    lowest = max(free_n + deviations * settings.noise_rms_n, deadband)
     low, high = settings.bounds_n
     if high <= lowest:
         asked = f"{low:g} N" if low == high else f"{low:g} to {high:g} N"
         raise InfeasibleError(
             f"free.collision_threshold_n asks for {asked}, and a threshold must be above {lowest:.4g} N: as the "
             f"approach begins in free space {free_n:.3g} N oppose the motion, the sensor's noise is "
-            f"{settings.noise_rms_n:.3g} N RMS ({NOISE_DEVIATIONS:g} deviations count) and the deadband hides "
-            f"{deadband:g} N. The response would be spent before the contact; raise the upper bound, or leave the "
-            "entry out."
+            f"{settings.noise_rms_n:.3g} N RMS ({deviations:.3g} of them are passed {MOST_PER_HOUR:g} times an hour) "
+            f"and the deadband hides {deadband:g} N. The response would be spent before the contact; raise the upper "
+            "bound, or leave the entry out."
         )
     return lowest
 
@@ -252,22 +286,5 @@ def _with_response(
     name: str, predicted: AxisPrediction, contacts: Sequence[RespondingContact], threshold_n: float
 ) -> AxisPrediction:
     """Return the prediction with the same contacts under the response, and the worst of all contacts under it."""
-    known = {each.scenario() for each in predicted.scenarios}
     runs = {each.scenario: each.run(threshold_n) for each in contacts}
-    worst = {max(runs, key=lambda each: peaks_of(runs[each])[kind]) for kind in (0, 1)}
-    return replace(
-        predicted,
-        with_collision_response=tuple(
-            ScenarioPrediction(
-                name=scenario_name(name, scenario),
-                environment_stiffness_n_per_m=scenario.environment_stiffness_n_per_m,
-                payload_mass_kg=scenario.payload_mass_kg,
-                peak_sensor_force_n=run.peak_sensor_force_n,
-                peak_contact_force_n=run.peak_contact_force_n,
-                time_of_peak_s=run.time_of_peak_s,
-                further=scenario.further() or None,
-            )
-            for scenario, run in runs.items()
-            if scenario in known or scenario in worst
-        ),
-    )
+    return replace(predicted, with_collision_response=predictions(name, predicted, runs))

@@ -7,8 +7,7 @@ import numpy as np
 
 from autotune.errors import UsageError
 from autotune.formats.certificate_record import AxisDomain
-from autotune.formats.controller_record import Controller, admittance_controller
-from autotune.formats.limits import CollisionResponse
+from autotune.formats.controller_record import Controller, admittance_controller, is_linear
 from autotune.formats.units import ROTATIONAL_AXES, axis_units
 from autotune.prediction.as_run_by import designed_for
 from autotune.prediction.contact import simulate_on
@@ -113,7 +112,8 @@ def compare_with_log(
     """Compare every contact of a log; `progress` takes shares of the work.
 
     Raises LogError for a log without a contact along an axis of the file, or whose command no contact explains by this
-    law; EstimateError for a log without raw wrench or pose; UsageError for a file with a collision response.
+    law; EstimateError for a log without raw wrench or pose; UsageError for a file with a collision response or
+    variable damping.
     """
     refuse_other_law(controller)
     found = find_log_contacts(recording, controller, frames)
@@ -150,10 +150,10 @@ def refuse_other_law(controller: Controller) -> None:
             "own law's commands. Hold its peaks against the log: autotune predict identified.yaml --controller FILE "
             "--log LOG."
         )
-    if controller.collision.response is not CollisionResponse.NONE:
+    if not is_linear(controller):
         raise UsageError(
-            "The comparison with a log does not know the collision response, and the file has one: the command jumps "
-            "where it begins. Record the contacts under the same gains without it."
+            "The comparison with a log knows neither collision response nor variable damping, and the file has one: "
+            "the command follows other equations there. Record the contacts under the same gains without it."
         )
 
 

@@ -1,6 +1,5 @@
 """Replay the contacts that a certificate predicts: their peaks, the collision response, and the runtime's limits."""
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 
 from autotune.formats.certificate_record import AxisDomain
@@ -14,7 +13,9 @@ from problems.model.axis_kind import AxisKind
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Plant
 
-from .replay import SHORTEST_AFTER_S, Replay, replay_contact, settling_samples
+from .certified_requirements import limit_n
+from .false_triggers import describe_false_triggers, wrong_false_triggers
+from .replay import NO_STRATEGY, SHORTEST_AFTER_S, Replay, Strategy, replay_contact, settling_samples
 from .validation_samples import ValidationSamples
 
 # Replayed contacts begin anywhere between two samples, predicted ones on a sample (measured: up to 0.5 %).
@@ -68,18 +69,17 @@ def verify_peaks(
 
 
 class Replays:
-    """Replays of contacts of one domain, and the largest force of them; by default without a collision response."""
+    """Replays of contacts of one domain, and the largest force of them; by default of the gains alone."""
 
     def __init__(
         self,
         domain: AxisDomain,
         law: AdmittanceController,
         sample_time_s: float,
-        *,
-        reset_threshold_n: float = math.inf,
+        strategy: Strategy = NO_STRATEGY,
     ) -> None:
         self.domain, self.law, self.h = domain, law, sample_time_s
-        self.reset_threshold_n = reset_threshold_n
+        self.strategy = strategy
         self.nominal = domain.plants.nominal
         self.largest_n = 0.0
 
@@ -91,14 +91,22 @@ class Replays:
         return speed * (self.law.damping_n_s_per_m + plant.payload.drag_n_s_per_m)
 
     def tolerance_n(self, scenario: Scenario, peak_n: float) -> float:
-        """Return by how much two roads to the same peak may differ."""
-        return _SAME_PEAK * max(peak_n, self.force_n(scenario.plant(self.nominal)))
+        """Return by how much two roads to the same peak may differ.
+
+        A full stop may come a tick sooner or later, and what the approach goes on by in a tick then stays.
+        """
+        plant = scenario.plant(self.nominal)
+        same = _SAME_PEAK * max(peak_n, self.force_n(plant))
+        if not self.strategy.stops:
+            return same
+        k_s, k_e = plant.coupling.stiffness_n_per_m, plant.environment.stiffness_n_per_m
+        speed = self.force_n(plant) / (self.law.damping_n_s_per_m + plant.payload.drag_n_s_per_m)
+        return same + speed * self.h * k_s * k_e / (k_s + k_e)
 
     def play(self, scenario: Scenario) -> Replay:
         """Replay one contact."""
         plant = scenario.plant(self.nominal)
-        force, threshold = self.force_n(plant), self.reset_threshold_n
-        seen = replay_contact(plant, self.law, self.h, force, reset_threshold_n=threshold)
+        seen = replay_contact(plant, self.law, self.h, self.force_n(plant), strategy=self.strategy)
         self.largest_n = max(self.largest_n, seen.peak_contact_force_n)
         return seen
 
@@ -161,22 +169,64 @@ def verify_response(
         for each in predicted.scenarios
         if each.scenario() not in with_response
     ]
-    wrong += _risen(controller, name)
-    replays = Replays(domain, law, controller.sample_time_s, reset_threshold_n=threshold)
-    begun = 0
+    wrong += _risen(stated, predicted.with_variable_damping or predicted.scenarios)
+    stops = controller.collision.response is CollisionResponse.STOP
+    strategy = Strategy(threshold_n=threshold, stops=stops, variable=controller.damping_of(name))
+    replays = Replays(domain, law, controller.sample_time_s, strategy)
+    begun, opposed = 0, 0.0
     for scenario, each in with_response.items():
         if not _is_certified(domain, scenario):
             wrong.append(f"{each.name}: the contact lies outside of the certified domain")
             continue
         seen = replays.play(scenario)
+        opposed = max(opposed, seen.opposed_n)
         begun += seen.detected_after_s is not None
         if seen.detected_after_s is not None and seen.detected_after_s < 0.0:
             wrong.append(f"{each.name}: free motion passes the threshold of {threshold:g} N before the touch")
         else:
             wrong += _differences(each, vars(seen), replays, axis_units(name).force)
+    wrong += wrong_false_triggers(controller, opposed)
     message = (
-        f"reset at {threshold:g} N: {len(with_response)} contacts replayed, it begins in {begun} and never before the "
-        f"touch; largest {replays.largest_n:.1f} N, as predicted"
+        f"{controller.collision.response.value} at {threshold:g} N: {len(with_response)} contacts replayed, it begins "
+        f"in {begun} and never before the touch; largest {replays.largest_n:.1f} N, as predicted"
+    )
+    stated_triggers = controller.collision.false_triggers
+    if stated_triggers is not None:
+        message += f"; {describe_false_triggers(stated_triggers)}"
+    return message, wrong
+
+
+def verify_varied(
+    controller: Controller, name: str, domain: AxisDomain, law: AdmittanceController
+) -> tuple[str, list[str]]:
+    """Return what was confirmed of the contacts under a B_a that varies, and what is wrong.
+
+    A limit of the peak that is asked holds for them, too.
+    """
+    predicted, variable = controller.predicted[name], controller.damping_of(name)
+    stated, limit = predicted.with_variable_damping, limit_n(controller, name)
+    if variable is None:
+        reason = "contacts with variable damping are predicted, and the file has none on this axis"
+        return "", [reason] if stated else []
+    if not stated:
+        return "", ["the file varies B_a and predicts no contact with it"]
+    known = {each.scenario() for each in stated}
+    wrong = [
+        f"{each.name}: no contact with variable damping is predicted"
+        for each in predicted.scenarios
+        if each.scenario() not in known
+    ]
+    replays = Replays(domain, law, controller.sample_time_s, Strategy(variable=variable))
+    for each in stated:
+        if not _is_certified(domain, each.scenario()):
+            wrong.append(f"{each.name}: the contact lies outside of the certified domain")
+            continue
+        wrong += _differences(each, vars(replays.play(each.scenario())), replays, axis_units(name).force)
+    if limit is not None and replays.largest_n > limit * (1.0 + _SAME_PEAK):
+        wrong.append(f"the peak force must be at most {limit:g} N, found {replays.largest_n:.2f} with variable damping")
+    message = (
+        f"B_a from {variable.lowest:g} to {variable.highest:g} N·s/m: {len(stated)} contacts replayed, largest "
+        f"{replays.largest_n:.1f} N, as predicted"
     )
     return message, wrong
 
@@ -189,12 +239,11 @@ def _is_certified(domain: AxisDomain, scenario: Scenario) -> bool:
     )
 
 
-def _risen(controller: Controller, name: str) -> Iterator[str]:
+def _risen(stated: Sequence[ScenarioPrediction], plain: Sequence[ScenarioPrediction]) -> Iterator[str]:
     """Yield the worst peaks that the file itself says are higher with the response."""
-    predicted = controller.predicted[name]
     for what, key in _KINDS.items():
-        without = max(float(getattr(each, key)) for each in predicted.scenarios)
-        found = max(float(getattr(each, key)) for each in predicted.with_collision_response)
+        without = max(float(getattr(each, key)) for each in plain)
+        found = max(float(getattr(each, key)) for each in stated)
         if found > (1.0 + _NO_HIGHER) * without:
             yield f"the worst peak {what} force is {found:.2f} N with the response, {without:.2f} N without"
 
@@ -204,7 +253,7 @@ def _differences(said: ScenarioPrediction, seen: Mapping[str, float], replays: R
         predicted, found = float(getattr(said, key)), seen[key]
         if abs(found - predicted) > replays.tolerance_n(said.scenario(), predicted):
             yield (
-                f"{said.name}: with the response the peak {what} force is predicted as {predicted:.2f} {unit}, "
+                f"{said.name}: with it the peak {what} force is predicted as {predicted:.2f} {unit}, "
                 f"replayed {found:.2f} {unit}"
             )
 

@@ -4,9 +4,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from autotune.formats.controller_record import Controller, file_deadband
-from autotune.formats.limits import CollisionResponse
+from autotune.formats.limits import CollisionResponse, VariableDampingSettings
 from autotune.formats.units import ROTATIONAL_AXES
-from problems.contact.nonlinearities import Collision, CommandLimits, Nonlinearities, Response
+from problems.contact.nonlinearities import Collision, CommandLimits, Nonlinearities, Response, VariableDamping
 from problems.design.requirements import NoiseLimit
 from problems.errors import ParameterError
 
@@ -55,9 +55,10 @@ def axis_effects(
 
     The deadband is the file's. The noise is what the caller says, else that of the file's limit on the command's noise,
     else 0.2 N or 0.02 N·m; the sensor clips only where its range is said; the command of x, y, z is limited to 0.25 m/s
-    unless the approach alone is nearly as fast; 1 % of the commands are late. A collision response is the file's.
+    unless the approach alone is nearly as fast; 1 % of the commands are late. Collision response and variable damping
+    are the file's.
     """
-    turns = name in ROTATIONAL_AXES
+    turns, variable = name in ROTATIONAL_AXES, controller.damping_of(name)
     speed = disturbances.speed_limit[turns]
     if speed is None and not turns:
         speed = max(_REDUCED_SPEED_M_S, _ABOVE_APPROACH * approach_speed)
@@ -68,6 +69,27 @@ def axis_effects(
         limits=None if speed is None else CommandLimits(speed_m_s=speed),
         late_share=_USUAL_LATE_SHARE if disturbances.late_share is None else disturbances.late_share,
         collision=_file_response(controller, name),
+        variable_damping=None if variable is None else simulated_damping(variable, controller.sample_time_s),
+    )
+
+
+def file_strategy(controller: Controller, name: str) -> Nonlinearities:
+    """Return collision response and variable damping of one axis, and nothing else."""
+    variable = controller.damping_of(name)
+    return Nonlinearities(
+        collision=_file_response(controller, name),
+        variable_damping=None if variable is None else simulated_damping(variable, controller.sample_time_s),
+    )
+
+
+def simulated_damping(variable: VariableDampingSettings, sample_time_s: float) -> VariableDamping:
+    """Return the variable damping of a file as the full simulation takes it."""
+    return VariableDamping(
+        scale_n_s_per_m=variable.highest,
+        decay_s_per_m=variable.decay_s_per_m,
+        floor_n_s_per_m=variable.lowest,
+        update_period_s=variable.update_periods * sample_time_s,
+        largest_change_n_s_per_m=variable.largest_change,
     )
 
 

@@ -17,6 +17,7 @@ from problems.model.controller import AdmittanceController, controller_blocks
 
 from .certified_requirements import asked_of
 from .contacts import Replays
+from .replay import Strategy
 
 NOISE_DEVIATIONS = 6.0
 """A limit lies this many deviations of the noise above what is reached: one tick in 1e9 is beyond it."""
@@ -227,7 +228,7 @@ def verify_limits(
     if not scenarios:
         return "", []
     wrong = [*_sensor(controller), *_residual(controller, name)]
-    replays = Replays(domain, law, controller.sample_time_s)
+    replays = Replays(domain, law, controller.sample_time_s, Strategy(variable=controller.damping_of(name)))
     seen = [replays.play(each) for each in dict.fromkeys(each.scenario() for each in scenarios)]
     speed = max(each.largest_speed_m_s for each in seen)
     acceleration = max(each.largest_acceleration_m_s2 for each in seen)

@@ -29,7 +29,7 @@ def compare_touches_of_log(
 
     That this controller was running is known only as far as the log holds mass and damping. Raises LogError for a log
     with other gains, or without a touch along an axis of the file; EstimateError for one that shows nothing; UsageError
-    for a file with a collision response.
+    for a file with a collision response or variable damping.
     """
     refuse_other_law(controller)
     found = identify_cell(recording, frames)

@@ -308,6 +308,7 @@ def _describe_effects(found: AxisMonteCarlo) -> str:
         f"at most {effects.limits.speed_m_s:g} {units.speed}" if effects.limits is not None else "",
         f"{100.0 * effects.late_share:g} % of the commands late",
         f"the collision response at {effects.collision.threshold_n:g} N" if effects.collision is not None else "",
+        "B_a that follows the speed" if effects.variable_damping is not None else "",
     ]
     return ", ".join(part for part in text if part)
 
@@ -330,6 +331,7 @@ def _axis_tree(found: AxisMonteCarlo) -> dict[str, object]:
             "command_speed_limit": None if effects.limits is None else effects.limits.speed_m_s,
             "late_share": effects.late_share,
             "collision_threshold": None if effects.collision is None else effects.collision.threshold_n,
+            "damping": None if effects.variable_damping is None else list(effects.variable_damping.bounds_n_s_per_m),
         },
         "unstable": None if found.unstable is None else found.unstable.name,
         "refusal": found.refusal or None,

@@ -7,8 +7,7 @@ from functools import partial
 from autotune.certificate.certify import WORK_PER_SECOND
 from autotune.certificate.family import build_families
 from autotune.certificate.peaks import PeakOutcome, prove_peak
-from autotune.formats.controller_record import Controller
-from autotune.formats.limits import CollisionResponse
+from autotune.formats.controller_record import Controller, is_linear
 from autotune.formats.proof_records import PeakProof
 from autotune.formats.units import axis_units
 from problems.contact.transient import Approach
@@ -85,7 +84,7 @@ def prove_peaks(
 def check_peaks(controller: Controller, name: str, law: AdmittanceController, prover: Prover) -> Iterator[Check]:
     """Prove again what the file states of first contacts; more may be proved, less may not."""
     stated, domain = (controller.certificate.peaks or {}).get(name), controller.certificate.domain[name]
-    if stated is None or controller.collision.response is not CollisionResponse.NONE:
+    if stated is None or not is_linear(controller):
         return
     check, units = partial(Check, axis=name, name="proved peak"), axis_units(name)
     bound = f"no first contact exceeds {stated.force_n:.4g} {units.force}, over K_e, M_p and the moment of the touch"

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from autotune.formats.limits import VariableDampingSettings
 from problems.arrays import FloatArray
 from problems.model.controller import AdmittanceController
 from problems.model.plant import FREE_SPACE, Coupling, PayloadDynamics, Plant, build_plant_matrices
@@ -18,7 +19,16 @@ from problems.model.sampled import (
     stability_matrix,
 )
 
-from .replay_kernel import SUBSTEPS, EquationGains, FineContact, RobotAlone, SampleStep, Substep, replay_ticks
+from .replay_kernel import (
+    SUBSTEPS,
+    DampingSchedule,
+    EquationGains,
+    FineContact,
+    RobotAlone,
+    SampleStep,
+    Substep,
+    replay_ticks,
+)
 
 _SHORTEST_APPROACH_S = 0.8
 SHORTEST_AFTER_S = 1.6
@@ -26,6 +36,46 @@ SHORTEST_AFTER_S = 1.6
 _DECAY_EXPONENTS = 7.0
 _LONGEST_S = 10.0
 _FAR_SAMPLES = 4.0
+_BISECTIONS = 60
+
+
+@dataclass(frozen=True, kw_only=True)
+class Strategy:
+    """What a replayed law does beside its gains: at the threshold a reset, or with `stops` a full stop; its B_a."""
+
+    threshold_n: float = math.inf
+    stops: bool = False
+    variable: VariableDampingSettings | None = None
+
+    def schedule(self) -> DampingSchedule:
+        """Return the variable damping as the kernel takes it; a period of 0 is none."""
+        each = self.variable
+        if each is None:
+            return DampingSchedule(0, 0.0, 0.0, 0.0, 0.0)
+        return DampingSchedule(
+            int(each.update_periods),
+            float(each.highest),
+            float(each.lowest),
+            float(each.decay_s_per_m),
+            float(each.largest_change),
+        )
+
+    def damping(self, law: AdmittanceController, force: float, drag: float) -> float:
+        """Return the B_a of the steady approach under this force: a fixed point, which the drag makes attracting."""
+        if self.variable is None:
+            return law.damping_n_s_per_m
+        low, high = self.variable.lowest, self.variable.highest
+        for _ in range(_BISECTIONS):
+            middle = 0.5 * (low + high)
+            wanted = max(
+                self.variable.highest * math.exp(-self.variable.decay_s_per_m * force / (middle + drag)),
+                self.variable.lowest,
+            )
+            low, high = (middle, high) if wanted > middle else (low, middle)
+        return 0.5 * (low + high)
+
+
+NO_STRATEGY = Strategy()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,7 +84,7 @@ class Replay:
 
     `detected_after_s` counts from the tick that first saw the touch, below 0 for a detection in free motion; None
     without one. `largest_speed_m_s` and `largest_acceleration_m_s2` are those of the command, the start from rest
-    included.
+    included. `opposed_n` is the largest force against the motion before the touch.
     """
 
     peak_sensor_force_n: float
@@ -42,6 +92,7 @@ class Replay:
     detected_after_s: float | None = None
     largest_speed_m_s: float = 0.0
     largest_acceleration_m_s2: float = 0.0
+    opposed_n: float = 0.0
 
 
 def replay_contact(
@@ -51,12 +102,12 @@ def replay_contact(
     desired_force_n: float,
     *,
     deadband_n: float = 0.0,
-    reset_threshold_n: float = math.inf,
+    strategy: Strategy = NO_STRATEGY,
 ) -> Replay:
     """Approach with F^d from rest, touch, and follow until rest; `deadband_n` is a threshold deadband on the force.
 
-    At the first tick at which the force opposes the motion by more than `reset_threshold_n` the command and its
-    predecessor become the one sent last (the paper's Algorithm 1).
+    At the first tick at which the force opposes the motion by more than the threshold of the `strategy` the command and
+    its predecessor become the one sent last (the paper's Algorithm 1), or at that tick and all that follow.
 
     Approach and contact each last as long as the slowest part of their loop needs to decay, ten seconds at most; of a
     force that only creeps to its value at rest by then, that value counts. The plant advances in twentieths of a
@@ -64,7 +115,8 @@ def replay_contact(
     """
     # A wrench that is late makes the same loop as commands that are (for a law that reads nothing but the wrench).
     check_wrench_delay(plant, controller)
-    approach_speed = desired_force_n / (controller.damping_n_s_per_m + plant.payload.drag_n_s_per_m)
+    drag = plant.payload.drag_n_s_per_m
+    approach_speed = desired_force_n / (strategy.damping(controller, desired_force_n, drag) + drag)
     approach = settling_samples(plant.in_contact_with(FREE_SPACE), controller, sample_time_s, _SHORTEST_APPROACH_S)
     after = settling_samples(plant, controller, sample_time_s, SHORTEST_AFTER_S)
     found = replay_ticks(
@@ -74,13 +126,16 @@ def replay_contact(
         approach + after,
         float(desired_force_n),
         float(deadband_n),
-        float(reset_threshold_n),
+        float(strategy.threshold_n),
+        strategy.stops,
+        strategy.schedule(),
         float(_FAR_SAMPLES),
     )
     sensor, contact, detected_after_s = found.sensor, found.contact, None
     if found.detection >= 0 and found.touch >= 0:
         detected_after_s = (found.detection - found.touch) * sample_time_s
-    if deadband_n == 0.0 and found.is_touching and _creeps(plant, controller, sample_time_s, after):
+    is_stopped = strategy.stops and found.detection >= 0
+    if deadband_n == 0.0 and found.is_touching and not is_stopped and _creeps(plant, controller, sample_time_s, after):
         # The admittance integrates F^d + F: on a very soft surface the force is still on its way to F^d.
         sensor, contact = max(sensor, desired_force_n), max(contact, desired_force_n)
     return Replay(
@@ -89,6 +144,7 @@ def replay_contact(
         detected_after_s=detected_after_s,
         largest_speed_m_s=found.fastest / sample_time_s,
         largest_acceleration_m_s2=found.hardest / sample_time_s**2,
+        opposed_n=found.opposed,
     )
 
 

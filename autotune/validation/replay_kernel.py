@@ -31,6 +31,16 @@ class EquationGains(NamedTuple):
     h: float
 
 
+class DampingSchedule(NamedTuple):
+    """B_a = max(highest e^(−decay |v|), lowest), updated every `period` ticks by `change` at most; 0 is never."""
+
+    period: int
+    highest: float
+    lowest: float
+    decay: float
+    change: float
+
+
 class EquationMemory(NamedTuple):
     """What the difference equation remembers from tick to tick; `sent` is the command x^d."""
 
@@ -88,7 +98,10 @@ class RobotAlone(NamedTuple):
 
 
 class ReplayedContact(NamedTuple):
-    """Peaks and largest steps of a replayed contact; `touch` and `detection` are ticks, -1 for none."""
+    """Peaks and largest steps of a replayed contact; `touch` and `detection` are ticks, -1 for none.
+
+    `opposed` is the largest force against the motion before the touch.
+    """
 
     sensor: float
     contact: float
@@ -97,6 +110,7 @@ class ReplayedContact(NamedTuple):
     fastest: float
     hardest: float
     is_touching: bool
+    opposed: float
 
 
 @equation
@@ -132,6 +146,25 @@ def difference_step(
         following = before = past.sent + gains.feedback * velocity
     sent = following - gains.feedback * velocity
     return EquationMemory(before, following, past.force_last, driven, position, velocity, acceleration, sent)
+
+
+@equation
+def with_damping(gains: EquationGains, mass: float, damping: float) -> EquationGains:
+    """Return the equation with another B_a."""
+    ratio = damping * gains.h / (2.0 * mass)
+    return EquationGains(
+        1.0 - ratio,
+        1.0 + ratio,
+        gains.gain,
+        gains.now_weight,
+        gains.last_weight,
+        gains.before_weight,
+        gains.feedback,
+        gains.compensation,
+        gains.corner,
+        gains.second_corner,
+        gains.h,
+    )
 
 
 @equation
@@ -184,7 +217,9 @@ def replay_ticks(
     ticks: int,
     desired_force: float,
     deadband: float,
-    reset_threshold: float,
+    threshold: float,
+    stops: bool,
+    schedule: DampingSchedule,
     far_samples: float,
 ) -> ReplayedContact:
     """Follow a contact from rest at `start`, before the wall, for so many ticks (`replay_contact`)."""
@@ -193,8 +228,12 @@ def replay_ticks(
     past = rest_at(start)
     # What acts at the end of a tick is a command of `whole` ticks before; before the first tick the robot rests.
     sent = np.full(contact.whole + 1 + ticks, start)
-    sensor = peak = speed = fastest = hardest = 0.0
+    sensor = peak = speed = fastest = hardest = opposed = 0.0
     touch = detection = -1
+    # M_a is in the gain of the equation, h²/(4 M_a), and B_a in its first two coefficients.
+    mass, damping = gains.h * gains.h / (4.0 * gains.gain), schedule.highest
+    if schedule.period > 0:
+        gains = with_damping(gains, mass, damping)
     for tick in range(ticks):
         force = contact.c_force @ state + contact.d_force * sent[tick]
         if touch < 0 and is_touching(contact, state):
@@ -203,17 +242,26 @@ def replay_ticks(
             # A payload that has left the wall again still shakes the sensor.
             sensor, peak = max(sensor, -force), max(peak, wall_force(contact, state))
         felt, position = force if abs(force) > deadband else 0.0, float(contact.c_position @ state)
-        if detection < 0 and -felt * np.sign(position - past.seen) > reset_threshold:
+        if schedule.period > 0 and tick > 0 and tick % schedule.period == 0:
+            speed_now = abs(position - past.seen) / gains.h
+            wanted = max(schedule.highest * np.exp(-schedule.decay * speed_now), schedule.lowest)
+            damping = min(max(wanted, damping - schedule.change), damping + schedule.change)
+            gains = with_damping(gains, mass, damping)
+        against = -felt * np.sign(position - past.seen)
+        if touch < 0:
+            opposed = max(opposed, against)
+        if detection < 0 and against > threshold:
             detection = tick
-        past = difference_step(gains, past, desired_force + felt, position, detection == tick)
+        is_held = detection == tick or (stops and detection >= 0)
+        past = difference_step(gains, past, desired_force + felt, position, is_held)
         newest = contact.whole + 1 + tick
         sent[newest] = past.sent
         slower, speed = speed, sent[newest] - sent[newest - 1]
         fastest = max(fastest, abs(speed))
         # That a response stops the command is not limited.
-        hardest = hardest if detection == tick else max(hardest, abs(speed - slower))
+        hardest = hardest if is_held else max(hardest, abs(speed - slower))
         state = contact_sample(contact, state, sent[tick], sent[tick + 1], far_samples)
-    return ReplayedContact(sensor, peak, touch, detection, fastest, hardest, is_touching(contact, state))
+    return ReplayedContact(sensor, peak, touch, detection, fastest, hardest, is_touching(contact, state), opposed)
 
 
 @compiled

@@ -1,12 +1,12 @@
 """Verify a controller from its file alone: one table of checks, by code that the optimizer does not use."""
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import cached_property
 from typing import NamedTuple
 
 from autotune.formats.certificate_record import AxisDomain, Proof
 from autotune.formats.controller_record import Controller, admittance_controller
-from autotune.formats.limits import CollisionResponse
 from autotune.formats.units import ROTATIONAL_AXES, axis_units
 from problems.design.uncertainty import PlantSet
 from problems.errors import ParameterError
@@ -14,9 +14,10 @@ from problems.model.axis_kind import AxisKind
 from problems.model.controller import AdmittanceController
 
 from .axis_proof import Answers, Prover
+from .bouncing import search_bouncing
 from .bouncing_proof import check_bouncing
 from .certified_requirements import limit_n
-from .contacts import verify_led, verify_peaks, verify_response
+from .contacts import verify_led, verify_peaks, verify_response, verify_varied
 from .held import check_held
 from .limits import verify_limits
 from .margins import SweptMargins, sweep_margins
@@ -25,6 +26,7 @@ from .proof_checks import check_continuous, check_stability, check_statements
 from .report import Check, ValidationReport
 from .requirements import check_admittance, check_further, check_margins, check_requirements
 from .validation_samples import ValidationSamples, build_validation_samples, recorded_plants
+from .variable_damping import check_variable_damping
 
 _STIFFNESS_POINTS, _MASS_POINTS = 25, 3
 _MOST_DEADBAND = 0.5  # of the force that drives the approach
@@ -134,8 +136,6 @@ def _supported(case: AxisCase) -> Iterator[Check]:
         wrong = "the certificate does not say what was asked of rotational axes (rotational_requirements)"
     elif controller.compensation_mass_kg != 0.0 and rotates:
         wrong = "compensation_mass_kg is a mass and says nothing of an axis that turns; it must be 0"
-    elif controller.collision.response is CollisionResponse.STOP:
-        wrong = "a full stop on collision cannot be verified by this release; collision.response must be none or reset"
     elif case.domain.environment_mass_kg != 0.0:
         wrong = "an environment with mass cannot be verified by this release; environment_mass_kg must be 0"
     if wrong:
@@ -188,6 +188,12 @@ def _deadband(case: AxisCase) -> Iterator[Check]:
 
 def _stability(case: AxisCase) -> Iterator[Check]:
     checks, case.proved = check_stability(case.controller, case.name, case.law, case.prover, is_short=case.is_short)
+    yield from checks
+
+
+def _variable_damping(case: AxisCase) -> Iterator[Check]:
+    checks, proved = check_variable_damping(case.controller, case.name, case.law, case.prover)
+    case.proved += proved
     yield from checks
 
 
@@ -250,6 +256,11 @@ def _led(case: AxisCase) -> Iterator[Check]:
 
 def _bouncing(case: AxisCase) -> Iterator[Check]:
     yield from check_bouncing(case.controller, case.name, case.law, case.prover)
+    variable, h = case.controller.damping_of(case.name), case.controller.sample_time_s
+    for damping in () if variable is None else dict.fromkeys((variable.lowest, variable.highest)):
+        found = search_bouncing(case.name, case.domain, replace(case.law, damping_n_s_per_m=damping), h)
+        message = f"at a constant B_a of {damping:g}, {found.message()}"
+        yield case.check("bouncing", "" if found.passed else message, message)
 
 
 def _limits(case: AxisCase) -> Iterator[Check]:
@@ -258,9 +269,10 @@ def _limits(case: AxisCase) -> Iterator[Check]:
 
 
 def _response(case: AxisCase) -> Iterator[Check]:
-    message, wrong = verify_response(case.controller, case.name, case.domain, case.law)
-    if message or wrong:
-        yield case.check("collision response", "; ".join(wrong), message)
+    for name, verify in (("varied peaks", verify_varied), ("collision response", verify_response)):
+        message, wrong = verify(case.controller, case.name, case.domain, case.law)
+        if message or wrong:
+            yield case.check(name, "; ".join(wrong), message)
 
 
 class _Row(NamedTuple):
@@ -279,6 +291,7 @@ _TABLE = (
     _Row(_delay),
     _Row(_deadband),
     _Row(_stability, is_needed=True),
+    _Row(_variable_damping),
     _Row(_statements),
     _Row(_continuous, is_short=False),
     _Row(_held, is_short=False),

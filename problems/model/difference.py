@@ -189,6 +189,32 @@ def through_deadband(force: float, width: float, subtractive: bool) -> float:
     return force - width if force > 0.0 else force + width
 
 
+def decayed(exponent: float) -> float:
+    """Return e^{−x} for x ≥ 0 by a series and squares, the same bits wherever doubles are IEEE; 0 above 32.
+
+    x/1024 leaves 8 terms of the series an error below rounding, which ten squares make 1e-13 of the result.
+    """
+    if exponent > 32.0:
+        return 0.0
+    small, value = exponent / 1024.0, 1.0
+    for k in range(7, 0, -1):
+        value = 1.0 - small / k * value
+    for _ in range(10):
+        value = value * value
+    return value
+
+
+def varied_damping(
+    damping: float, speed: float, highest: float, lowest: float, decay_s_per_m: float, largest_change: float
+) -> float:
+    """Return the next B_a: max(highest e^{−decay |v|}, lowest), no farther from `damping` than the largest change."""
+    scheduled = highest * decayed(decay_s_per_m * abs(speed))
+    scheduled = max(scheduled, lowest)
+    if scheduled > damping + largest_change:
+        return damping + largest_change
+    return max(scheduled, damping - largest_change)
+
+
 def opposes_motion(force: float, way: float, threshold: float) -> bool:
     """Return whether a force F on the flange opposes its way over the last period by more than the threshold [N].
 

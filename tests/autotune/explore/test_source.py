@@ -16,6 +16,7 @@ from autotune.formats.controller import read_controller, write_controller
 from autotune.formats.controller_record import Controller, ControllerStatus
 from autotune.formats.problem import read_problem
 from autotune.tuning.record import build_domain
+from autotune.tuning.strategies import StrategySettings
 from autotune.tuning.threshold import ThresholdSettings
 from problems.design.evaluation import build_scenarios
 from problems.design.problem import AdmittanceTarget
@@ -134,7 +135,9 @@ def test_plants_that_hold_the_best_design_back_are_looked_at(tmp_path: Path, mon
 
 
 def test_what_is_saved_is_an_ordinary_controller(tmp_path: Path) -> None:
-    exploration = replace(solved_exploration(), threshold=ThresholdSettings(bounds_n=(5.0, 60.0)))
+    exploration = replace(
+        solved_exploration(), strategies=StrategySettings(threshold=ThresholdSettings(bounds_n=(5.0, 60.0)))
+    )
     path, start = tmp_path / "controller.yaml", exploration.axes["x"]
     design = start.design * np.array([1.0, 0.999, 1.0, 1.0])
     saved = save_controller(exploration, {"x": design}, Target(path))

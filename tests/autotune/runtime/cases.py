@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from autotune.formats.limits import VariableDampingSettings
 from autotune.runtime import AXES, START, AxisLaw, AxisLimits, CollisionResponse, Limits, Payload, RuntimeController
 from autotune.simulation.simulate import _advance
 from problems.arrays import FloatArray
@@ -83,6 +84,20 @@ def make_runtime(
     )
 
 
+def random_schedule(rng: np.random.Generator) -> VariableDampingSettings | None:
+    """Any variable damping, or none; the random readings move at some 0.1 m/s."""
+    if rng.random() < 0.4:
+        return None
+    lowest = float(rng.uniform(100.0, 1000.0))
+    return VariableDampingSettings(
+        highest=lowest * float(rng.uniform(1.0, 4.0)),
+        lowest=lowest,
+        decay_s_per_m=float(rng.uniform(0.0, 20.0)),
+        update_periods=int(rng.integers(1, 20)),
+        largest_change=float(rng.uniform(1.0, 200.0)),
+    )
+
+
 def random_runtime(rng: np.random.Generator, response: CollisionResponse, limits: Limits = WIDE) -> RuntimeController:
     """Any gains on any axes: the step does not ask whether a loop is stable."""
     names = [name for name in AXES if rng.random() < 0.7] or ["z"]
@@ -101,6 +116,7 @@ def random_runtime(rng: np.random.Generator, response: CollisionResponse, limits
             deadband=float(rng.choice([0.0, 5.0])),
             is_subtractive=bool(rng.random() < 0.5),
             payload_range=(14.0, 18.0),
+            variable_damping=None if name.startswith("r") else random_schedule(rng),
         )
         for name in names
     )

@@ -4,10 +4,14 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
+from autotune.formats.controller_record import Controller
 from autotune.formats.identified import IdentifiedFile
+from autotune.formats.limits import CollisionResponse
 from autotune.formats.problem import ProblemSpec
 from autotune.tuning.optimize import Optimized, optimize
-from autotune.validation.axis_proof import ProofOptions
+from autotune.tuning.strategies import StrategySettings, choose_strategies
+from autotune.tuning.threshold import ThresholdSettings, without_response
+from autotune.validation.axis_proof import ProofOptions, Prover
 from identification.result import CouplingEstimate, PayloadEstimate, RobotEstimate
 from problems.design.objectives import SensorForce
 from problems.design.problem import Requirements
@@ -49,6 +53,18 @@ def small_robot() -> IdentifiedFile:
     payload = PayloadEstimate(mass_kg=known(6.3, 0.01), com_m=whole.payload.com_m)
     result = replace(whole, payload=payload, axes={"x": axis})
     return IdentifiedFile(result=result, provenance={}, path=Path("identified.yaml"), sha256="0" * 64)
+
+
+@cache
+def varied() -> Controller:
+    """The same gains, whose B_a follows the speed, with a full stop; contacts may have 50 N."""
+    found = responding()
+    search = found.searches["x"]
+    asked = search.problem.requirements.with_asked("max_peak_force_n", 50.0)
+    searches = {"x": replace(search, problem=replace(search.problem, requirements=asked))}
+    threshold = ThresholdSettings(bounds_n=(2.0, 40.0), response=CollisionResponse.STOP, noise_rms_n=0.14)
+    settings = StrategySettings(damping_bounds=(300.0, 2000.0), threshold=threshold)
+    return choose_strategies(without_response(found.controller), searches, settings, Prover())
 
 
 @cache

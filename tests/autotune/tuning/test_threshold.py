@@ -171,9 +171,9 @@ def test_the_higher_bound_is_reported_where_it_holds() -> None:
 
 def test_bounds_below_free_motion_and_axes_that_only_turn_are_refused() -> None:
     found = responding()
-    with pytest.raises(InfeasibleError, match=r"asks for 2 to 9 N, and a threshold must be above 9\.966 N: .*9\.13 N"):
+    with pytest.raises(InfeasibleError, match=r"asks for 2 to 9 N, and a threshold must be above 10\.01 N: .*9\.13 N"):
         choose_threshold(found.controller, found.searches, replace(WIDE, bounds_n=(2.0, 9.0)))
-    with pytest.raises(InfeasibleError, match=r"above 12\.13 N: .* noise is 0\.5 N RMS"):
+    with pytest.raises(InfeasibleError, match=r"above 12\.3 N: .* noise is 0\.5 N RMS"):
         choose_threshold(found.controller, found.searches, ThresholdSettings(bounds_n=(5.0, 5.0), noise_rms_n=0.5))
     with pytest.raises(UsageError, match="only axes that turn are tuned"):
         choose_threshold(on_axes("ry"), {"ry": found.searches["x"]}, WIDE)
@@ -182,7 +182,10 @@ def test_bounds_below_free_motion_and_axes_that_only_turn_are_refused() -> None:
 def test_of_several_axes_the_straight_ones_are_watched_together() -> None:
     found, search = responding(), responding().searches["x"]
     alike, choice = choose_threshold(on_axes("x", "y", "ry"), dict.fromkeys(("x", "y", "ry"), search), WIDE)
-    assert choice.tree(SensorForce()) == found.controller.provenance["collision"]
+    # Two axes have twice as much noise that may pass it, so that the least threshold is a hair higher.
+    watched, alone = choice.tree(SensorForce()), dict(found.controller.provenance["collision"])
+    assert alone.pop("lowest_n") < watched.pop("lowest_n")
+    assert watched == alone
     reported = found.controller.predicted["x"].with_collision_response
     assert [alike.predicted[name].with_collision_response for name in ("x", "y", "ry")] == [reported, reported, ()]
 

@@ -1,11 +1,13 @@
 """Replayed contacts against the exact transient of the ground floor."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from autotune.validation.replay import equation_gains, replay_contact, robot_alone
+from autotune.formats.limits import VariableDampingSettings
+from autotune.validation.replay import Strategy, equation_gains, replay_contact, robot_alone
 from autotune.validation.replay_kernel import difference_step, follow_forces, over_sample, replay_ticks, rest_at
 from problems.contact.transient import Approach, ContactTransient, build_sampled_contact, simulate_contact
 from problems.model.controller import AdmittanceController
@@ -128,16 +130,29 @@ def test_compiled_and_straight_python_follow_the_same_force(robot: RobotModel) -
     np.testing.assert_allclose(follow_forces(alone, gains, force), straight, rtol=1e-12, atol=1e-18)
 
 
-@pytest.mark.parametrize("options", [{}, {"deadband_n": 4.0}, {"reset_threshold_n": 12.0}])
+VARIED = VariableDampingSettings(
+    highest=3000.0, lowest=2000.0, decay_s_per_m=30.0, update_periods=12, largest_change=100.0
+)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"deadband_n": 4.0},
+        {"strategy": Strategy(threshold_n=12.0)},
+        {"strategy": Strategy(threshold_n=12.0, stops=True, variable=VARIED)},
+    ],
+)
 def test_compiled_and_straight_python_replay_the_same_contact(
-    options: dict[str, float], monkeypatch: pytest.MonkeyPatch
+    options: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     plant = paper_plant(stiffness=1.35e6, drag=95.0, coupling=3.7e4, mass=33.5, robot=one_pole(0.4 * PERIOD_S))
     law = admittance(18.7, 2623.0, 0.0219)
     compiled = vars(replay_contact(plant, law, PERIOD_S, 30.0, **options))
     monkeypatch.setattr("autotune.validation.replay.replay_ticks", replay_ticks.py_func)  # type: ignore[attr-defined]
     straight = vars(replay_contact(plant, law, PERIOD_S, 30.0, **options))
-    assert (straight["detected_after_s"] is None) == ("reset_threshold_n" not in options)
+    assert (straight["detected_after_s"] is None) == ("strategy" not in options)
     # Rounding, as it grows over several bounces.
     assert list(compiled.values()) == [each and pytest.approx(each, rel=1e-9) for each in straight.values()]
 

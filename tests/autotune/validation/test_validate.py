@@ -220,8 +220,8 @@ FALSE_CLAIMS: dict[str, tuple[Change, str, str]] = {
     ),
     "full stop": (
         lambda c: replace(c, collision=CollisionSettings(response=CollisionResponse.STOP, threshold_n=100.0)),
-        "controller",
-        r"a full stop on collision cannot be verified .* collision\.response must be none or reset",
+        "collision response",
+        "the file has a collision response and predicts no contact with it",
     ),
     "wall with mass": (domain(environment_mass_kg=2.0), "controller", "environment_mass_kg must be 0"),
     "robot that is none": (domain(robot_denominator=(1.0, -20.0)), "parameters", r"r\(s\)"),
