@@ -163,25 +163,6 @@ def gains_table(controller: Controller) -> Table:
     )
 
 
-def response_table(design: AxisDesign) -> Table | None:
-    """Return the predicted contacts with all strategies beside those without; None where there are none."""
-    without, predicted = {each.scenario(): each for each in design.predicted.scenarios}, design.predicted
-    rows = []
-    for each in predicted.with_collision_response or predicted.with_variable_damping:
-        both = (without.get(each.scenario()), each)
-        peaks = (
-            None if run is None else getattr(run, name)
-            for name in ("peak_contact_force_n", "peak_sensor_force_n")
-            for run in both
-        )
-        rows.append((each.name, *("" if peak is None else f"{peak:.1f} {design.units.force}" for peak in peaks)))
-    heads = ("contact", "at the contact", "with it", "at the sensor", "with it")
-    names = ("variable damping", "collision response")
-    asked = (predicted.with_variable_damping, predicted.with_collision_response)
-    caption = f"Peaks without and with {' and '.join(name for name, of in zip(names, asked, strict=True) if of)}"
-    return build_table(caption, heads, rows, numbers=range(1, 5)) if rows else None
-
-
 def compliance_tables(controller: Controller) -> Iterator[Table]:
     """Yield for each axis whose compliance was chosen every stiffness that was tried."""
     found = controller.provenance.get("compliance")

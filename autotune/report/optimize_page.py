@@ -34,12 +34,11 @@ from .controller_tables import (
     proof_table,
     regions_table,
     requirement_table,
-    response_table,
     target_facts,
     worst_table,
 )
 from .page import Block, Fact, Facts, Note, Page, Section, Table, TableCell, Tone, build_table
-from .strategy_chart import strategy_chart
+from .strategy_chart import response_table, strategy_chart
 
 if TYPE_CHECKING:
     from autotune.tuning.search import SearchStep

@@ -1,4 +1,4 @@
-"""Draw a contact with what the controller does beside its gains: collision response and variable damping."""
+"""What a controller does beside its gains, collision response and variable damping: a contact drawn, and the peaks."""
 
 from collections.abc import Iterator
 
@@ -11,6 +11,7 @@ from problems.errors import ParameterError
 from problems.stability.margins import UnstableLoopError
 
 from .axis_design import AxisDesign
+from .page import Table, build_table
 
 _PEAKS_LATER, _SHORTEST_S, _LONGEST_S = 4.0, 0.15, 2.0
 
@@ -84,3 +85,22 @@ def _named(strategy: Nonlinearities) -> str:
 def _when(run: NonlinearRun) -> str:
     found = "no collision is detected" if run.collision_time_s is None else "the collision is detected"
     return found if run.collision_time_s is None else f"{found} {1e3 * run.collision_time_s:.1f} ms after the touch"
+
+
+def response_table(design: AxisDesign) -> Table | None:
+    """Return the predicted contacts with all strategies beside those without; None where there are none."""
+    without, predicted = {each.scenario(): each for each in design.predicted.scenarios}, design.predicted
+    rows = []
+    for each in predicted.with_collision_response or predicted.with_variable_damping:
+        both = (without.get(each.scenario()), each)
+        peaks = (
+            None if run is None else getattr(run, name)
+            for name in ("peak_contact_force_n", "peak_sensor_force_n")
+            for run in both
+        )
+        rows.append((each.name, *("" if peak is None else f"{peak:.1f} {design.units.force}" for peak in peaks)))
+    heads = ("contact", "at the contact", "with it", "at the sensor", "with it")
+    names = ("variable damping", "collision response")
+    asked = (predicted.with_variable_damping, predicted.with_collision_response)
+    caption = f"Peaks without and with {' and '.join(name for name, of in zip(names, asked, strict=True) if of)}"
+    return build_table(caption, heads, rows, numbers=range(1, 5)) if rows else None

@@ -5,7 +5,8 @@ from dataclasses import replace
 from autotune.formats.controller_record import CollisionSettings
 from autotune.formats.limits import CollisionResponse
 from autotune.report.axis_design import axis_designs
-from autotune.report.controller_tables import gains_table, response_table
+from autotune.report.controller_tables import gains_table
+from autotune.report.strategy_chart import response_table
 from tests.autotune.formats.samples import make_controller
 
 
