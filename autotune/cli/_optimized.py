@@ -103,7 +103,7 @@ def _active_line(entry: "ActiveConstraint", problem: "DesignProblem", units: "Ax
     if is_nothing:
         return f"{entry.name} is active, easing it alone saves nothing"
     if entry.soft:
-        return f"{entry.name} is wished, not required: wishing 1 % less saves {saved} of peak and price"
+        return f"{entry.name} is a soft requirement: asking 1 % less saves {saved} of peak and price"
     return f"{entry.name} holds the peak up: easing it by 1 % saves {saved}, asking 1 % more costs as much"
 
 

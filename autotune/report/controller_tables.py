@@ -216,7 +216,7 @@ def requirement_table(design: AxisDesign, active: Mapping[str, float] | None) ->
         tone: Tone = "warn" if share is not None and share > _NEARLY_USED else ""
         used = TableCell(text="" if share is None else f"{100.0 * share:.1f} %", tone=tone)
         price = _price(prices.pop(name, None), design.units)
-        rows.append((f"{title} (wished)" if name in soft else title, want, got, used, price))
+        rows.append((f"{title} (soft)" if name in soft else title, want, got, used, price))
     rows += [(name.replace("_", " "), "", "", "", _price(price, design.units)) for name, price in prices.items()]
     heads: tuple[str, ...] = ("requirement", "asked", "reached", "used", "1 % less would save")
     caption = "What was asked, and what it costs"

@@ -45,7 +45,7 @@ def describe_soft(controller: Controller, name: str) -> str:
     text = ", ".join(
         f"{key} {'without limit' if claim.achieved is None else f'{claim.achieved:.4g}'}" for key, claim in soft.items()
     )
-    return f"; achieved of what was only wished: {text}" if text else ""
+    return f"; achieved of soft requirements: {text}" if text else ""
 
 
 def limit_n(controller: Controller, name: str) -> float | None:

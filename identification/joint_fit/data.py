@@ -164,8 +164,8 @@ def build_joint_data(
         force_n=_without_holes(axis.force_n, log.holes),
         command=hold_command(command, log, axis, is_smooth=is_smooth) if known and command is not None else None,
         rests=tuple(s for s in motion.still if (s.start, s.stop) not in pressed),
-        moving=_most_telling(_off_holes(axis.spans, holes, log.period_s), axis, log.period_s, _MOST_MOVING_S),
-        free=_most_telling(_off_holes(free, holes, log.period_s), axis, log.period_s, _MOST_FREE_S),
+        moving=_most_informative(_off_holes(axis.spans, holes, log.period_s), axis, log.period_s, _MOST_MOVING_S),
+        free=_most_informative(_off_holes(free, holes, log.period_s), axis, log.period_s, _MOST_FREE_S),
         mixed=_off_holes(mixed, holes, log.period_s),
         rings=_off_holes(find_ringing(axis, steady, free, holds, noise_rms_n, log.period_s), holes, log.period_s),
         holds=_few_of_each_place(_approached(holds, holes, log.period_s), axis),
@@ -189,7 +189,7 @@ def _measured(pose_stamp_ns: StampArray, log: AlignedLog) -> tuple[int, int]:
     return int(np.argmax(counts)), every
 
 
-def _most_telling(spans: Sequence[Span], axis: AxisMotion, period_s: float, most_s: float) -> tuple[Span, ...]:
+def _most_informative(spans: Sequence[Span], axis: AxisMotion, period_s: float, most_s: float) -> tuple[Span, ...]:
     """Return the spans, cut into pieces where they are too long, with most force until `most_s` are full.
 
     Ten minutes show no more than the best of them.

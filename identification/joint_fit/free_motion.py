@@ -18,7 +18,7 @@ from .noise import Smoother, Whitener, fit_smoother, fit_whitener
 from .segments import Segment, contact_segment, predict_force
 from .solve import Block, Point, Problem, Signals, linearise, minimise, sizes_of
 from .start import start_coupling
-from .windows import SHORTEST_S, joined, outside, telling_pieces, windows_of
+from .windows import SHORTEST_S, informative_pieces, joined, outside, windows_of
 from .yielding_robot import with_yielding_robot
 
 STEPS_FIRST, STEPS_LATER = 8, 4
@@ -281,7 +281,7 @@ def _start(
     # What the frequency domain shows up to where the log resolves the motion may explain more than any piece does.
     best, shown = values, shown_by(values)
     holding = max(whole, key=lambda span: sum(not outside(window, [span]) for window in shown), default=None)
-    pieces = telling_pieces([*whole, *mixed], data.position_m, data.force_n, data.period_s)[:_PIECE_STARTS]
+    pieces = informative_pieces([*whole, *mixed], data.position_m, data.force_n, data.period_s)[:_PIECE_STARTS]
     most = len(shown)
     for piece in [*([] if holding is None or not shown else [holding]), *pieces]:
         start = start_coupling(base, values, piece, data.mass_kg)[0]

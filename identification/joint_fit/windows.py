@@ -32,7 +32,7 @@ def windows_of(spans: Iterable[Segment], period_s: float) -> list[Segment]:
     return cut(spans, _WINDOW_S, period_s)
 
 
-def telling_pieces(
+def informative_pieces(
     spans: Iterable[Segment], position_m: FloatArray, force_n: FloatArray, period_s: float
 ) -> list[Segment]:
     """Return the pieces of two seconds in which nothing drives the payload, those whose force changes most first.

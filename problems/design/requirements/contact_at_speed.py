@@ -39,7 +39,7 @@ class ContactAtSpeed:
     """At most `max_force_n` [N] on whatever of the certified surfaces is touched at `speed_m_s`.
 
     What drives the payload goes on after the impact, as a hand that `pushes_on` or F^d does, or the hand `lets_go` at
-    the impact. A `body_region` (`BODY_REGIONS`) stands for its force; exactly one of both is given.
+    the impact. A `body_region` (`BODY_REGIONS`) gives its force; exactly one of both is given.
     """
 
     speed_m_s: float

@@ -40,7 +40,7 @@ def with_active(*active: ActiveConstraint) -> Optimized:
         ),
         (
             ActiveConstraint(name="modulus_margin", price=0.5, soft=True),
-            "modulus_margin is wished, not required: wishing 1 % less saves 0.50 N of peak and price",
+            "modulus_margin is a soft requirement: asking 1 % less saves 0.50 N of peak and price",
         ),
     ],
 )

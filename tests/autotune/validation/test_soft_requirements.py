@@ -60,7 +60,7 @@ def test_every_check_passes_and_the_file_is_read_back(tmp_path: Path) -> None:
     names = [check.name for check in report.checks]
     assert names.count("command noise") == names.count("passivity") == 1
     message = next(check.message for check in report.checks if check.name == "requirements")
-    assert "achieved of what was only wished: modulus_margin 0.4" in message
+    assert "achieved of soft requirements: modulus_margin 0.4" in message
     write_controller(tmp_path / "controller.yaml", wished())
     assert read_controller(tmp_path / "controller.yaml").controller == wished()
 

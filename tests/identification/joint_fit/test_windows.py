@@ -13,7 +13,7 @@ from identification.joint_fit.data import HeldCommand, JointData
 from identification.joint_fit.fit import identify_joint
 from identification.joint_fit.result import JointFit
 from identification.joint_fit.segments import Segment
-from identification.joint_fit.windows import joined, outside, telling_pieces, windows_of
+from identification.joint_fit.windows import informative_pieces, joined, outside, windows_of
 from identification.signals.segments import Span
 from problems.arrays import FloatArray
 from problems.model.robot import RobotModel
@@ -204,5 +204,5 @@ def test_the_pieces_that_show_are_those_that_nothing_drives() -> None:
     position = 0.01 * np.sin(2.0 * np.pi * 1.0 * time)
     speed, acceleration = np.gradient(position, H_S), np.gradient(np.gradient(position, H_S), H_S)
     force = np.where(time < 2.0, 300.0 * speed, -16.0 * acceleration)
-    pieces = telling_pieces([Segment(start=0, stop=2000)], position, np.asarray(force), H_S)
+    pieces = informative_pieces([Segment(start=0, stop=2000)], position, np.asarray(force), H_S)
     assert_array_equal([(piece.start, piece.stop) for piece in pieces], [(1000, 2000)])
