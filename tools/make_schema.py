@@ -1,4 +1,4 @@
-"""Make the JSON Schemas of controller.yaml, identified.yaml and cell.yaml from their records: types and `Rule`s.
+"""Make the JSON Schemas of the files that the tool writes, and of cell.yaml, from their records: types and `Rule`s.
 
 What has no default is required, and null is allowed where nothing else says that there is none. A number that is named
 like a parameter of the plant has the bounds of `PARAMETER_BOUNDS` unless it has a rule of its own.
@@ -13,12 +13,13 @@ from functools import reduce
 from pathlib import Path
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
-from autotune.formats import cell, controller, identified
+from autotune.formats import cell, controller, identified, schedule
 from autotune.formats.certificate_record import PARAMETER_BOUNDS
 from autotune.formats.controller_record import Controller
 from autotune.formats.records import ROTATIONAL_KEYS
 from autotune.formats.schema import VERSION
 from autotune.formats.units import ROTATIONAL_AXES
+from autotune.studies import pareto_file
 from identification.logs.roles.cell import Cell
 from identification.result import Identified
 from problems.frozen import NO_ENTRY, Rule
@@ -26,20 +27,31 @@ from problems.frozen import NO_ENTRY, Rule
 Node = dict[str, Any]
 _TYPES = {float: "number", int: "integer", bool: "boolean", str: "string", Path: "string", types.NoneType: "null"}
 _RECORD, _WIDTH = "record", 110
+_CHECKSUM: Node = {"description": "64 hexadecimal digits", "type": "string", "pattern": "^[0-9a-f]{64}$"}
+_PROVENANCE: Node = {"type": "object"}
 
 
 def controller_schema() -> Node:
     """Return the schema of `controller.yaml`."""
-    checksum = {"description": "64 hexadecimal digits", "type": "string", "pattern": "^[0-9a-f]{64}$"}
     title = "A tuned admittance controller and its certificate"
-    return _file(Controller, controller.FORMAT, title, {"checksum": checksum})
+    return _file(Controller, controller.FORMAT, title, {"checksum": _CHECKSUM})
 
 
 def identified_schema() -> Node:
     """Return the schema of `identified.yaml`."""
-    return _file(
-        Identified, identified.FORMAT, "Plant parameters identified from logs", {"provenance": {"type": "object"}}
-    )
+    return _file(Identified, identified.FORMAT, "Plant parameters identified from logs", {"provenance": _PROVENANCE})
+
+
+def schedule_schema() -> Node:
+    """Return the schema of `schedule.yaml`."""
+    title, last = "A table of controllers over payload and surface classes", {"provenance": _PROVENANCE}
+    return _file(schedule.ScheduleTable, schedule.FORMAT, title, {**last, "checksum": _CHECKSUM})
+
+
+def pareto_schema() -> Node:
+    """Return the schema of `pareto.yaml`."""
+    title = "Controllers that no other one beats"
+    return _file(pareto_file.ParetoTable, pareto_file.FORMAT, title, {"provenance": _PROVENANCE})
 
 
 def cell_schema() -> Node:
@@ -183,7 +195,13 @@ def _with_references(node: Any, definitions: dict[str, Node]) -> Any:
 
 def texts() -> dict[str, str]:
     """Return the files by the names of what they describe."""
-    made = {"controller": controller_schema(), "identified": identified_schema(), "cell": cell_schema()}
+    made = {
+        "controller": controller_schema(),
+        "identified": identified_schema(),
+        "cell": cell_schema(),
+        "schedule": schedule_schema(),
+        "pareto": pareto_schema(),
+    }
     return {name: _written(each, "") + "\n" for name, each in made.items()}
 
 

@@ -4,15 +4,18 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from decimal import Decimal
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from autotune.errors import AutotuneError, CertificateError, UsageError
+from problems.frozen import Rule
 
 from .atomic import check_target, write_folder_atomic
 from .canonical import checksum, dump_yaml, plain, short
+from .certificate_record import Axis
 from .controller import ControllerFile, controller_tree, read_controller
 from .controller_record import Controller
-from .records import rename_axis_keys
+from .proof_records import AboveZero
+from .records import record_tree, rename_axis_keys
 from .schema import VERSION, check_document, check_format, check_tree
 from .units import ROTATIONAL_AXES
 from .yaml12 import Document, load_document
@@ -27,6 +30,11 @@ _RANGES = ("payload_mass_kg", "environment_stiffness_n_per_m")
 _HEAD_BYTES = 256
 
 Interval = tuple[float, float]
+Range = tuple[AboveZero, AboveZero]
+Ranges = Annotated[tuple[Range, ...], Rule(minItems=1)]
+_PLAIN = Rule(maxLength=120, description="a plain file name, without a folder")
+FileName = Annotated[str, _PLAIN, Rule(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*\.yaml$")]
+Digest = Annotated[str, Rule(pattern="^[0-9a-f]{64}$", description="64 hexadecimal digits")]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,6 +93,58 @@ class ScheduleFile:
     path: Path
 
 
+@dataclass(frozen=True, kw_only=True)
+class ScheduledAxis:
+    """What the file says of one axis of a class: its worst peak, and what the common controller costs there."""
+
+    peak_force_n: AboveZero
+    peak_with_common_n: AboveZero | None
+    cost_n: float | None
+    cost_percent: float | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScheduledClass:
+    """What the file says of one class."""
+
+    name: Annotated[str, _PLAIN, Rule(pattern="^[A-Za-z0-9][A-Za-z0-9._-]*$")]
+    payload_mass_kg: Range | None = None
+    environment_stiffness_n_per_m: Range | None = None
+    file: FileName
+    checksum: Digest
+    axes: Annotated[Mapping[Axis, ScheduledAxis], Rule(minProperties=1)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class CommonController:
+    """What the file says of the controller over the hull of all classes."""
+
+    payload_mass_kg: Range | None = None
+    environment_stiffness_n_per_m: Range | None = None
+    file: FileName | None
+    checksum: Digest | None
+    refusal: str | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Coverage:
+    """The ranges that the classes cover together."""
+
+    payload_mass_kg: Ranges | None = None
+    environment_stiffness_n_per_m: Ranges | None = None
+    RULE = Rule(minProperties=1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScheduleTable:
+    """The entries of `schedule.yaml`, but for where it comes from."""
+
+    objective: Literal["contact_force", "sensor_force"]
+    covered: Coverage
+    common: CommonController
+    classes: Annotated[tuple[ScheduledClass, ...], Rule(minItems=1)]
+
+
 def worst_peaks(controller: Controller, objective: "PeakObjective") -> dict[str, float]:
     """Return the largest predicted peak of every axis (N, N·m), where the objective has it."""
     return {axis: max(map(objective.of_peak, each.scenarios)) for axis, each in controller.predicted.items()}
@@ -103,25 +163,21 @@ def covered(intervals: Iterable[Interval]) -> tuple[Interval, ...]:
 
 def schedule_tree(schedule: Schedule) -> dict[str, Any]:
     """Return the plain tree of `schedule.yaml`, its checksum last; raises ParameterError as `controller_tree` does."""
-    common = schedule.common
-    tree: dict[str, Any] = {
-        "format": FORMAT,
-        "version": VERSION,
-        "objective": schedule.objective.name,
-        "covered": {
-            name: plain(covered({getattr(each.of, name) for each in schedule.tuned}))
-            for name in _RANGES
-            if getattr(schedule.hull, name) is not None
-        },
-        "common": {
-            **_ranges(schedule.hull),
-            "file": None if common is None else COMMON_FILE,
-            "checksum": None if common is None else controller_tree(common)["checksum"],
-            "refusal": schedule.common_refusal or None,
-        },
-        "classes": [_class(each) for each in schedule.tuned],
-        "provenance": _provenance(schedule),
-    }
+    common, ranges = schedule.common, _ranges(schedule.hull)
+    table = ScheduleTable(
+        objective=schedule.objective.name,  # type: ignore[arg-type]  # the schema checks it
+        covered=Coverage(**{name: covered({getattr(each.of, name) for each in schedule.tuned}) for name in ranges}),
+        common=CommonController(
+            **ranges,
+            file=None if common is None else COMMON_FILE,
+            checksum=None if common is None else controller_tree(common)["checksum"],
+            refusal=schedule.common_refusal or None,
+        ),
+        classes=tuple(map(_class, schedule.tuned)),
+    )
+    tree = {"format": FORMAT, "version": VERSION, **record_tree(table), "provenance": _provenance(schedule)}
+    for each in tree["classes"]:
+        each["axes"] = {axis: rename_axis_keys(axis, cost, reading=False) for axis, cost in each["axes"].items()}
     tree["checksum"] = checksum(tree)
     check_tree(tree, "schedule")
     return tree
@@ -232,28 +288,28 @@ def _check_peaks(document: Document, index: int, file: ControllerFile) -> None:
         document.refuse(("classes", index, "axes"), reason)
 
 
-def _class(tuned: Tuned) -> dict[str, Any]:
-    return {
-        "name": tuned.of.name,
+def _class(tuned: Tuned) -> ScheduledClass:
+    return ScheduledClass(
+        name=tuned.of.name,
         **_ranges(tuned.of),
-        "file": f"{tuned.of.name}.yaml",
-        "checksum": controller_tree(tuned.controller)["checksum"],
-        "axes": {axis: rename_axis_keys(axis, _cost(tuned, axis), reading=False) for axis in tuned.peaks},
-    }
+        file=f"{tuned.of.name}.yaml",
+        checksum=controller_tree(tuned.controller)["checksum"],
+        axes={axis: _cost(tuned, axis) for axis in tuned.peaks},
+    )
 
 
-def _cost(tuned: Tuned, axis: str) -> dict[str, float | None]:
+def _cost(tuned: Tuned, axis: str) -> ScheduledAxis:
     peak, cost = tuned.peaks[axis], tuned.cost_n(axis)
-    return {
-        "peak_force_n": peak,
-        "peak_with_common_n": None if tuned.peaks_with_common is None else tuned.peaks_with_common[axis],
-        "cost_n": cost,
-        "cost_percent": None if cost is None else 100.0 * cost / peak,
-    }
+    return ScheduledAxis(
+        peak_force_n=peak,
+        peak_with_common_n=None if tuned.peaks_with_common is None else tuned.peaks_with_common[axis],
+        cost_n=cost,
+        cost_percent=None if cost is None else 100.0 * cost / peak,
+    )
 
 
-def _ranges(of: ScheduleClass) -> dict[str, list[float]]:
-    return {name: list(getattr(of, name)) for name in _RANGES if getattr(of, name) is not None}
+def _ranges(of: ScheduleClass) -> dict[str, Any]:
+    return {name: getattr(of, name) for name in _RANGES if getattr(of, name) is not None}
 
 
 def _provenance(schedule: Schedule) -> dict[str, Any]:

@@ -3,20 +3,25 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated, Literal
 
 import numpy as np
 
 from autotune.errors import AutotuneError, UsageError
+from autotune.formats.proof_records import Text
 from autotune.tuning.scenario_exchange import WholeSet
 from problems.arrays import FloatArray
 from problems.design.objectives import Objective
 from problems.design.problem import DesignProblem
 from problems.design.stable_design import StableDesign
 from problems.errors import ParameterError
-from problems.frozen import FrozenDict
+from problems.frozen import FrozenDict, Rule
 from problems.model.controller import AdmittanceController, Discretization
 
 from .plugins import Demand, ObjectiveLimit
+
+Sampler = Literal["tpe", "nsga2"]
+Count = Annotated[int, Rule(minimum=1)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,10 +42,10 @@ class Judgement:
 class StudyRecord:
     """What an Optuna study behind a front did: its name, sampler, finished trials, and how many were feasible."""
 
-    name: str
-    sampler: str
-    trials: int
-    feasible: int
+    name: Text
+    sampler: Sampler
+    trials: Count
+    feasible: Count
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import optuna
@@ -36,6 +36,7 @@ from .points import (
     Front,
     Judge,
     Judgement,
+    Sampler,
     StudyRecord,
     build_controller,
     index_of,
@@ -43,8 +44,6 @@ from .points import (
     undominated,
 )
 from .storage import Storage, named_failures, quiet_optuna
-
-Sampler = Literal["tpe", "nsga2"]
 
 _FINISHED = (TrialState.COMPLETE, TrialState.PRUNED)
 # Constraints are logarithms of required/achieved: an unstable trial misses more than any stable one.

@@ -20,9 +20,9 @@ from sqlalchemy import create_engine, text
 
 from autotune.errors import InfeasibleError, UsageError
 from autotune.studies.plugins import ObjectiveLimit
-from autotune.studies.points import STRUCTURES, Judge, build_controller, check_choices
+from autotune.studies.points import STRUCTURES, Judge, Sampler, build_controller, check_choices
 from autotune.studies.storage import Storage, close_storage, open_storage, quiet_optuna
-from autotune.studies.study import Sampler, StudyPlan, is_feasible, run_study
+from autotune.studies.study import StudyPlan, is_feasible, run_study
 from autotune.tuning.bounds import LINEAR_VARIABLES
 from autotune.tuning.search import presentable
 from problems.design.evaluation import build_scenarios
