@@ -1,8 +1,8 @@
 """That every contact of a set comes to rest: a multiplier for the unilateral spring in the sampled loop, in balls.
 
-Held at the wall's place the payload answers to the contact force p by x_p = −G p, with the continuous plant between the
-ticks and the held command: on the frequencies ω_k = ω + 2πk/h that a sampler mixes (Chen and Francis, Optimal
-Sampled-Data Control Systems, 1995)
+In free space the payload answers to a contact force p with x_p = −G p: the continuous plant, and the sampled loop that
+moves it. On the frequencies ω_k = ω + 2πk/h that a sampler mixes (Chen and Francis, Optimal Sampled-Data Control
+Systems, 1995)
 
     G_kl = P(jω_k) δ_kl + A_k D(e^{jωh}) W_l / h
 
@@ -11,7 +11,6 @@ from the held command to x_p. With a multiplier M the contact comes to rest if M
 part, uniformly in ω and the plant (docs/method.md, "Bouncing").
 """
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -33,6 +32,7 @@ from .certify import CELL_WORK
 from .circle import Circle
 from .family import LAG, LATE, Family
 from .law import law_polynomials
+from .other_frequencies import OtherFrequencies
 from .plant_cells import Raw, coefficients, half_widths, loop_groups, with_derivatives
 from .plant_polynomials import plant_polynomials
 from .taylor import Taylor, taylor_of, turned
@@ -43,9 +43,7 @@ _AT_ONCE = 4096
 _NARROWEST = 1e-7
 # Some roundings of one operation.
 _EPS = 8.0 * float(np.finfo(np.float64).eps)
-_OUT = 1.0 + 1e-9
-# ζ(2) and ζ(4) bound the sums over the frequencies that the sampler mixes: they are at least mπ/h for m = 1, 2, …
-_SUM_OF_SQUARES, _SUM_OF_FOURTH = math.pi**2 / 6.0, math.pi**4 / 90.0
+DAMPING = "environment_damping_n_s_per_m"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,7 +74,7 @@ def prove_rest(
     Parameters
     ----------
     family
-        Plants in contact, without damping of the environment; what is proved for the stiffest K_e holds for all below.
+        Plants in contact; what is proved for the stiffest K_e and the largest B_e holds for all below.
     law
         The control law under the hold of the family; not one that holds a position, or follows it.
     multiplier
@@ -111,12 +109,26 @@ def check_covered(family: Family, law: Controller) -> Any:
     found = law_polynomials(law, family.sample_time_s)
     if found.holds_position or found.follows:
         raise ParameterError("law", "one with the measured position", "one whose command is an integral of the force")
-    damping = family.range_of("environment_damping_n_s_per_m")
-    if damping != (0.0, 0.0):
-        raise ParameterError("environment_damping_n_s_per_m", damping, "0 in this proof")
     if family.shared_delay is not None and found.position:
         raise ParameterError(LATE, family.shared_delay[1], "0 for a law that reads the position too, which is not late")
     return found
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Port:
+    """The contact below π/h: `spring` M (G + 1/K_e), `velocity` s G, `across` ½ (M G + κ conj(s G)).
+
+    `driven` is M A D/h, `moved` s A D/h, `sensed` W and `through` w D/z^c; `velocity` and `across` are 0 for a surface
+    without damping.
+    """
+
+    spring: Taylor
+    velocity: Taylor
+    across: Taylor
+    driven: Taylor
+    moved: Taylor
+    sensed: Taylor
+    through: Taylor
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,7 +143,7 @@ class _Proof:
 
     def __init__(self, family: Family, law: Controller, multiplier: Multiplier, work: int) -> None:
         self.law = check_covered(family, law)
-        self.stiffness = family.range_of(STIFFNESS)[1]
+        self.stiffness, self.damping = family.range_of(STIFFNESS)[1], family.range_of(DAMPING)[1]
         self.family, self.multiplier, self.h = family.in_free_space(), multiplier, family.sample_time_s
         self.box = self.family.box()
         whole, has_fraction = self.family.delay()
@@ -139,7 +151,7 @@ class _Proof:
         groups = self._groups(plant_polynomials(self.family, self.box, None))
         sizes = tuple(len(part) for part in groups)
         self.circle = Circle(self.law, self.chain, sizes, is_deflated=True, pull=True)
-        self.others = _OtherFrequencies.of(self.family, multiplier, self.stiffness)
+        self.others = OtherFrequencies.of(self.family, multiplier, self.stiffness, self.damping)
         first = np.arange(self.circle.count_of_first)
         self.waiting = [_Part(cell=self.box, arcs=first, share=1.0)]
         self.most, self.work, self.cells, self.arcs, self.share = work, 0, 0, 0, 0.0
@@ -189,15 +201,23 @@ class _Proof:
 
     def judge(self, arcs: IntArray, cell: FloatArray, plants: PlantCell) -> tuple[_Flags, _Flags, FloatArray]:
         """Return on which arcs the claim holds, where it does in the middle, and what each direction loses."""
-        own, driven, sensed, through = self.response(arcs, cell, plants)
-        whole = own + driven * sensed
-        holds = self.others.leave(whole.least_real(), driven.magnitude(), sensed.magnitude(), through.magnitude())
-        sizes = [np.abs(each.terms[:, 0]) for each in (driven, sensed, through)]
-        in_middle = self.others.leave(whole.terms[:, 0].real, *sizes)
-        return holds, in_middle, np.abs(whole.terms[:, 1:].real) + whole.rest
+        port = self.response(arcs, cell, plants)
+        spring, sizes = port.spring, (port.driven, port.sensed, port.through, port.moved, port.across)
+        in_middle = self.others.leave(
+            spring.terms[:, 0].real, port.velocity.terms[:, 0].real, *(np.abs(each.terms[:, 0]) for each in sizes)
+        )
+        holds = self.others.leave(
+            spring.least_real(), port.velocity.least_real(), *(each.magnitude() for each in sizes)
+        )
+        lost = np.abs(spring.terms[:, 1:].real) + spring.rest
+        if self.damping > 0.0:
+            # Each in units of its own size.
+            parts = (spring, port.velocity.plus(1.0 / self.damping), port.across)
+            lost = np.sum([(np.abs(e.terms[:, 1:]) + e.rest) / np.abs(e.terms[:, :1]) for e in parts], axis=0)
+        return holds, in_middle, np.asarray(lost)
 
-    def response(self, arcs: IntArray, cell: FloatArray, plants: PlantCell) -> tuple[Taylor, Taylor, Taylor, Taylor]:
-        """Return M (P + 1/K_e), M A D/h and W below π/h, and w D/z^c; M (G + 1/K_e) is the first + 2nd · 3rd.
+    def response(self, arcs: IntArray, cell: FloatArray, plants: PlantCell) -> "_Port":
+        """Return how the contact answers below π/h.
 
         With A = P (K_s + B_s s) r e^{−sT_d} (1 − 1/z)/s and D = β_F z^c d/(w χ/w) nothing of it is large at s = 0.
         """
@@ -213,12 +233,26 @@ class _Proof:
         over_s = values.widened(multiplier_over_s(self.multiplier, middle, found.half, self.h))
         stiff = values["coupling_stiffness_n_per_m"] + values["coupling_damping_n_s_per_m"] * values.s
         payload = values.payload()
-        own = (payload.plus(1.0 / self.stiffness)) * values.s * over_s
-        driven = over_s * payload * stiff * values.robot() * values.late(self.chain - 1) * through
+        moved = (payload * stiff * values.robot() * values.late(self.chain - 1) * through).times(1.0 / self.h)
         sensed = payload * stiff
         if LAG in self.family.varying or self.family.nominal.wrench_filter.time_constant_s > 0.0:
             sensed = sensed * (values[LAG] * values.s).plus(1.0).inverse()
-        return own, driven.times(1.0 / self.h), sensed, through
+        driven, multiplied = over_s * moved, values.s * over_s
+        spring = payload.plus(1.0 / self.stiffness) * multiplied + driven * sensed
+        velocity = across = moved.times(0.0)
+        if self.damping > 0.0:
+            velocity = moved * sensed + values.s * payload
+            turned_back = velocity.conjugate().times(self.multiplier.damper_s)
+            across = (multiplied * payload + driven * sensed + turned_back).times(0.5)
+        return _Port(
+            spring=spring,
+            velocity=velocity,
+            across=across,
+            driven=driven,
+            moved=moved,
+            sensed=sensed,
+            through=through,
+        )
 
 
 def multiplier_over_s(multiplier: Multiplier, middle: FloatArray, half: FloatArray, sample_time_s: float) -> Taylor:
@@ -307,46 +341,3 @@ def _polynomial(ascending: FloatArray, s: Taylor) -> Taylor:
     for each in ascending[-2::-1]:
         out = (out * s).plus(float(each))
     return out
-
-
-@dataclass(frozen=True, kw_only=True)
-class _OtherFrequencies:
-    """Bounds on all that lies above π/h, in units of the least real part there: of A M/h and of W."""
-
-    drives: float
-    senses: float
-
-    @classmethod
-    def of(cls, family: Family, multiplier: Multiplier, stiffness: float) -> "_OtherFrequencies":
-        """Return them over all plants of a family in free space; infinite where there are none.
-
-        |P|, |r| and |K_s + B_s s| over ω are bounded at ω = π/h, and fall from there on.
-        """
-        omega, ranges = math.pi / family.sample_time_s, family.range_of
-        k_s, b_s = ranges("coupling_stiffness_n_per_m")[1], ranges("coupling_damping_n_s_per_m")[1]
-        payload = ranges(MASS)[0] * omega**2 / _OUT - k_s
-        numerator, denominator = family.nominal.robot.ascending()
-        faster = ranges("robot_bandwidth_hz")[1] / bandwidth_hz(family.nominal.robot)
-        powers = (omega / faster / _OUT) ** np.arange(len(denominator))
-        robot = powers[-1] - float(np.sum(np.abs(denominator[:-1]) * powers[:-1])) * _OUT
-        if not (payload > 0.0 and robot > 0.0):
-            return cls(drives=math.inf, senses=math.inf)
-        gain = (k_s + b_s * omega) / payload
-        real = multiplier.least_real(omega) / stiffness / _OUT - multiplier.weight / payload * _OUT
-        if not real > 0.0:
-            return cls(drives=math.inf, senses=math.inf)
-        moved = float(np.sum(np.abs(numerator) * powers[: len(numerator)])) / robot
-        drive = (multiplier.rate_s + multiplier.weight / omega) * gain * moved / family.sample_time_s
-        return cls(
-            drives=drive * math.sqrt(_SUM_OF_FOURTH / real) * _OUT,
-            senses=gain * math.sqrt(_SUM_OF_SQUARES / real) * _OUT,
-        )
-
-    def leave(self, least: FloatArray, driven: FloatArray, sensed: FloatArray, closed: FloatArray) -> NDArray[np.bool_]:
-        """Return where the part below π/h is positive whatever the others add: a Schur complement, bounded."""
-        drives = closed * self.drives
-        across = driven * self.senses + sensed * drives
-        room = 1.0 - drives * self.senses
-        if not math.isfinite(self.drives):
-            return np.zeros(len(least), dtype=bool)
-        return np.asarray((room > 0.0) & (least * room > 0.25 * across**2 * _OUT))

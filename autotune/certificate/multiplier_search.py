@@ -6,6 +6,7 @@ A multiplier is a certificate: however it was found, `bouncing.prove_rest` shows
 import itertools
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.optimize import linprog
@@ -17,11 +18,12 @@ from problems.model.plant import FREE_SPACE, Plant
 from problems.model.response import controller_response, plant_response
 from problems.model.sampled import Controller, build_sampled_plant
 
-from .bouncing import check_covered
+from .bouncing import DAMPING, check_covered
 from .family import Family
 
 _SHIFTS = tuple(float(each) for each in np.round(np.geomspace(2e-4, 0.1, 28), 6))
 _RATES = (0.3, 3.0, 30.0, 100.0, 300.0)
+_DAMPERS = tuple(float(f"{each:.3g}") for each in np.geomspace(1e-6, 1.0, 49))
 _FREQUENCIES, _LOWEST, _EVEN = 250, 0.02, 250
 _MOST_VARYING, _MASSES = 3, 3
 # The multiplier is looked at as a share of its size at this frequency [rad/s] and above.
@@ -67,23 +69,47 @@ def find_multiplier(families: Sequence[Family], law: Controller) -> Multiplier |
     basis = [_CORNER**-1 * 1j * omega, *(-np.expm1(-1j * omega * shift) for shift in _SHIFTS)]
     basis += [1j * omega / (1j * omega + rate) for rate in _RATES]
     columns, scale = np.stack(basis, axis=1), np.abs(1j * omega / (1j * omega + _CORNER))
+    answers = [spring_response(plant, law, h, omega) for family in families for plant in _plants(family)]
     rows = []
-    for plant in (plant for family in families for plant in _plants(family)):
-        answer = spring_response(plant, law, h, omega) + 1.0 / stiffness
-        rows.append(np.real(columns * (answer / np.abs(answer) / scale)[:, None]))
+    for answer in answers:
+        sprung = answer + 1.0 / stiffness
+        rows.append(np.real(columns * (sprung / np.abs(sprung) / scale)[:, None]))
     found = _most_room(np.concatenate(rows))
     if found is None:
         return None
     kept = [float(f"{each:.{_DIGITS}g}") if each > _SMALL else 0.0 for each in found]
     shifts = [(place, weight) for place, weight in zip(_SHIFTS, kept[1:], strict=False) if weight > 0.0]
     fading = [(place, weight) for place, weight in zip(_RATES, kept[1 + len(_SHIFTS) :], strict=True) if weight > 0.0]
-    return Multiplier(
+    multiplier = Multiplier(
         rate_s=float(f"{kept[0] / _CORNER:.{_DIGITS}g}"),
         shifts_s=tuple(place for place, _ in shifts),
         shift_weights=tuple(weight for _, weight in shifts),
         fading_per_s=tuple(place for place, _ in fading),
         fading_weights=tuple(weight for _, weight in fading),
+        damper_s=0.0,
     )
+    damping = families[0].range_of(DAMPING)[1]
+    if damping == 0.0:
+        return multiplier
+    return _with_damper(multiplier, omega, answers, stiffness, damping)
+
+
+def _with_damper(
+    multiplier: Multiplier, omega: FloatArray, answers: list[ComplexArray], stiffness: float, damping: float
+) -> Multiplier | None:
+    """Return the multiplier with the weight κ of the damper that leaves the most room; None where there is none.
+
+    Spring and damper together are lossy if 4 Re(M (G + 1/K_e)) κ (Re sG + 1/B_e) > |M G + κ conj(sG)|².
+    """
+    response, answer = multiplier.response(omega)[None, :], np.array(answers)
+    spring, moved = np.real(response * (answer + 1.0 / stiffness)), 1j * omega[None, :] * answer
+    lossy = np.real(moved) + 1.0 / damping
+    room = [
+        float(np.min(4.0 * spring * each * lossy / np.abs(response * answer + each * np.conj(moved)) ** 2))
+        for each in _DAMPERS
+    ]
+    best = int(np.argmax(room))
+    return replace(multiplier, damper_s=_DAMPERS[best]) if room[best] > 1.0 else None
 
 
 def _plants(family: Family) -> list[Plant]:

@@ -71,6 +71,10 @@ class Taylor:
         terms[:, 0] += number
         return Taylor(terms=terms, rest=_with_rounding(self.rest, np.abs(terms[:, 0]) + abs(number)))
 
+    def conjugate(self) -> "Taylor":
+        """Return its complex conjugate."""
+        return Taylor(terms=np.conj(self.terms), rest=self.rest)
+
     def inverse(self) -> "Taylor":
         """Return 1/value; unbounded where a half of a_0 may be lost."""
         first = self.terms[:, :1]

@@ -67,8 +67,9 @@ class BouncingProof:
             Multiplier,
             Rule(
                 description="M(s) = η s + Σ c (1 − e^(−sτ)) + Σ b s/(s + λ) of a contact spring: η is rate_s, τ and c "
-                "are shifts_s and shift_weights, λ and b fading_per_s and fading_weights",
-                properties={"rate_s": Rule(minimum=0)},
+                "are shifts_s and shift_weights, λ and b fading_per_s and fading_weights; "
+                "damper_s weighs the surface's damper",
+                properties={"rate_s": Rule(minimum=0), "damper_s": Rule(minimum=0)},
             ),
         ]
         | None

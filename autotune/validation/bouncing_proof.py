@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 
-from autotune.certificate.bouncing import RestOutcome, prove_rest
+from autotune.certificate.bouncing import DAMPING, RestOutcome, prove_rest
 from autotune.certificate.certify import WORK_PER_SECOND
 from autotune.certificate.family import PROVABLE, build_families
 from autotune.certificate.multiplier_search import find_multiplier
@@ -22,7 +22,6 @@ from .bouncing import BounceSearch, RefutedError, search_bouncing
 from .report import Check
 
 METHOD = "Popov and Zames-Falb multiplier of the contact spring in the sampled loop, in ball arithmetic"
-_DAMPING = "environment_damping_n_s_per_m"
 _SAME_NUMBER = 1e-6
 
 
@@ -115,9 +114,10 @@ def _proved(
     prover: Prover, plants: PlantSet, law: AdmittanceController, sample_time_s: float, options: ProofOptions
 ) -> BouncingProof | None:
     """Return the widest set for which a multiplier is found that proves it; None where there is none."""
-    further = tuple(key for key in plants.further if key in PROVABLE and key != _DAMPING)
+    further = tuple(key for key in plants.further if key in PROVABLE)
+    undamped = tuple(key for key in further if key != DAMPING)
     work = int(options.further_s * WORK_PER_SECOND)
-    for over in dict.fromkeys(((*ALWAYS_UNCERTAIN, *further), ALWAYS_UNCERTAIN)):
+    for over in dict.fromkeys((*ALWAYS_UNCERTAIN, *each) for each in (further, undamped, ())):
         box = plants.only(over)
         try:
             multiplier = find_multiplier(build_families(box.nominal, box.ranges, sample_time_s), law)
@@ -128,7 +128,7 @@ def _proved(
             )
             found = prover.once(claim, claim.prove)
         except ParameterError:
-            # A damped surface, or a late wrench beside a law that reads the position.
+            # A late wrench beside a law that reads the position.
             continue
         if found.holds:
             return BouncingProof(

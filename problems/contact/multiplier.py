@@ -5,19 +5,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .._checks import non_negative
 from ..arrays import ComplexArray, FloatArray
 from ..errors import ParameterError
 
 
 @dataclass(frozen=True, kw_only=True)
 class Multiplier:
-    """M(s) = η s + Σ c (1 − e^{−sτ}) + Σ b s/(s + λ), causal and without a negative coefficient.
+    """M(s) = η s + Σ c (1 − e^{−sτ}) + Σ b s/(s + λ), causal and without a negative coefficient, and κ.
 
     `rate_s` is η [s], Popov's term; `shifts_s` are the τ [s] and `shift_weights` their c; `fading_per_s` are the
     λ [1/s] and `fading_weights` their b, each a mixture of shifts whose weight decays (Zames and Falb, *SIAM Journal on
     Control* 6(1), 1968; O'Shea, *IEEE Transactions on Automatic Control* 12(6), 1967). M(0) = 0, so that it takes out
-    the integrator of free space. Raises ParameterError for a coefficient below 0, a τ or λ that is not above 0, and
-    where no b is above 0.
+    the integrator of free space. `damper_s` is κ [s], the weight of the surface's damper, 0 where there is none.
+    Raises ParameterError for a coefficient below 0, a τ or λ that is not above 0, and where no b is above 0.
     """
 
     rate_s: float
@@ -25,6 +26,7 @@ class Multiplier:
     shift_weights: tuple[float, ...]
     fading_per_s: tuple[float, ...]
     fading_weights: tuple[float, ...]
+    damper_s: float
 
     def __post_init__(self) -> None:
         for places, weights in (("shifts_s", "shift_weights"), ("fading_per_s", "fading_weights")):
@@ -33,8 +35,8 @@ class Multiplier:
                 raise ParameterError(f"multiplier.{places}", where, "above 0")
             if len(where) != len(found) or not all(0.0 <= each < math.inf for each in found):
                 raise ParameterError(f"multiplier.{weights}", found, f"one number from 0 for each of {places}")
-        if not 0.0 <= self.rate_s < math.inf:
-            raise ParameterError("multiplier.rate_s", self.rate_s, "a number from 0")
+        for name in ("rate_s", "damper_s"):
+            non_negative(f"multiplier.{name}", getattr(self, name))
         if not sum(self.fading_weights) > 0.0:
             raise ParameterError("multiplier.fading_weights", self.fading_weights, "at least one above 0")
 

@@ -24,8 +24,8 @@ from problems.model.sampled import build_sampled_plant
 from problems.stability.margins import UnstableLoopError
 from tests.autotune.certificate.loops import family
 from tests.autotune.certificate.test_enclosures import LAWS, ROBOTS, TWO_POLES
-from tests.problems.axes import PERIOD_S, admittance, paper_plant
-from tests.problems.contact.test_bouncing import BOUNCY, CALMED, bouncing_plant
+from tests.problems.axes import PERIOD_S, admittance, linear_controller, paper_plant
+from tests.problems.contact.test_bouncing import BOUNCY, CALMED, K_E, bouncing_plant
 
 WORK = 40_000
 SOME = Multiplier(
@@ -34,6 +34,7 @@ SOME = Multiplier(
     shift_weights=(0.3, 0.2, 0.02),
     fading_per_s=(1.0, 30.0),
     fading_weights=(0.02, 0.3),
+    damper_s=0.02,
 )
 
 
@@ -82,24 +83,31 @@ def test_the_spring_sees_an_integrator_at_rest() -> None:
 def test_the_enclosures_hold_the_response_of_every_plant_of_a_cell(law: AdmittanceController) -> None:
     plant = damped(wrench_filter=WrenchFilter(time_constant_s=8e-4))
     of = family(
-        (1e5, 1.3e5), (15.0, 15.4), nominal=plant, coupling_damping_n_s_per_m=(118.0, 122.0), delay_s=(2.0e-3, 2.01e-3)
+        (1e5, 1.3e5),
+        (15.0, 15.4),
+        nominal=plant,
+        coupling_damping_n_s_per_m=(118.0, 122.0),
+        delay_s=(2.0e-3, 2.01e-3),
+        environment_damping_n_s_per_m=(0.0, 50.0),
     )
     proof = bouncing._Proof(of, law, SOME, WORK)
     cell, rng = proof.box, np.random.default_rng(5)
     plants = with_derivatives(cell, [proof._groups(each) for each in coefficients(proof.family, cell)])
     arcs = proof.circle.halves(proof.circle.halves(proof.circle.halves(np.arange(proof.circle.count_of_first))))
-    own, driven, sensed, _ = proof.response(arcs, cell, plants)
-    whole = own + driven * sensed
+    port = proof.response(arcs, cell, plants)
     for i in range(0, len(arcs), 7):
         for _ in range(3):
             low, high = proof.circle.angles(arcs)[i]
             omega = np.array([rng.uniform(low, high) / PERIOD_S])
             there = proof.family.plant(cell[:, 0] + rng.random(len(cell)) * np.ptp(cell, axis=1))
-            exact = SOME.response(omega) * (spring_response(there, law, PERIOD_S, omega) + 1.0 / 1.3e5)
-            # Beside what is bounded there is the rounding of the plain floats.
-            spread = whole.magnitude()[i] - abs(whole.terms[i, 0])
-            assert abs(exact[0] - whole.terms[i, 0]) <= spread + 1e-9 * abs(exact[0])
-            assert whole.least_real()[i] <= exact[0].real + 1e-9 * abs(exact[0])
+            answer, response = spring_response(there, law, PERIOD_S, omega), SOME.response(omega)
+            spring, velocity = response * (answer + 1.0 / 1.3e5), 1j * omega * answer
+            across = 0.5 * (response * answer + SOME.damper_s * np.conj(velocity))
+            for exact, found in ((spring, port.spring), (velocity, port.velocity), (across, port.across)):
+                # Beside what is bounded there is the rounding of the plain floats.
+                spread = found.magnitude()[i] - abs(found.terms[i, 0]) + 1e-9 * abs(exact[0])
+                assert abs(exact[0] - found.terms[i, 0]) <= spread
+                assert found.least_real()[i] <= exact[0].real + 1e-9 * abs(exact[0])
 
 
 @cache
@@ -107,25 +115,36 @@ def paper_set() -> tuple[Family, AdmittanceController]:
     return family((2e4, 5e5), (14.0, 24.0)), admittance(10.0, 1600.0, 0.02, 0.01)
 
 
-def least_eigenvalues(plant: Plant, law: AdmittanceController, multiplier: Multiplier, omega: FloatArray) -> FloatArray:
-    """Return the least eigenvalue of the Hermitian part of M (G + 1/K_e), over K_e, on 31 frequencies that mix."""
-    stiffness, found = plant.environment.stiffness_n_per_m, []
+def least_eigenvalues(plant: Plant, law: AdmittanceController, by: Multiplier, omega: FloatArray) -> FloatArray:
+    """Return the least eigenvalue of the Hermitian part of what spring and damper take, on 31 frequencies that mix.
+
+    Forces are in units that make what each takes alone 1, but for M.
+    """
+    stiffness, damping, found = plant.environment.stiffness_n_per_m, plant.environment.damping_n_s_per_m, []
     for each in omega:
         s, given, moved, sensed, closed = lifted(plant, law, float(each), 15)
-        matrix = np.diag(given + 1.0 / stiffness) + np.outer(moved, sensed) * closed / PERIOD_S
-        matrix = multiplier.response(s.imag)[:, None] * matrix
-        found.append(np.linalg.eigvalsh(0.5 * (matrix + matrix.conj().T))[0] * stiffness)
+        answer, one = np.diag(given) + np.outer(moved, sensed) * closed / PERIOD_S, np.eye(len(s))
+        response = by.response(s.imag)[:, None]
+        matrix = response * (stiffness * answer + one)
+        if damping > 0.0:
+            lossy = damping * s[:, None] * answer
+            size = (damping * stiffness / by.damper_s) ** 0.5
+            beside = size * by.damper_s * s[:, None] * answer
+            matrix = np.block([[matrix, size * response * answer], [beside, lossy + one]])
+        found.append(np.linalg.eigvalsh(0.5 * (matrix + matrix.conj().T))[0])
     return np.array(found)
 
 
-def test_what_is_proved_is_positive_on_the_frequencies_that_mix() -> None:
+@pytest.mark.parametrize("damping", [0.0, 300.0])
+def test_what_is_proved_is_positive_on_the_frequencies_that_mix(damping: float) -> None:
     of, law = paper_set()
+    of = replace(of, ranges={**of.ranges, "environment_damping_n_s_per_m": (0.0, damping)})
     multiplier = find_multiplier([of], law)
     assert multiplier is not None
     assert prove_rest(of, law, multiplier, work=WORK).holds
-    omega = np.concatenate([np.geomspace(0.01, 3000.0, 40), [3926.0]])
+    omega = np.concatenate([np.geomspace(0.01, 3000.0, 9), [3926.0]])
     for mass in (14.0, 24.0):
-        plant = of.nominal.in_contact_with(Environment(stiffness_n_per_m=5e5))
+        plant = of.nominal.in_contact_with(Environment(stiffness_n_per_m=5e5, damping_n_s_per_m=damping))
         plant = replace(plant, payload=replace(plant.payload, mass_kg=mass))
         assert np.all(least_eigenvalues(plant, law, multiplier, omega) > 0.0)
 
@@ -141,7 +160,9 @@ def test_a_damped_oscillator_is_proved_up_to_its_circle(share: float, holds: boo
     ratio = damping / (2.0 * (coupling * mass) ** 0.5)
     largest = share * 4.0 * ratio * (1.0 + ratio) * coupling
     plant = paper_plant(stiffness=largest, mass=mass, drag=damping, coupling=coupling)
-    circle = Multiplier(rate_s=0.0, shifts_s=(), shift_weights=(), fading_per_s=(3.0,), fading_weights=(1.0,))
+    circle = Multiplier(
+        rate_s=0.0, shifts_s=(), shift_weights=(), fading_per_s=(3.0,), fading_weights=(1.0,), damper_s=0.0
+    )
     (of,) = build_families(plant, {}, PERIOD_S)
     assert prove_rest(of, admittance(10.0, 2e5, 0.0), circle, work=WORK).holds is holds
     # With Popov's term, the energy of the spring, any stiffness will do.
@@ -159,7 +180,8 @@ def test_nothing_that_bounces_is_proved_by_any_multiplier() -> None:
             damping_n_s_per_m=float(rng.uniform(3000.0, 4200.0)),
             feedback_damping_s=float(rng.uniform(0.018, 0.03)),
         )
-        plant = bouncing_plant()
+        surface = Environment(stiffness_n_per_m=K_E, damping_n_s_per_m=float(rng.choice([0.0, 1.0, 10.0])))
+        plant = bouncing_plant().in_contact_with(surface)
         (of,) = build_families(plant, {}, PERIOD_S)
         found = find_multiplier([of], law)
         multipliers = [each for each in (found, SOME) if each is not None]
@@ -195,8 +217,10 @@ def test_the_shared_case_has_no_multiplier_and_the_calmed_one_is_proved() -> Non
 def test_what_it_does_not_cover_is_refused() -> None:
     of, law = paper_set()
     damped_surface = replace(of, ranges={**of.ranges, "environment_damping_n_s_per_m": (0.0, 50.0)})
-    with pytest.raises(ParameterError, match="environment_damping"):
-        prove_rest(damped_surface, law, SOME, work=WORK)
+    assert prove_rest(damped_surface, law, replace(SOME, damper_s=0.0), work=WORK).share == 0.0
+    follows = linear_controller(law, PERIOD_S)
+    with pytest.raises(ParameterError, match="law"):
+        prove_rest(of, replace(follows, follows_position=True), SOME, work=WORK)
     # A payload that swings faster than half the sampling frequency is not bounded.
     light = family((2e4, 5e5), (0.01, 0.01))
     assert prove_rest(light, law, SOME, work=WORK).share == 0.0

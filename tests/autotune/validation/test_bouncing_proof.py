@@ -4,11 +4,12 @@ from dataclasses import replace
 
 import pytest
 
+from autotune.cli._proved import rest_lines
 from autotune.formats.controller_record import Controller, admittance_controller
 from autotune.formats.proof_records import BouncingProof
 from autotune.validation import bouncing
 from autotune.validation.axis_proof import ProofOptions, Prover
-from autotune.validation.bouncing import RefutedError
+from autotune.validation.bouncing import RUNS, RefutedError, drawn_plants, drawn_ratios
 from autotune.validation.bouncing_proof import check_bouncing, covers, prove_bouncing
 from autotune.validation.report import Check
 from problems.contact.multiplier import Multiplier
@@ -17,7 +18,9 @@ from tests.autotune.tuning.cases import small_controller, uncertain_optimized
 from tests.autotune.validation.bouncing_cases import bouncing_controller, written
 from tests.problems.contact.test_bouncing import BOUNCY, CALMED, PERIOD_S
 
-WRONG = Multiplier(rate_s=0.0, shifts_s=(0.05,), shift_weights=(1.0,), fading_per_s=(300.0,), fading_weights=(0.01,))
+WRONG = Multiplier(
+    rate_s=0.0, shifts_s=(0.05,), shift_weights=(1.0,), fading_per_s=(300.0,), fading_weights=(0.01,), damper_s=0.0
+)
 
 
 def stated(of: Controller, **changes: object) -> BouncingProof:
@@ -88,10 +91,29 @@ def test_without_a_budget_or_a_multiplier_the_search_speaks(monkeypatch: pytest.
     assert not wrong.passed
 
 
-def test_a_set_with_damped_surfaces_is_proved_without_their_damping_and_searched_with_it() -> None:
+def test_everything_that_is_uncertain_is_proved_with_damped_surfaces_among_it() -> None:
     of = uncertain_optimized().controller
-    said = stated(of)
-    domain = of.certificate.domain["x"]
-    assert said.is_proved
-    assert set(said.over) == {*ALWAYS_UNCERTAIN, *(domain.uncertain or {})} - {"environment_damping_n_s_per_m"}
-    assert covers(said, domain) is ("environment_damping_n_s_per_m" not in (domain.uncertain or {}))
+    said, domain = stated(of), of.certificate.domain["x"]
+    assert set(said.over) == {*ALWAYS_UNCERTAIN, *(domain.uncertain or {})}
+    assert covers(said, domain)
+    assert (said.share, said.impacts) == (1.0, 0.0)
+
+
+def test_the_terminal_says_over_what_it_is_proved_or_how_many_impacts_were_followed() -> None:
+    of = small_controller()
+    (line,) = rest_lines(of)
+    assert line == "axis x: every contact comes to rest, over K_e, M_p, proved"
+    searched = stated(of, share=0.0, multiplier=None, impacts=1044.0)
+    (line,) = rest_lines(replace(of, certificate=replace(of.certificate, bouncing={"x": searched})))
+    assert line.endswith("1044 impacts on plants of the whole set come to rest, sampled")
+
+
+def test_where_only_stiffness_and_mass_are_proved_fewer_impacts_are_followed() -> None:
+    of = uncertain_optimized().controller
+    said = stated(of, over=ALWAYS_UNCERTAIN)
+    plants = drawn_plants(of.certificate.domain["x"])
+    followed = sum(map(len, drawn_ratios(len(plants), is_short=True)))
+    assert followed < RUNS
+    proved, searched = checks(of, replace(said, impacts=float(followed)))
+    assert proved.passed
+    assert searched.message.startswith(f"none found: {followed} impacts on {len(plants)} plants")
