@@ -76,7 +76,7 @@ Robot bandwidth and surfaces over robot travel, value ± standard deviation and 
 
 ## Predicted beside measured peaks
 
-At the measured speed of the approach, with gains and F^d of the contact (traces: M_a 13 kg, B_a 1000 N·s/m, K_l 0.02 s,
+At the measured speed of the approach, with gains and F^d of the contact (traces: M_a 13 kg, B_a 1000 N·s/m, K_l 20 ms,
 30 N). A trace `_coll` ran with a collision response: it gives a stiffness and is no contact to predict. What a log
 predicts of itself with the stiffness of another is "in part"; "held out" is what took part on neither side. "and more":
 on some of the plants inside the uncertainty the loop is unstable; "unstable": on the most likely one, so there is no
