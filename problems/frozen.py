@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, fields
-from typing import Any, NoReturn, TypeVar
+from typing import Annotated, Any, NoReturn, TypeVar
 
 _Key = TypeVar("_Key")
 _Value = TypeVar("_Value")
@@ -60,5 +60,9 @@ class Rule(dict[str, Any]):
         return hash(tuple(sorted(self)))
 
 
+AboveZero = Annotated[float, Rule(exclusiveMinimum=0)]
+NotNegative = Annotated[float, Rule(minimum=0)]
+Count = Annotated[int, Rule(minimum=1)]
+Text = Annotated[str, Rule(minLength=1)]
 NO_ENTRY = Rule(entry=False)
 """Of a field that no file has an entry for."""

@@ -13,7 +13,7 @@ from functools import reduce
 from pathlib import Path
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
-from autotune.formats import cell, controller, identified, schedule
+from autotune.formats import cell, controller, identified, plan, schedule
 from autotune.formats.certificate_record import PARAMETER_BOUNDS
 from autotune.formats.controller_record import Controller
 from autotune.formats.records import ROTATIONAL_KEYS
@@ -26,7 +26,7 @@ from problems.frozen import NO_ENTRY, Rule
 
 Node = dict[str, Any]
 _TYPES = {float: "number", int: "integer", bool: "boolean", str: "string", Path: "string", types.NoneType: "null"}
-_RECORD, _WIDTH = "record", 110
+_RECORD, _WIDTH = "$record", 110
 _CHECKSUM: Node = {"description": "64 hexadecimal digits", "type": "string", "pattern": "^[0-9a-f]{64}$"}
 _PROVENANCE: Node = {"type": "object"}
 
@@ -52,6 +52,11 @@ def pareto_schema() -> Node:
     """Return the schema of `pareto.yaml`."""
     title = "Controllers that no other one beats"
     return _file(pareto_file.ParetoTable, pareto_file.FORMAT, title, {"provenance": _PROVENANCE})
+
+
+def plan_schema() -> Node:
+    """Return the schema of `plan.yaml`."""
+    return _file(plan.PlanTable, plan.FORMAT, "What to record next", {"provenance": _PROVENANCE})
 
 
 def cell_schema() -> Node:
@@ -129,7 +134,7 @@ def _single(hint: Any, name: str, *, turning: bool) -> Node:
 
 
 def _words(rule: Rule, *, turning: bool) -> Node:
-    words = {key: each for key, each in rule.items() if key != "turning"}
+    words = {_RECORD if key == "record" else key: each for key, each in rule.items() if key != "turning"}
     return _merged(words, rule.get("turning", {})) if turning else words
 
 
@@ -201,6 +206,7 @@ def texts() -> dict[str, str]:
         "cell": cell_schema(),
         "schedule": schedule_schema(),
         "pareto": pareto_schema(),
+        "plan": plan_schema(),
     }
     return {name: _written(each, "") + "\n" for name, each in made.items()}
 

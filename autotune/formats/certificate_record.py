@@ -20,12 +20,12 @@ from problems.design.requirements import (
 )
 from problems.design.uncertainty import ALWAYS_UNCERTAIN, FURTHER_UNCERTAIN, SYMBOLS, Ellipsoid, PlantSet
 from problems.errors import ParameterError
-from problems.frozen import FrozenDict, Rule, freeze
+from problems.frozen import AboveZero, FrozenDict, NotNegative, Rule, Text, freeze
 from problems.model.plant import NO_FILTER, WrenchFilter
 from problems.model.plant_parameters import PARAMETERS
 from problems.model.robot import RobotModel
 
-from .proof_records import AboveZero, BouncingProof, HeldProof, NotNegative, PeakProof, Text
+from .proof_records import BouncingProof, HeldProof, PeakProof
 from .units import AXES, ROTATIONAL_AXES, axis_units
 
 Interval = tuple[float, float]

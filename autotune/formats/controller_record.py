@@ -10,7 +10,7 @@ from problems.contact.nonlinearities import Deadband, DeadbandType
 from problems.design.requirements import Hand
 from problems.design.uncertainty import Scenario
 from problems.errors import ParameterError
-from problems.frozen import Rule, freeze
+from problems.frozen import Rule, Text, freeze
 from problems.model.controller import SMALLEST_FEEDBACK_DAMPING_S, AdmittanceController
 
 from .certificate_record import (
@@ -22,7 +22,6 @@ from .certificate_record import (
     check_interval,
 )
 from .limits import CollisionResponse, Limits, Peak, ResidualPeaks, VariableDampingSettings
-from .proof_records import Text
 from .units import AXES, ROTATIONAL_AXES
 
 Vector = tuple[float, float, float]

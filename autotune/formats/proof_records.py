@@ -5,11 +5,7 @@ from typing import Annotated
 
 from problems.contact.multiplier import Multiplier
 from problems.design.hand import HandImpedance
-from problems.frozen import Rule
-
-AboveZero = Annotated[float, Rule(exclusiveMinimum=0)]
-NotNegative = Annotated[float, Rule(minimum=0)]
-Text = Annotated[str, Rule(minLength=1)]
+from problems.frozen import AboveZero, NotNegative, Rule, Text
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,14 +7,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from autotune.errors import AutotuneError, CertificateError, UsageError
-from problems.frozen import Rule
+from problems.frozen import AboveZero, Rule
 
 from .atomic import check_target, write_folder_atomic
 from .canonical import checksum, dump_yaml, plain, short
 from .certificate_record import Axis
 from .controller import ControllerFile, controller_tree, read_controller
 from .controller_record import Controller
-from .proof_records import AboveZero
 from .records import record_tree, rename_axis_keys
 from .schema import VERSION, check_document, check_format, check_tree
 from .units import ROTATIONAL_AXES

@@ -3,25 +3,23 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
 
 from autotune.errors import AutotuneError, UsageError
-from autotune.formats.proof_records import Text
 from autotune.tuning.scenario_exchange import WholeSet
 from problems.arrays import FloatArray
 from problems.design.objectives import Objective
 from problems.design.problem import DesignProblem
 from problems.design.stable_design import StableDesign
 from problems.errors import ParameterError
-from problems.frozen import FrozenDict, Rule
+from problems.frozen import Count, FrozenDict, Text
 from problems.model.controller import AdmittanceController, Discretization
 
 from .plugins import Demand, ObjectiveLimit
 
 Sampler = Literal["tpe", "nsga2"]
-Count = Annotated[int, Rule(minimum=1)]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,6 +1,6 @@
 """Contacts and taps to record: how often, how fast and how hard, within the force limits."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import product
 
 import numpy as np
@@ -8,6 +8,7 @@ import numpy as np
 from problems.arrays import ComplexArray, FloatArray
 from problems.contact.transient import Approach, SampledContact, build_sampled_contact, simulate_contact
 from problems.errors import ParameterError
+from problems.frozen import AboveZero, Count
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Coupling, Environment, PayloadDynamics, Plant
 from problems.model.sampled import build_loop, build_sampled_plant, spectral_radius
@@ -45,14 +46,14 @@ class ContactPlan:
     `std` is keyed as `PlanValues` and holds for a K_s that is known; `through_coupling` shows what else K_e misses by.
     """
 
-    count: int
-    speed_m_s: float
-    hold_force_n: float
-    peak_sensor_force_n: float
-    peak_contact_force_n: float
-    rigid_peak_n: float
-    assumed_damping_n_s_per_m: float
-    std: dict[str, float]
+    count: Count
+    speed_m_s: AboveZero
+    hold_force_n: AboveZero
+    peak_sensor_force_n: AboveZero
+    peak_contact_force_n: AboveZero
+    rigid_peak_n: AboveZero
+    assumed_damping_n_s_per_m: AboveZero
+    std: dict[str, float] = field(compare=False)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -230,11 +231,11 @@ class TapPlan:
     shows, with the mass taken from the poses.
     """
 
-    count: int
-    impulse_n_s: float
-    peak_force_n: float
-    spacing_s: float
-    std: dict[str, float]
+    count: Count
+    impulse_n_s: AboveZero
+    peak_force_n: AboveZero
+    spacing_s: AboveZero
+    std: dict[str, float] = field(compare=False)
 
 
 def plan_taps(values: PlanValues, *, max_force_n: float, mass_std_kg: float) -> TapPlan:

@@ -7,6 +7,7 @@ from itertools import product
 import numpy as np
 
 from problems.arrays import ComplexArray, FloatArray
+from problems.frozen import AboveZero
 from problems.model.robot import RobotModel
 
 from ..joint_fit.covariance import HIGHEST_PART_HZ, SHARPEST_DELAY_SAMPLES, UNSEEN_SHARE
@@ -75,9 +76,9 @@ class Repeat:
     stroke end; `expected_factor` is that of the values of the plan.
     """
 
-    aim_force_n: float
-    largest_factor: float
-    expected_factor: float
+    aim_force_n: AboveZero
+    largest_factor: AboveZero
+    expected_factor: AboveZero
 
 
 @dataclass(frozen=True, kw_only=True)
