@@ -23,6 +23,8 @@ _SWEEP = (
     "Record a commanded sweep in free space of 0.5 Hz to {highest}, 10 s or more,{speed} with no hand on the payload."
 )
 _SWEEP_FROM_HZ = 0.5
+# A sweep that is slower drowns in the noise of usual sensors.
+_SLOWEST_M_S, _AIMED_N = 1e-3, 50.0
 _SWEEP_S = 10.0
 _SWEEP_TO_HZ = 50.0
 _MISFIT_RATIO = 1.5
@@ -215,8 +217,11 @@ def _sweep(result: Identified, name: str) -> str:
 
 
 def _speed(result: Identified, name: str, highest_hz: float) -> str:
+    """Return how fast to sweep; what would be safe in any cell shows nothing where the cell is hardly known."""
     _, values = values_of(result, name)
     sweep = fastest_sweep(values, SweepLimits(), _SWEEP_FROM_HZ, highest_hz, _SWEEP_S).sweep
+    if sweep.flange_speed_m_s < _SLOWEST_M_S:
+        return f" its amplitude raised from run to run until the force at the sensor reaches {_AIMED_N:.0f} N,"
     travel_m = sweep.flange_speed_m_s / (2.0 * np.pi * _SWEEP_FROM_HZ)
     return f" the flange at {1e3 * sweep.flange_speed_m_s:.2g} mm/s throughout ({1e3 * travel_m:.2g} mm at 0.5 Hz),"
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from problems.arrays import FloatArray
 from problems.progress import ProgressSlice
@@ -38,7 +38,8 @@ class CellSignals:
     `gravity` is None where the weight was taken off before recording; `noise_rms_n` is the force's at rest, and
     `rest_residual_n` what weight and bias leave of it. `robots` are those that the admittance's known gains show where
     no command was logged, and `rebuilt` the command that they make of the wrench; `turns`, the axes about which the
-    tool turned.
+    tool turned. `coupled` are K_s, B_s, B_p, M_p (4,) by axis, where a search starts, as pushes without a hand show
+    them.
     """
 
     recording: Recording
@@ -52,6 +53,7 @@ class CellSignals:
     robots: Mapping[str, RobotEstimate]
     rebuilt: PoseSignal | None = None
     turns: tuple[AxisTurn, ...] = ()
+    coupled: Mapping[str, FloatArray] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,6 +119,9 @@ class _Axis:
         )
         data = replace(
             data,
+            coupling=data.coupling
+            if self.coupling is not None
+            else self.cell.coupled.get(self.axis.name, data.coupling),
             weighed=self.start.weighed,
             shifted_s=recording.wrench_shifted_s,
             least_noise_n=self.cell.noise_rms_n if self.cell.gravity is None else 0.0,

@@ -13,6 +13,7 @@ from .axis_command import CellSignals
 from .axis_estimate import AxisResult, identify_axis, identify_axis_robot
 from .errors import LogError
 from .given import Given
+from .joint_fit.data import usual_coupling
 from .payload.gravity import orientation_spread_rad
 from .rebuilt_command import rebuilt_command
 from .result import AxisEstimate, Finding
@@ -20,6 +21,9 @@ from .robot.admittance_estimates import AdmittanceRobots
 from .signals.aligned import AlignedLog, edges_of, on_one_clock, restore_commands, without_spikes
 from .signals.recording import AXES, AppliedDeadband, Recording, WrenchSignal
 from .signals.segments import MotionSpans, find_motion
+from .touches.find import find_touches
+from .touches.inertia import payload_force
+from .touches.signals import axis_signals
 
 _LONGEST_CROSSING_S = 0.1
 # In drawn logs, deviations held the truth where up to a quarter was hidden, and no longer where a third was.
@@ -86,6 +90,7 @@ def identify_compensated_axes(
         given=dict(given),
         robots=robots.robots,
         rebuilt=rebuilt_command(recording, robots.beside, log, motion),
+        coupled=_coupled(complete),
     )
     axes: dict[str, AxisResult] = {}
     measured = [name for name in AXIS_NAMES if name in recording.pose.measured_axes]
@@ -98,6 +103,20 @@ def identify_compensated_axes(
             axes[axis.name] = identify_axis_robot(cell, axis)
     about = tuple(finding for axis in axes.values() for finding in axis.findings)
     return CompensatedAxes(axes=axes, findings=(*findings, *about), cell=cell)
+
+
+def _coupled(recording: Recording) -> dict[str, FloatArray]:
+    """Return K_s, B_s, B_p, M_p (4,) of the axes on which pushes without a hand show the payload's own force."""
+    found = {}
+    for axis in find_touches(axis_signals(recording)):
+        own = payload_force(axis)
+        if own is not None and own.mode is not None:
+            omega, mass = 2.0 * np.pi * own.mode[0], own.mass_kg
+            damping = 2.0 * own.mode[1] * omega * mass
+            found[axis.signals.axis] = np.array([mass * omega**2, damping, own.drag_n_s_per_m, mass])
+        elif own is not None:
+            found[axis.signals.axis] = usual_coupling(own.mass_kg)
+    return found
 
 
 def _is_force_known(deadband: AppliedDeadband | None) -> bool:

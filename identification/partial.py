@@ -49,6 +49,7 @@ def identify_partial(
     mass and the sensor's bias are unidentifiable; what else is missing has a finding of severity `error`. Raises
     EstimateError when nothing is identified.
     """
+    recording = _with_orientation(recording)
     led = AdmittanceRobots(robots={}, findings=())
     if recording.command is None:
         led = identify_admittance_robots(recording)
@@ -77,7 +78,7 @@ def identify_partial(
     has_wrench = bool(recording.wrench.measured_axes)
     if has_wrench and not any(finding.code == "coupling" for finding in about):
         findings[1:1] = _coupling_findings(axes)
-    if found.axes and "rx" not in recording.pose.measured_axes:
+    if not recording.pose.is_displacement and "rx" not in recording.pose.measured_axes:
         findings.append(_without_orientation(recording))
     if not led.robots and not touched.shows_more_than_a_hand and not any(map(_says_something, axes.values())):
         raise EstimateError(" ".join(f"{f.message} {f.advice}".strip() for f in findings if f.severity == "error"))
@@ -91,6 +92,15 @@ def identify_partial(
         findings=tuple(findings),
         timelines=(touched.timeline,),
     )
+
+
+def _with_orientation(recording: Recording) -> Recording:
+    """Return the recording with one orientation throughout where the pose has none."""
+    pose = recording.pose
+    if pose.is_displacement or "rx" in pose.measured_axes:
+        return recording
+    level = np.tile([0.0, 0.0, 0.0, 1.0], (len(pose.stamp_ns), 1))
+    return replace(recording, pose=replace(pose, quaternion_xyzw=level))
 
 
 def _touched(recording: Recording, found: CompensatedAxes) -> tuple[CompensatedAxes, Touched]:
@@ -136,9 +146,9 @@ def _assumed_sign(recording: Recording) -> Finding:
 def _without_orientation(recording: Recording) -> Finding:
     return Finding.warning(
         "no-orientation",
-        f"The pose of topic {recording.pose.topic} has no orientation, so it is taken as constant, and the axes are "
-        "those in which the position was logged.",
-        "Record the whole pose.",
+        f"The pose of topic {recording.pose.topic} has no orientation, so it is taken as constant, and the axes of "
+        "the wrench as those in which the position was logged.",
+        "Record the whole pose, or check that the tool does not turn and that the wrench is in base axes.",
     )
 
 

@@ -88,16 +88,16 @@ class Touch:
     """One touch of a log on one axis of S: N, m, kg along it, N·m, rad, kg·m² about it; None where it is not shown.
 
     Times are in s after the start of the log: `onset_s` of the first blow, `peak_s`, `hold_s` from when to when the
-    payload rested, `release_s`, and `bounces_s` when it left the surface before. `later_blows` are those of them behind
-    which it comes back with a fifth of the peak and more. `sign` is +1 where the payload presses
-    towards +axis. `peak_force` is the largest sample, `peak_interval` what the peak of the sensor's force may be,
-    without its noise and between the samples (without an upper end where it is too narrow for them), and
-    `rise_samples` how many of them the force took from a tenth of the peak to the peak. `approach_speed` is that of the
-    flange right before the onset, towards what is touched (None where it does not go there), `impulse` ∫F dt of the
-    first blow, `held_force` that of the hold. `is_led` says that a hand led the payload into it, `is_withdrawn` that
-    F^d turned away before the peak, which is then that of no whole blow. `mass`, `damping`, `lead_s` and
-    `desired_force` are M_a, B_a, K_l and F^d at the onset. `surface` is the name of what was touched, None
-    until it is known.
+    payload rested, `release_s`, and `bounces_s` when it left the surface before. `later_blows` are those of them
+    behind which it comes back with a fifth of the peak and more. `sign` is +1 where the payload presses towards
+    +axis. `peak_force` is the largest sample, `peak_interval` what the peak of the sensor's force may be, without
+    its noise and between the samples (without an upper end where it is too narrow for them), `sample_period_s` how
+    far the samples are apart, and `rise_samples` how many of them the force took from a tenth of the peak to the
+    peak. `approach_speed` is that of the flange right before the onset, towards what is touched (None where it does
+    not go there), `impulse` ∫F dt of the first blow, `held_force` that of the hold. `is_led` says that a hand led
+    the payload into it, `is_withdrawn` that F^d turned away before the peak, which is then that of no whole blow.
+    `mass`, `damping`, `lead_s` and `desired_force` are M_a, B_a, K_l and F^d at the onset. `surface` is the name of
+    what was touched, None until it is known.
     """
 
     axis: AxisName
@@ -122,6 +122,7 @@ class Touch:
     damping: Annotated[float | None, _NOT_NEGATIVE] = None
     lead_s: float | None = None
     desired_force: float | None = None
+    sample_period_s: Annotated[float | None, _NOT_NEGATIVE] = None
 
 
 @dataclass(frozen=True, kw_only=True)

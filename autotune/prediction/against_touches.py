@@ -13,6 +13,7 @@ from autotune.formats.units import axis_units
 from autotune.shown import ResultTable, Shown, data_frame, plain_tree
 from identification.errors import EstimateError
 from identification.result import Estimate, Touch, TouchCause
+from problems.arrays import FloatArray
 from problems.contact.transient import Approach
 from problems.errors import AutotuneError
 
@@ -27,26 +28,69 @@ if TYPE_CHECKING:
 
 # Beyond both of these the stiffness that a log shows is not the one predicted with.
 _STDS_APART, _SHARE_APART = 3.0, 0.3
+_PHASES = 50
+# A difference between peak and sample that is worth a sentence.
+_SHOWN_SHARE = 0.005
 
 
 @dataclass(frozen=True, kw_only=True)
 class ComparedTouch:
-    """One touch: what was measured, and what is predicted at its speed, F^d and gains; peaks at the sensor."""
+    """One touch: what was measured, and what is predicted at its speed, F^d and gains, at the sensor.
+
+    `shares` are the largest sample that a log of the touch's rate would hold over the predicted peak: the least and the
+    mean over all instants at which the samples may fall, (1, 1) where the rate is not known or that of the controller.
+    """
 
     touch: Touch
     log: str
     predicted: PredictedContact
+    shares: tuple[float, float] = (1.0, 1.0)
+
+    @property
+    def largest_sample(self) -> float:
+        """The largest sample that is to be expected of the predicted force [N, N·m]."""
+        return self.shares[1] * self.predicted.peak_sensor_force
+
+    @property
+    def interval(self) -> tuple[float, float | None]:
+        """Where that sample lies, with the probability of the predicted interval [N, N·m]."""
+        low, high = self.predicted.interval.sensor
+        return self.shares[0] * low, high
 
     @property
     def error_share(self) -> float:
-        """(Predicted − measured)/measured."""
-        return self.predicted.peak_sensor_force / self.touch.peak_force - 1.0
+        """(Predicted − measured)/measured, of the largest sample."""
+        return self.largest_sample / self.touch.peak_force - 1.0
 
     @property
     def is_inside(self) -> bool:
-        """Whether the largest sample lies inside the predicted interval."""
-        low, high = self.predicted.interval.sensor
+        """Whether the largest sample lies inside its predicted interval."""
+        low, high = self.interval
         return low <= self.touch.peak_force and (high is None or self.touch.peak_force <= high)
+
+
+def sampled_shares(time_s: FloatArray, force: FloatArray, period_s: float | None) -> tuple[float, float]:
+    """Return the largest of samples `period_s` apart over the largest force (n,): the least and the mean of it.
+
+    The first sample may fall on any instant of a period, each as likely; between the ticks of `time_s` (n,) the force
+    is a straight line.
+    """
+    top = float(np.max(force, initial=0.0))
+    if period_s is None or len(time_s) < 2 or top <= 0.0 or period_s <= float(time_s[1] - time_s[0]):
+        return 1.0, 1.0
+    phases = (np.arange(_PHASES) + 0.5) / _PHASES * period_s
+    steps = np.arange(float(time_s[0]), float(time_s[-1]) + period_s, period_s)
+    largest = np.max(np.interp(phases[:, None] + steps, time_s, force), axis=1) / top
+    return float(np.min(largest)), float(np.mean(largest))
+
+
+def compared_touch(touch: Touch, log: str, predicted: PredictedContact) -> ComparedTouch:
+    """Return a touch of a log beside its prediction, both as the log samples a force."""
+    contact = predicted.contact
+    # Of a first blow no course is predicted, only its force.
+    is_course = predicted.plant is not None and predicted.first_blow < contact.peak_sensor_force_n
+    shares = sampled_shares(contact.time_s, contact.sensor_force_n, touch.sample_period_s) if is_course else (1.0, 1.0)
+    return ComparedTouch(touch=touch, log=log, predicted=predicted, shares=shares)
 
 
 def other_surface(contact: ComparedTouch, shown: Estimate | None) -> str:
@@ -97,6 +141,12 @@ class TouchComparison(Shown):
                 "the log does not hold the gains that ran: where they were others than those predicted with, the "
                 "differences are what the gains change, and no error of the model"
             )
+        least = min(each.shares[1] for each in self.contacts)
+        if least < 1.0 - _SHOWN_SHARE:
+            notes.append(
+                "measured is the largest sample, and predicted the largest sample that a log of this rate is to be "
+                f"expected to hold: the predicted force itself rises up to {100.0 * (1.0 / least - 1.0):.1f} % higher"
+            )
         for each in self.contacts:
             said = each.predicted
             notes += [*said.neglected, *interval_notes(said.interval, said.model_error)]
@@ -107,11 +157,11 @@ class TouchComparison(Shown):
         number = np.arange(1.0, len(self.contacts) + 1.0)
         names = tuple(f"{each.touch.axis} at {touch_time_s(each.touch):.2f} s" for each in self.contacts)
         measured = np.array([each.touch.peak_force for each in self.contacts])
-        predicted = np.array([each.predicted.peak_sensor_force for each in self.contacts])
+        predicted = np.array([each.largest_sample for each in self.contacts])
         unit = " or ".join(dict.fromkeys(axis_units(each.touch.axis).force for each in self.contacts))
         bars = []
         for place, each in zip(number, self.contacts, strict=True):
-            low, high = each.predicted.interval.sensor
+            low, high = each.interval
             label = "interval" if place == 1.0 else ""
             ends = np.array([low, each.touch.peak_force if high is None else high])
             bars.append(Line(x=np.array([place, place]), y=ends, label=label, role="model"))
@@ -149,6 +199,8 @@ class TouchComparison(Shown):
                     "law": plain_tree(each.predicted.law),
                     "predicted_peak": each.predicted.peak_sensor_force,
                     "interval": plain_tree(each.predicted.interval),
+                    "predicted_sample": each.largest_sample,
+                    "sample_interval": list(each.interval),
                     "error_percent": 100.0 * each.error_share,
                     "is_inside": each.is_inside,
                 }
@@ -159,15 +211,15 @@ class TouchComparison(Shown):
         }
 
     def to_pandas(self) -> Any:
-        """Return measured and predicted peaks [N, N·m] as a pandas.DataFrame; raises UsageError without pandas."""
+        """Return measured and predicted samples [N, N·m] as a pandas.DataFrame; raises UsageError without pandas."""
         return data_frame(
             {
                 "axis": [each.touch.axis for each in self.contacts],
                 "time_s": [touch_time_s(each.touch) for each in self.contacts],
                 "measured": [each.touch.peak_force for each in self.contacts],
-                "predicted": [each.predicted.peak_sensor_force for each in self.contacts],
-                "low": [each.predicted.interval.sensor[0] for each in self.contacts],
-                "high": [each.predicted.interval.sensor[1] for each in self.contacts],
+                "predicted": [each.largest_sample for each in self.contacts],
+                "low": [each.interval[0] for each in self.contacts],
+                "high": [each.interval[1] for each in self.contacts],
             }
         )
 
@@ -203,9 +255,9 @@ def compared_row(each: ComparedTouch) -> tuple[str, ...]:
         "?" if touch.desired_force is None else f"{touch.desired_force:.1f}",
         f"{touch.peak_force:.1f}",
         "" if touch.peak_interval is None else interval_text(touch.peak_interval),
-        f"{found.peak_sensor_force:.1f}",
+        f"{each.largest_sample:.1f}",
         f"{100.0 * each.error_share:+.1f}",
-        interval_text(found.interval.sensor),
+        interval_text(each.interval),
         "yes" if each.is_inside else "no",
     )
 
@@ -322,7 +374,7 @@ def compare_touches(
                 raise UsageError("F^d turned away before its peak, so it shows no whole blow.")
             said = running(touch.axis)
             predicted = predict_contact(plants(touch), said.law_at(touch), said.approach_at(touch))
-            found.append(ComparedTouch(touch=touch, log=log, predicted=predicted))
+            found.append(compared_touch(touch, log, predicted))
         except AutotuneError as error:
             passed.append(f"{where}: {error}")
         if progress is not None:

@@ -33,6 +33,7 @@ from .start import fit_alone, start_surface
 _ROUNDS = 2
 _SAME_SECANT = 1.12
 _LEAST_EXPLAINED = 0.8
+_NOTHING_BUT_NOISE, _LEAST_BESIDE_NOISE = 1.2, 0.5
 _AT_LIMIT = 0.2
 _MORE_THAN_NOISE, _VAGUE_SAMPLES = 1.5, 0.05
 _OUTLYING, _ENOUGH_TO_TELL = 8.0, 3
@@ -97,14 +98,7 @@ def _identify(data: JointData, begin: _Beginning, progress: ProgressSlice) -> Jo
     fit = build_joint_fit(
         problem, point, found, competing, command=data.command, latency=latency, rest_rms_n=rest_rms_n
     )
-    if not np.all(np.isfinite(fit.covariance)) or fit.quality.explained_free < _LEAST_EXPLAINED:
-        explained = 100.0 * max(fit.quality.explained_free, 0.0)
-        raise EstimateError(
-            f"One payload on one spring explains {explained:.0f} % of the force in free motion, "
-            f"{100.0 * _LEAST_EXPLAINED:.0f} % are needed; record a commanded sweep of 0.5 to 50 Hz in free space "
-            "without a hand on the payload, with the command that the robot receives. If the log has one: a filter in "
-            "the sensor or its driver, or a robot that is not one of one or two poles, does this too."
-        )
+    _require_explained(fit)
     is_held = data.robot_order > 0 and not blurred and not problem.signals.is_smooth
     wider = extend_payload(problem, point, latency, quiet_rms_n=rest_rms_n, is_held=is_held)
     fit = with_extension(fit, wider)
@@ -112,6 +106,21 @@ def _identify(data: JointData, begin: _Beginning, progress: ProgressSlice) -> Jo
     if data.robot_order and (is_vague or wider.is_wider or fit.quality.noise_ratio_free > _MORE_THAN_NOISE):
         fit = with_robot_of_pose(fit, *robot_of_pose(data, base, start[problem.layout.robot]))
     return fit
+
+
+def _require_explained(fit: JointFit) -> None:
+    """Raise EstimateError where the fit leaves more of the force in free motion than its noise and a fifth of it."""
+    quality = fit.quality
+    # Of a motion that hardly shows in the noise little can be explained, and nothing but that noise is left.
+    is_noise = quality.noise_ratio_free < _NOTHING_BUT_NOISE and quality.explained_free > _LEAST_BESIDE_NOISE
+    if np.all(np.isfinite(fit.covariance)) and (quality.explained_free >= _LEAST_EXPLAINED or is_noise):
+        return
+    raise EstimateError(
+        f"One payload on one spring explains {100.0 * max(quality.explained_free, 0.0):.0f} % of the force in free "
+        f"motion, {100.0 * _LEAST_EXPLAINED:.0f} % are needed; record a commanded sweep of 0.5 to 50 Hz in free space "
+        "without a hand on the payload, with the command that the robot receives. If the log has one: a filter in the "
+        "sensor or its driver, or a robot that is not one of one or two poles, does this too."
+    )
 
 
 def _require_mass(problem: Problem, mass_kg: float) -> None:

@@ -31,6 +31,7 @@ _POSE_EDGE_S = 0.3
 _FREE_EDGE_S = 0.12
 _SETTLING_S = 0.3
 _SHAKING = 1.3
+_LOADED = 2.0
 _RING_STARTS, _AS_WELL = 2, 1.05
 _FEWEST_RINGS = 2
 _MASS = 3
@@ -273,7 +274,7 @@ def _start(
             best, least = start, left
     if least < _LARGEST_MISFIT:
         return best
-    windows = windows_of([*whole, *mixed], data.period_s)
+    windows = [w for w in windows_of([*whole, *mixed], data.period_s) if _is_loaded(base, w)]
 
     def shown_by(start: FloatArray) -> list[Segment]:
         return [window for window in windows if _misfit(base, start, window) < _LARGEST_WINDOW_MISFIT]
@@ -289,6 +290,12 @@ def _start(
         if count > most:
             best, most = start, count
     return best
+
+
+def _is_loaded(problem: Problem, window: Segment) -> bool:
+    """Return whether there is more force in a window than noise: any payload explains what is none."""
+    force = problem.noise(window).apply(centred(problem.signals.force_n[window.slice]))
+    return float(force @ force) > _LOADED * len(force)
 
 
 def _clean(

@@ -27,11 +27,14 @@ _NORM_TOLERANCE = 2e-3
 _SHORTEST_STEP = {"ns": 2e4, "us": 50.0, "ms": 0.5}
 _EPOCH = {"ns": 1e17, "us": 1e14, "ms": 1e11}
 _N_MM_RATIO = 30.0
+_FORCE_UNITS = ("N", "kN", "lbf", "kgf")
 _FEWEST = 3
 _NINE, _SIXTEEN = 9, 16
 _STEADY, _UNSTEADY = 3.0, 3.0
 _DEEPEST_M = 0.5
 _UNLOADED_SHARE = 0.1
+# The first and the last of so many parts of a log.
+_ENDS = 50
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,6 +100,7 @@ def guess_cell(paths: Sequence[Path], *, salvage: bool = False) -> CellGuess:
     tables: dict[str, Entry] = {}
     others: dict[str, tuple[str, ...]] = {}
     vectors: list[tuple[_Channel, NamedVector]] = []
+    asked: list[tuple[_Channel, NamedVector]] = []
     traces: list[dict[Role, tuple[Entry, ...]]] = []
     joints: dict[str, tuple[tuple[str, ...], str]] = {}
     untimed = Cell(table=TableLayout(rows="poses"))
@@ -108,6 +112,7 @@ def guess_cell(paths: Sequence[Path], *, salvage: bool = False) -> CellGuess:
             if channel is None:
                 continue
             vectors += [(channel, vector) for vector in channel.named.vectors]
+            asked += [(channel, vector) for vector in channel.named.asked]
             trace = _trace(channel)
             if trace:
                 traces.append(trace)
@@ -123,7 +128,10 @@ def guess_cell(paths: Sequence[Path], *, salvage: bool = False) -> CellGuess:
     if len(traces) == 1 and not vectors:
         is_displacement = any("displacement" in each.evidence for each in traces[0][Role.POSE])
         return CellGuess(roles=traces[0], tables=tables, others=others, is_displacement=is_displacement)
-    return CellGuess(roles=dict(_roles(vectors)), tables=tables, others=others, joints=joints)
+    roles = dict(_roles(vectors))
+    if len(asked) == 1 and Role.DESIRED_FORCE not in roles:
+        roles[Role.DESIRED_FORCE] = tuple(_asked_entries(*asked[0]))
+    return CellGuess(roles=roles, tables=tables, others=others, joints=joints)
 
 
 def _channel(logs: OpenedLogs, found: NumberFields, units: Sequence[str]) -> _Channel | None:
@@ -209,7 +217,7 @@ def _trace_entries(
         Entry(key="fields", value={"position": along(place)}, evidence=f"{why}{assumed}; {kind}"),
         Entry(key="units", value=units, evidence="by name" if length else f"up to {deepest:.4g}"),
     ]
-    by_name = force.unit in ("N", "kN", "lbf", "kgf")
+    by_name = force.unit in _FORCE_UNITS
     # A surface pushes one way only, whatever the tool does after the blow.
     together = float(np.nansum(load * np.abs(load))) * float(np.nanmean(travel - travel[0])) > 0.0
     wrench = [
@@ -369,7 +377,7 @@ def _span(channel: _Channel, paths: Sequence[str]) -> str:
 
 def _wrench_entries(channel: _Channel, chosen: _Chosen, fields: Mapping[str, list[str]]) -> Iterator[Entry]:
     force = chosen["force"][1]
-    units: dict[str, object] = {"force": force.unit if force.unit in ("N", "kN", "lbf", "kgf") else "N"}
+    units: dict[str, object] = {"force": force.unit if force.unit in _FORCE_UNITS else "N"}
     why = ["by name" if force.unit else "newtons are usual"]
     if "torque" in chosen:
         torque = chosen["torque"][1]
@@ -381,6 +389,7 @@ def _wrench_entries(channel: _Channel, chosen: _Chosen, fields: Mapping[str, lis
         units["torque"] = unit or "N·m"
     yield Entry(key="units", value=units, evidence="; ".join(why))
     words = {*force.words}
+    loads = np.linalg.norm(channel.of(fields["force"]), axis=1)
     if {"f", "ext", "hat"} <= words or ({"tcp", "force"} <= words and force.kind is Meaning.WRENCH):
         maker = "Franka's estimate of the external wrench" if "hat" in words else "UR's force at the TCP"
         base = "hat" not in words or force.words[0] == "o"
@@ -388,6 +397,25 @@ def _wrench_entries(channel: _Channel, chosen: _Chosen, fields: Mapping[str, lis
         yield Entry(key="gravity_compensated", value=True, evidence=f"{maker}, by name")
         if "hat" in words:
             yield Entry(key="exerted_by", value="sensor", evidence="the robot's force on its surroundings, by name")
+    elif not force.is_command and _is_unloaded(loads):
+        evidence = "it begins and ends near 0, whatever the payload weighs"
+        yield Entry(key="gravity_compensated", value=True, evidence=evidence)
+
+
+def _is_unloaded(loads: FloatArray) -> bool:
+    """Return whether a load (n,) is near 0 at its beginning and end, beside its largest."""
+    rows = max(1, len(loads) // _ENDS)
+    ends = [float(np.nanmedian(part)) for part in (loads[:rows], loads[-rows:])]
+    return max(ends) < _UNLOADED_SHARE * float(np.nanmax(loads))
+
+
+def _asked_entries(channel: _Channel, force: NamedVector) -> Iterator[Entry]:
+    """Yield the entries of a desired force along one axis; F^d of the others is then taken as 0."""
+    fields = [force.paths[0] if axis == force.components else None for axis in "xyz"]
+    yield Entry(key="topic", value=channel.topic, evidence="")
+    yield Entry(key="fields", value={"force": fields}, evidence=f"by name; {_span(channel, force.paths)}")
+    if force.unit in _FORCE_UNITS:
+        yield Entry(key="units", value={"force": force.unit}, evidence="by name")
 
 
 def _pose_entries(

@@ -12,14 +12,18 @@ from problems.frozen import FrozenDict, freeze
 
 from .roles.registry import COMMAND_WORDS, PROCESSED_WORDS
 
-_FORCE = frozenset({"f", "force", "forces", "fext", "kraft"})
-_TORQUE = frozenset({"m", "mom", "moment", "moments", "torque", "torques", "tau", "trq", "drehmoment"})
+_FORCE = frozenset({"f", "force", "forces", "fext", "kraft", "kräfte", "kraefte"})
+_TORQUE = frozenset(
+    {"m", "mom", "moment", "moments", "momente", "torque", "torques", "tau", "trq", "drehmoment", "drehmomente"}
+)
 _WRENCH = frozenset({"wrench", "ft", "fts", "ftsensor"})
 _POSITION = frozenset(
     {"p", "pos", "position", "positions", "translation", "trans", "xyz", "tcp", "ee", "eef", "flange", "tool", "pose"}
+    | {"lage", "ort", "flansch", "werkzeug"}
 )
 _TURN = frozenset(
     {"q", "quat", "quaternion", "orientation", "orient", "ori", "rot", "rotation", "r", "rotvec", "rv", "euler", "rpy"}
+    | {"orientierung", "drehung", "winkel"}
 )
 _LOAD = frozenset({"load", "last"})
 _DISPLACEMENT = frozenset(
@@ -41,9 +45,12 @@ _OTHER = frozenset(
     {"acc", "accel", "acceleration", "joint", "joints", "motor", "jerk", "temp", "imu", "std", "cov", "qd"}
 )
 _TRANSLATION_OR_TORQUE = "t"
-_KNOWN = _FORCE | _TORQUE | _WRENCH | _POSITION | _TURN | _VELOCITY | _OTHER | {_TRANSLATION_OR_TORQUE}
+_KNOWN = _FORCE | _TORQUE | _WRENCH | _POSITION | _DISPLACEMENT | _TURN | _VELOCITY | _OTHER | {_TRANSLATION_OR_TORQUE}
 _COMMANDS = COMMAND_WORDS | {"des", "ref", "set", "sp", "soll", "rsol", "tgt"}
+# German compounds: `Sollkraft` is a commanded force.
+_BEFORE = ("soll", "ist")
 _MEASURED = frozenset({"actual", "measured", "meas", "act", "ist", "rist", "current", "cur", "real"})
+_PROCESSED = PROCESSED_WORDS | {"comp", "ext", "hat", "filt"}
 _TIME = frozenset(
     {"t", "time", "times", "timestamp", "stamp", "zeit", "elapsed", "sec", "secs", "seconds", "millis", "nanos", "ipoc"}
     | {"ms", "msec", "us", "µs", "ns", "nsec"}
@@ -117,7 +124,7 @@ class NamedVector:
     @property
     def is_processed(self) -> bool:
         """Whether a word says that it is not as the sensor shows it."""
-        return bool((PROCESSED_WORDS | {"comp", "ext", "hat"}) & {*self.words})
+        return bool(_PROCESSED & {*self.words})
 
     @property
     def is_measured(self) -> bool:
@@ -129,13 +136,15 @@ class NamedVector:
 class Named:
     """The vectors among the names, the columns that may be the time with their units, and the names of the others.
 
-    `singles` are forces and displacements along one axis that no name says, as of a test of a surface.
+    `singles` are forces and displacements along one axis that no name says, as of a test of a surface; `asked` are
+    commanded forces along one axis.
     """
 
     vectors: tuple[NamedVector, ...]
     times: Mapping[str, str]
     others: tuple[str, ...]
     singles: tuple[NamedVector, ...] = ()
+    asked: tuple[NamedVector, ...] = ()
 
     def __post_init__(self) -> None:
         freeze(self, "times")
@@ -168,11 +177,13 @@ def read_names(paths: Sequence[str], units: Sequence[str] = ()) -> Named:
         group.paths[component] = path
         group.units[unit] = None
     vectors = tuple(vector for words, group in groups.items() for vector in _vectors(words, group))
-    singles += [single for words, group in groups.items() for single in _one_component(words, group)]
+    alone = [single for words, group in groups.items() for single in _one_component(words, group)]
+    singles += [single for single in alone if not single.is_command]
+    asked = tuple(single for single in alone if single.is_command)
     vectors = _with_torques(vectors)
-    used = {path for vector in vectors for path in vector.paths} | {*times}
+    used = {path for vector in (*vectors, *asked) for path in vector.paths} | {*times}
     others = tuple(path for path in paths if path not in used)
-    return Named(vectors=vectors, times=times, others=others, singles=tuple(singles))
+    return Named(vectors=vectors, times=times, others=others, singles=tuple(singles), asked=asked)
 
 
 def joint_groups(paths: Sequence[str]) -> list[tuple[str, ...]]:
@@ -190,7 +201,12 @@ def _one_component(words: tuple[str, ...], group: _Group) -> Iterator[NamedVecto
     """Yield the force or the place along one axis, where x, y or z stands alone."""
     known = [word for word in words if word in _KNOWN]
     kind = _kind_of_three(known[-1] if known else "", words)
-    if len(group.paths) == 1 and kind in (Meaning.FORCE, Meaning.POSITION) and not {*words} & (_OTHER | _COMMANDS):
+    is_asked = bool({*words} & _COMMANDS)
+    if (
+        kind in (Meaning.FORCE, Meaning.POSITION)[: 1 if is_asked else 2]
+        and len(group.paths) == 1
+        and not {*words} & _OTHER
+    ):
         [(component, path)], [unit] = group.paths.items(), group.units
         if component in ("x", "y", "z"):
             found = NamedVector(kind=kind, paths=(path,), words=words, unit=UNITS.get(unit, ""), components=component)
@@ -212,12 +228,12 @@ def _split(path: str, unit: str) -> tuple[tuple[str, ...], str, str]:
     if bracketed is not None and bracketed[1].lower() in UNITS:
         unit, path = bracketed[1].lower(), path[: bracketed.start()]
     spaced = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", path)
-    words = re.findall(r"[a-zµ]+|\d+", spaced.lower())
+    words = [part for word in re.findall(r"[a-zµäöüß]+|\d+", spaced.lower()) for part in _parted(word)]
     if len(words) > 1 and words[-1] in _TRAILING and not unit:
         unit = words.pop()
     if not words:
         return (), "", unit
-    if len(words) > 1 and words[-1] in _COMMANDS | _MEASURED:
+    if len(words) > 1 and words[-1] in _COMMANDS | _MEASURED | _PROCESSED:
         words = [words[-1], *words[:-1]]  # `x_cmd` is `cmd_x`
     *before, last = words
     if last.isdigit() or last in ("x", "y", "z", "w", "a", "b", "c"):
@@ -227,6 +243,15 @@ def _split(path: str, unit: str) -> tuple[tuple[str, ...], str, str]:
     if last[-1] in "xyzw" and (last[:-1] in _KNOWN or _kind_by_unit(unit) is not None):
         return (*before, last[:-1]), last[-1], unit
     return tuple(words), "", unit
+
+
+def _parted(word: str) -> tuple[str, ...]:
+    """Return a German compound in its two words."""
+    for before in _BEFORE:
+        rest = word.removeprefix(before)
+        if rest != word and (rest in _KNOWN or (rest[:-1] in _KNOWN and rest[-1:] in "xyz")):
+            return before, rest
+    return (word,)
 
 
 def _vectors(words: tuple[str, ...], group: _Group) -> Iterator[NamedVector]:
@@ -273,7 +298,7 @@ def _kind_of_three(last: str, words: tuple[str, ...]) -> Meaning | None:
     if last in _TURN:
         return Meaning.TURN
     # Bare x, y and z are a place, as is what has no other word than one for a command or a measurement.
-    is_place = last in _POSITION or last == _TRANSLATION_OR_TORQUE or {*words} <= _COMMANDS | _MEASURED
+    is_place = last in _POSITION | _DISPLACEMENT or last == _TRANSLATION_OR_TORQUE or {*words} <= _COMMANDS | _MEASURED
     return Meaning.POSITION if is_place else None
 
 

@@ -309,6 +309,9 @@ def interpret_wrench(
     stamps, has = series.times_ns, series.has
     if expressed_in is Frame.FLANGE:
         values = _both_turned(series, frames.R_FS.inv(), values)
+    elif expressed_in is Frame.BASE and gravity_compensated and not {*AXES[3:]} & {*pose.measured_axes}:
+        # The tool counts as never turned, so that the axes of the wrench are those of the position.
+        values = _both_turned(series, frames.R_WB, values)
     elif expressed_in is Frame.BASE:
         inside, orientation = _orientation_at(pose, stamps, series.topic)
         stamps = stamps[inside]

@@ -234,7 +234,7 @@ def _moved(pose: PoseSignal, start_ns: int, clock: FloatArray) -> tuple[FloatArr
     linear = np.diff(position, axis=0) / duration
     if pose.is_displacement:
         return edge, np.hstack([linear, np.full(linear.shape, np.nan)])
-    if "rx" not in pose.measured_axes:
+    if not np.all(np.isfinite(pose.quaternion_xyzw)):
         raise EstimateError(
             f"The pose of topic {pose.topic} has no orientation, so its motion cannot be expressed in the axes of "
             "the wrench; record the whole pose."

@@ -21,6 +21,8 @@ _STILL_TURN_RAD_S = 0.02
 _SHORTEST_STILL_S = 0.4
 _LONGEST_PAUSE_S = 0.12
 _MOTION_BAND_HZ = 25.0
+# From the median of the absolute second difference of white noise, squared.
+_TO_VARIANCE = 1.4826**2 / 6.0
 _SHAKE_WINDOW_S = 0.12
 _HOLE_MARGIN_S = 0.15
 _FEWEST_FILTERED = 30
@@ -75,7 +77,7 @@ def find_motion(log: AlignedLog) -> MotionSpans:
     Of a log without positions turning and force show what is a rest.
     MotionSpans ends 0.15 s off a hole: what is derived from it looks that far beyond a span.
     """
-    smooth = low_pass(log.position_B_m, log.period_s, _MOTION_BAND_HZ)
+    smooth = low_pass(log.position_B_m, log.period_s, _quiet_band_hz(log))
     velocity_B = np.gradient(smooth, log.period_s, axis=0)
     velocity_S = np.asarray(log.orientation_BS.inv().apply(velocity_B))
     turning = _turn_rate(log)
@@ -95,6 +97,17 @@ def find_motion(log: AlignedLog) -> MotionSpans:
     for hole in log.holes:
         away[max(0, hole.start - margin) : hole.stop + margin] = False
     return MotionSpans(velocity_S_m_s=velocity_S, still=spans_of(rest), moving=spans_of(~rest & away))
+
+
+def _quiet_band_hz(log: AlignedLog) -> float:
+    """Return up to which frequency white noise of the position makes a third of the speed that counts as still.
+
+    Noise σ per coordinate, sampled every h, makes a speed of σ √(2 h (2π)² f³/3) below f.
+    """
+    second = np.diff(log.position_B_m[np.isfinite(log.position_B_m).all(axis=1)], n=2, axis=0)
+    variance = float(np.sum(np.median(np.abs(second), axis=0) ** 2)) * _TO_VARIANCE if len(second) else 0.0
+    speed = variance * 2.0 * log.period_s * (2.0 * np.pi) ** 2 / 3.0
+    return float(min(_MOTION_BAND_HZ, ((_STILL_SPEED_M_S / 3.0) ** 2 / max(speed, 1e-30)) ** (1.0 / 3.0)))
 
 
 def without_pauses(mask: BoolArray, longest: int) -> BoolArray:

@@ -236,17 +236,23 @@ def _judge(
         return None if float(np.min(into)) < -_SMALLEST_TRAVEL_M else (TouchCause.UNDETERMINED, None)
     window = _just_before(axis, span.start)
     if window.stop > window.start and bool(np.all(free[window])):
-        return _met_free(axis, span.start, sign, into), False
+        return _met_free(axis, span, sign, into), False
     cause = _met_led(axis, sign, span)
     return None if cause is None else (cause, True)
 
 
-def _met_free(axis: AxisSignals, onset: int, sign: int, into: FloatArray) -> TouchCause:
-    """Return the cause of a press before which there is drag at most; `into` (n,) is how far the flange goes."""
+def _met_free(axis: AxisSignals, span: Span, sign: int, into: FloatArray) -> TouchCause:
+    """Return the cause of a press before which there is drag at most; `into` (n,) is how far the flange goes.
+
+    A hand presses all the way back; a payload that swings while the flange is taken off a wall presses to and fro.
+    """
     deepest = int(np.argmax(into))
-    if float(into[deepest] - np.min(into[deepest:])) > _DRIVEN_M + float(into[deepest]):
-        return TouchCause.HAND
-    return TouchCause.WALL if is_driven_by_desired(axis, onset, sign) else TouchCause.UNDETERMINED
+    beyond = deepest + np.flatnonzero(into[deepest:] < 0.0)
+    if float(np.min(into[deepest:])) < -_DRIVEN_M:
+        pressing = -sign * axis.force_n[span.slice]
+        if float(np.median(pressing[beyond])) > axis.level_n:
+            return TouchCause.HAND
+    return TouchCause.WALL if is_driven_by_desired(axis, span.start, sign) else TouchCause.UNDETERMINED
 
 
 def _met_led(axis: AxisSignals, sign: int, span: Span) -> TouchCause | None:
@@ -365,6 +371,7 @@ def describe_touch(
         damping=at(axis.damping_n_s_per_m),
         lead_s=axis.lead_s,
         desired_force=at(axis.desired_n),
+        sample_period_s=axis.period_s,
     )
     return FoundTouch(touch=touch, span=span, felt=span, peak=peak)
 

@@ -4,8 +4,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import nnls
-from scipy.signal import savgol_filter
+from scipy.signal import bilinear, lfilter, savgol_filter
 
 from problems.arrays import FloatArray
 
@@ -16,6 +17,11 @@ from .signals import AxisSignals
 
 # Over this long a motion is taken as even acceleration: a payload on its gripper swings faster than 10 Hz.
 _EVEN_S, _FEWEST = 0.04, 5
+# Short beside the swings of a payload on its coupling; the second one where the pose is noisy.
+_SMOOTHED_S = (8e-3, 16e-3)
+# In deviations of a Gaussian: a derivative of it that is cut off at four shows an acceleration where there is none.
+_REACH = 7.0
+_MODES_HZ, _DAMPING_RATIOS = tuple(np.geomspace(8.0, 40.0, 24).tolist()), (0.02, 0.06, 0.12)
 _LEAST_EXPLAINED, _MOST_LEFT = 0.9, 0.25
 _FEWEST_ALIKE = 3
 _TURNING_RAD_S = 0.1
@@ -25,12 +31,16 @@ _PARTS = 10
 
 @dataclass(frozen=True, kw_only=True)
 class PayloadForce:
-    """F = −(m a + b v) of an axis, `explained` of the energy of the force in `spans` that are nothing else."""
+    """F = −(m a + b v) of an axis, `explained` of the energy of the force in `spans` that are nothing else.
+
+    `mode` is the frequency [Hz] and the damping ratio with which the payload swings on its coupling, None if rigid.
+    """
 
     mass_kg: float
     drag_n_s_per_m: float
     explained: float
     spans: tuple[Span, ...]
+    mode: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,7 +110,7 @@ def without_turning(
         if np.any(fast[part.slice])
     ]
     columns, force = _turning_columns(found, rate, width)
-    alike = _agreeing(spans, columns, force, force, _least_squares)
+    alike = _agreeing(spans, columns, force, _least_squares)
     if alike is None or alike.explained < _LEAST_EXPLAINED:
         return tuple(found), ()
     kept = []
@@ -152,27 +162,74 @@ def without_inertia(found: Sequence[AxisTouches]) -> tuple[tuple[AxisTouches, ..
 def payload_force(axis: AxisTouches) -> PayloadForce | None:
     """Fit one mass and one drag, above and at least 0, to all touches without a hold and to all that a force leads.
 
-    Those of which a quarter of the peak is left drop out until the others agree. None where fewer than three do, or
-    less than nine tenths of the energy of their force is explained.
+    The payload is rigid on the flange, or else swings on its coupling: the flange's motion goes through a mode of
+    second order, the one of `_MODES_HZ` and `_DAMPING_RATIOS` that explains most. Touches of which a quarter of the
+    peak is left drop out until the others agree. None where fewer than three do, or less than nine tenths of the energy
+    of their force is explained.
     """
     signals = axis.signals
     width = _even_width(signals)
     unheld = [each for each in axis.touches if each.touch.hold_s is None and each.touch.cause is not TouchCause.HAND]
     if not np.all(np.isfinite(signals.travel_m)) or len(signals.travel_m) < width:
         return None
-    speed, acceleration = (
-        savgol_filter(signals.travel_m, width, 2, deriv=order, delta=signals.period_s) for order in (1, 2)
+    spans = [*(each.span for each in unheld), *axis.led]
+    if len(spans) < _FEWEST_ALIKE:
+        return None
+    found = None
+    for smoothed_s in _SMOOTHED_S:
+        found = found or _own_force(signals, spans, max(smoothed_s / signals.period_s, 1.0))
+    return found
+
+
+def _modes(signals: AxisSignals) -> list[tuple[float, float]]:
+    """Return frequencies [Hz] and damping ratios of payloads on their couplings, as far as the log resolves them."""
+    return [(hz, ratio) for hz in _MODES_HZ for ratio in _DAMPING_RATIOS if 4.0 * hz < signals.rate_hz]
+
+
+def _motion_columns(signals: AxisSignals, sigma: float) -> tuple[FloatArray, FloatArray]:
+    """Return −acceleration, −speed and what a deadband took (n, 3), and the force (n,), smoothed by `sigma` samples."""
+    # One filter for all of them, so that what holds of the signals holds of what is left of them.
+    force, speed, acceleration = (
+        gaussian_filter1d(values, sigma, order=order, mode="nearest", truncate=_REACH) / signals.period_s**order
+        for values, order in ((signals.force_n, 0), (signals.travel_m, 1), (signals.travel_m, 2))
     )
-    force = savgol_filter(signals.force_n, width, 2)
     # What a deadband takes off is as large in every touch.
     is_cut = float(np.mean(signals.force_n == 0.0)) > 0.0
-    columns = np.column_stack([-acceleration, -speed, -np.sign(force) * is_cut])
-    spans = [*(each.span for each in unheld), *axis.led]
-    alike = _agreeing(spans, columns, force, signals.force_n, _not_negative)
-    if alike is None or alike.values[0] <= 0.0 or alike.explained < _LEAST_EXPLAINED:
-        return None
-    mass, drag, _ = alike.values
-    return PayloadForce(mass_kg=mass, drag_n_s_per_m=drag, explained=alike.explained, spans=alike.spans)
+    return np.column_stack([-acceleration, -speed, -np.sign(force) * is_cut]), force
+
+
+def _felt(columns: FloatArray, mode: tuple[float, float] | None, period_s: float) -> FloatArray:
+    """Return the columns of a payload that swings with a mode on its coupling, as they are of a rigid one."""
+    if mode is None:
+        return columns
+    return np.column_stack(
+        [_swung(columns[:, 0], *mode, period_s), _swung(columns[:, 1], *mode, period_s), columns[:, 2]]
+    )
+
+
+def _own_force(signals: AxisSignals, spans: Sequence[Span], sigma: float) -> PayloadForce | None:
+    """Return the fit of the payload's force by signals that are smoothed with a deviation of `sigma` samples."""
+    columns, force = _motion_columns(signals, sigma)
+    best: PayloadForce | None = None
+    for mode in (None, *_modes(signals)):
+        alike = _agreeing(spans, _felt(columns, mode, signals.period_s), force, _not_negative)
+        if alike is None or alike.values[0] <= 0.0 or alike.explained < _LEAST_EXPLAINED:
+            continue
+        mass, drag, _ = alike.values
+        found = PayloadForce(mass_kg=mass, drag_n_s_per_m=drag, explained=alike.explained, spans=alike.spans, mode=mode)
+        if mode is None:
+            return found
+        if best is None or (len(found.spans), found.explained) > (len(best.spans), best.explained):
+            best = found
+    return best
+
+
+def _swung(motion: FloatArray, hz: float, ratio: float, period_s: float) -> FloatArray:
+    """Return the motion (n,) of a payload on its coupling, (1 + 2 ζ s/ω)/(1 + 2 ζ s/ω + s²/ω²) of the flange's."""
+    omega = 2.0 * np.pi * hz
+    rate = 0.5 * omega / np.tan(0.5 * omega * period_s)  # Tustin's form with the mode where it is
+    damped = 2.0 * ratio / omega
+    return np.asarray(lfilter(*bilinear([damped, 1.0], [omega**-2.0, damped, 1.0], rate), motion))
 
 
 def _even_width(signals: AxisSignals) -> int:
@@ -200,22 +257,21 @@ def _agreeing(
     spans: Sequence[Span],
     columns: FloatArray,
     force: FloatArray,
-    raw: FloatArray,
     solve: Callable[[FloatArray, FloatArray], FloatArray],
 ) -> _Alike | None:
-    """Fit columns (n, k) to a force (n,) in spans; those of which a quarter of the `raw` peak is left drop out.
+    """Fit columns (n, k) to a force (n,) in spans; those of which a quarter of the peak is left drop out.
 
     Each span weighs as much as any other, however long and hard it is. None where fewer than three agree.
     """
     alike = list(spans)
     weight = np.zeros(len(force))
     for span in spans:
-        weight[span.slice] = 1.0 / (float(np.max(np.abs(raw[span.slice]))) * np.sqrt(len(span)))
+        weight[span.slice] = 1.0 / (float(np.max(np.abs(force[span.slice]))) * np.sqrt(len(span)))
     while len(alike) >= _FEWEST_ALIKE:
         rows = np.concatenate([np.arange(span.start, span.stop) for span in alike])
         values = solve(weight[rows, None] * columns[rows], weight[rows] * force[rows])
         left = np.abs(force - columns @ values)
-        over = [float(np.max(left[span.slice]) / np.max(np.abs(raw[span.slice]))) for span in alike]
+        over = [float(np.max(left[span.slice]) / np.max(np.abs(force[span.slice]))) for span in alike]
         if max(over) <= _MOST_LEFT:
             explained = 1.0 - float(left[rows] @ left[rows]) / float(force[rows] @ force[rows])
             return _Alike(values=tuple(map(float, values)), spans=tuple(alike), explained=explained)

@@ -160,10 +160,16 @@ def _drag(force: FloatArray, travel: FloatArray, time: FloatArray) -> float:
 
 
 def _offset(force: FloatArray, travel: FloatArray, time: FloatArray) -> float:
-    """Return 0 where a twentieth of the samples is near it, else the force that is constant in motion, else 0."""
-    if np.mean(np.abs(force) <= CONTACT.smallest_n) >= _NEAR_ZERO_SHARE:
-        return 0.0
+    """Return the force at rest where a twentieth of the samples is near 0, else the one constant in motion, else 0.
+
+    At rest nothing presses that lightly; behind a deadband, of which exact zeros are left, nothing shows there.
+    """
+    near = np.abs(force) <= CONTACT.smallest_n
     moving = np.abs(mean_speed(travel, time)) > _MOVING_M_S
+    if np.mean(near) >= _NEAR_ZERO_SHARE:
+        at_rest = force[near & ~moving]
+        is_shown = len(at_rest) >= _FEWEST_FOR_NOISE and not np.any(at_rest == 0.0)
+        return float(np.median(at_rest)) if is_shown else 0.0
     if not np.any(moving):
         return 0.0
     middle = float(np.median(force[moving]))
@@ -175,7 +181,7 @@ def _travel(pose: PoseSignal, stamps: StampArray) -> FloatArray:
     at, time = (stamps - pose.stamp_ns[0]) * 1e-9, (pose.stamp_ns - pose.stamp_ns[0]) * 1e-9
     position = np.array(pose.position_m)
     if not pose.is_displacement:
-        if "rx" not in pose.measured_axes:
+        if not np.all(np.isfinite(pose.quaternion_xyzw)):
             return np.full((len(stamps), 3), np.nan)
         turned = Rotation.from_quat(np.array(pose.quaternion_xyzw[:-1])).inv()
         position = np.vstack([np.zeros((1, 3)), np.cumsum(turned.apply(np.diff(position, axis=0)), axis=0)])

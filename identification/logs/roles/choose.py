@@ -25,6 +25,8 @@ from .registry import (
     roles_of,
 )
 
+_TABLE, _TABLE_ENDINGS = "table", (".csv", ".tsv", ".txt", ".parquet")
+
 FramesOf = Callable[[ChannelInfo], tuple[tuple[str, str], ...]]
 
 
@@ -138,13 +140,19 @@ def _choose(role: Role, infos: Infos, cell: Cell, log: str, frames_of: FramesOf)
 
 
 def spelled_as_in(cell: Cell, infos: Infos) -> Cell:
-    """Return the cell with its topics as the log spells them: with or without a slash in front."""
+    """Return the cell with its topics as the log spells them: with or without a slash in front.
+
+    Where the log is one table, it is meant whatever the table was called for which the cell was written.
+    """
     topics = {info.channel.topic for info in infos}
+    is_table = len(infos) == 1 and infos[0].channel.encoding == _TABLE
     for name in (*(kind.entry for kind in ROLES.values()), "displacement"):
         source = getattr(cell, name, None)
         if source is None or source.topic is None or source.topic in topics:
             continue
         same = [topic for topic in topics if topic.strip("/") == source.topic.strip("/")]
+        if is_table and source.topic.lower().endswith(_TABLE_ENDINGS):
+            same = [*topics]
         if len(same) == 1:
             cell = replace(cell, **{name: replace(source, topic=same[0])})
     return cell

@@ -7,7 +7,13 @@ import pytest
 
 import autotune as at
 from autotune.formats.identified import IN_MEMORY, IdentifiedFile
-from autotune.prediction.against_touches import ComparedTouch, Running, other_surface
+from autotune.prediction.against_touches import (
+    ComparedTouch,
+    Running,
+    compared_touch,
+    other_surface,
+    sampled_shares,
+)
 from autotune.prediction.certified import predict_certified
 from autotune.prediction.contact import Law, nominal_contact, peak_interval, simulate_on, simulate_others
 from autotune.prediction.plants import Surface, build_plants
@@ -327,3 +333,26 @@ def test_what_is_not_said_is_asked_for(arguments: dict[str, object], message: st
         at.predict(plant_of(Cell()), **arguments)  # type: ignore[arg-type]
     with pytest.raises(at.UsageError, match="found int"):
         at.predict(3, gains=GAINS, approach_force=30.0)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("width", [0.9, 2.5, 20.0])
+def test_the_largest_sample_of_a_half_sine_by_its_closed_form(width: float) -> None:
+    """Samples one apart lie at most half of a step off the peak: cos(π u/width) with u even in (-1/2, 1/2)."""
+    time = np.linspace(-2.0, width + 2.0, 20001)
+    force = np.where((time > 0.0) & (time < width), np.sin(np.pi * np.clip(time, 0.0, width) / width), 0.0)
+    least, mean = sampled_shares(time, force, 1.0)
+    half = min(0.5, 0.5 * width)
+    # The phases are the middles of fiftieths of a step, so that the farthest is up to a hundredth off the half.
+    assert least == pytest.approx(np.cos(np.pi * half / width), abs=0.04 if width < 1.0 else 0.01)
+    assert mean == pytest.approx(2.0 * width / np.pi * np.sin(np.pi * half / width), abs=2e-3)
+    assert sampled_shares(time, force, None) == (1.0, 1.0)
+
+
+def test_a_touch_of_a_slow_log_is_held_against_the_largest_sample() -> None:
+    predicted = at.predict(plant_of(Cell(wall=3e4)), gains=GAINS, approach_speed=0.03)
+    touch = Touch(axis="z", sign=1, cause=TouchCause.WALL, peak_s=2.0, peak_force=predicted.peak_sensor_force)
+    fast, slow = (compared_touch(replace(touch, sample_period_s=period), "", predicted) for period in (None, 0.1))
+    assert (fast.error_share, fast.interval) == (0.0, predicted.interval.sensor)
+    assert slow.error_share < -0.005
+    assert slow.interval[0] < fast.interval[0]
+    assert slow.interval[1] == fast.interval[1]

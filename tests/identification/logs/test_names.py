@@ -106,3 +106,28 @@ def test_what_a_kuka_sends_of_itself_is_measured_and_commanded() -> None:
         (Meaning.POSITION, "xyz", True),
         (Meaning.TURN, "abc", True),
     ]
+
+
+def test_german_names_are_read() -> None:
+    found = read_names(
+        [
+            "Zeit [ms]",
+            *(f"Kraft_{a} [kN]" for a in "xyz"),
+            *(f"Weg_{a} [mm]" for a in "xyz"),
+            "Sollkraft_z [N]",
+            "qx_ist",
+        ]
+    )
+    assert found.times == {"Zeit [ms]": "ms"}
+    assert [(v.kind, v.unit) for v in found.vectors] == [(Meaning.FORCE, "kN"), (Meaning.POSITION, "mm")]
+    (asked,) = found.asked
+    assert (asked.kind, asked.components, asked.unit, asked.is_command) == (Meaning.FORCE, "z", "N", True)
+    (command,) = read_names([f"Sollposition{a}" for a in "XYZ"]).vectors
+    assert (command.kind, command.is_command) == (Meaning.POSITION, True)
+    (moment,) = read_names([f"Drehmoment_{a}" for a in "xyz"]).vectors
+    assert moment.kind is Meaning.TORQUE
+
+
+def test_what_was_processed_may_be_said_behind_the_axis() -> None:
+    (force,) = read_names([f"F{axis}_comp" for axis in "xyz"]).vectors
+    assert (force.kind, force.is_processed) == (Meaning.FORCE, True)

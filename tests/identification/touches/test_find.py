@@ -10,12 +10,14 @@ from hypothesis import strategies as st
 from scipy.signal import StateSpace, lsim
 
 from identification.errors import EstimateError
+from identification.partial import identify_partial
 from identification.result import TouchCause
 from identification.signals.recording import GainsSignal, PoseSignal, Recording, WrenchSignal
 from identification.touches.find import find_touches
 from identification.touches.signals import axis_signals
 from identification.touches.signs import check_force_sign
 from identification.touches.surfaces import identify_touches, left_out_error, pooled
+from identification.verdicts import unidentifiable
 from problems.arrays import FloatArray
 
 MASS_KG, DAMPING_N_S_PER_M, DESIRED_N = 10.0, 500.0, 15.0
@@ -253,6 +255,33 @@ def test_a_hand_that_drives_the_flange_back_is_no_wall() -> None:
     (touch,) = identify_touches(recorded(Program(force_n=hand))).timeline.touches
     assert touch.cause is TouchCause.HAND
     assert touch.surface is None
+
+
+def test_a_payload_that_swings_while_it_is_taken_off_a_wall_is_no_hand() -> None:
+    """The force swings about zero on the way back; a hand's presses all along."""
+    time = np.arange(0.0, 6.0, 2e-3)
+    speed = np.where(time < 2.0, 0.03, np.where(time < 3.0, 0.0, np.where(time < 4.0, -0.03, 0.0)))
+    travel = np.cumsum(speed) * 2e-3
+    pressing = np.where((time >= 2.0) & (time < 3.0), 30.0, 0.0)
+    off = time >= 3.0
+    swing = 12.0 * np.exp(-(time[off] - 3.0) / 0.3) * np.sin(2.0 * np.pi * 20.0 * (time[off] - 3.0))
+    for way_back, cause in ((swing, TouchCause.WALL), (np.where(time[off] < 3.8, 15.0, 0.0), TouchCause.HAND)):
+        pressing[off] = way_back
+        first = identify_touches(logged(travel, -pressing, 2e-3, 0.0)).timeline.touches[0]
+        assert (first.cause, first.onset_s) == (cause, pytest.approx(2.0, abs=0.01))
+
+
+def test_a_pose_without_orientation_is_that_of_a_tool_that_does_not_turn() -> None:
+    time = np.arange(0.0, 4.0, 4e-3)
+    travel = np.minimum(0.03 * time, 0.061)
+    whole = logged(travel, -2e4 * np.maximum(travel - 0.06, 0.0), 4e-3, 15.0)
+    unturned = np.full((len(time), 4), np.nan)
+    lacking = replace(whole, pose=replace(whole.pose, quaternion_xyzw=unturned, measured_axes=("x", "y", "z")))
+    period = unidentifiable()
+    found, without = (identify_partial(each, period) for each in (whole, lacking))
+    assert [t.cause for t in found.timelines[0].touches] == [TouchCause.WALL]
+    assert without.timelines == found.timelines
+    assert {"no-orientation"} == {f.code for f in without.findings} - {f.code for f in found.findings}
 
 
 def test_a_hand_that_leads_is_no_touch() -> None:

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import StateSpace, lfilter, lsim, tf2ss
 from scipy.spatial.transform import Rotation
 
 from identification.result import PhaseKind, TouchCause
@@ -109,3 +110,24 @@ def test_the_inertia_of_a_payload_in_a_tool_that_turns_is_no_touch(pressed_n: fl
     assert led_s(found) == 0.0
     turning = [phase for phase in found.timeline.phases if phase.kind is PhaseKind.TURNING]
     assert sum(phase.stop_s - phase.start_s for phase in turning) > 5.0
+
+
+@pytest.mark.parametrize(("rate_hz", "offset_n"), [(125.0, 0.0), (1000.0, 0.8)])
+def test_the_swings_of_a_payload_on_its_coupling_are_no_touch(rate_hz: float, offset_n: float) -> None:
+    """Pushes on a base that answers fast make it ring at 22 Hz; a sensor's constant offset is no part of it."""
+    time = np.arange(0.0, 12.0, 1e-3)
+    omega, ratio = 2.0 * np.pi * 22.0, 0.1
+    asked = 0.03 * (np.floor(0.5 * time) % 2.0)
+    speed = lfilter([1.0 / 30.0], [1.0, 1.0 / 30.0 - 1.0], asked)
+    travel = np.cumsum(speed) * 1e-3
+    mode = StateSpace(*tf2ss([2.0 * ratio / omega, 1.0], [omega**-2.0, 2.0 * ratio / omega, 1.0]))
+    force = -PAYLOAD_KG * lsim(mode, np.gradient(speed, time), time)[1]
+    step = round(1e3 / rate_hz)
+    rng = np.random.default_rng(2)
+    measured = force[::step] + offset_n + 0.3 * rng.standard_normal(len(force[::step]))
+    found = identify_touches(logged(travel[::step], measured, 1e-3 * step, 0.0))
+    assert np.max(np.abs(force)) > 6.0
+    assert not found.timeline.touches
+    (about,) = (finding for finding in found.findings if finding.code == "payload-inertia")
+    # As above, a guess at it.
+    assert float(about.message.split("(")[1].split(" kg")[0]) == pytest.approx(PAYLOAD_KG, rel=0.2)

@@ -269,3 +269,15 @@ def test_an_axis_that_is_left_out_has_no_path() -> None:
     found = choose(Role.WRENCH, [FT, POSE], Cell(wrench=WrenchSource(left_out=("z", "rx"))), "run.mcap", frames_of)
     assert found is not None
     assert [path is None for path in found.fields] == [False, False, True, True, False, False]
+
+
+def test_a_cell_that_was_written_for_one_table_serves_another() -> None:
+    table = info("monday.csv", "csv", encoding="table", columns=("fx", "fy", "fz"))
+    declared = Cell(wrench=WrenchSource(topic="friday.csv"))
+    assert spelled_as_in(declared, [table]).wrench == WrenchSource(topic="monday.csv")
+    for infos, cell in (
+        ([table, info("pose.csv", "csv", encoding="table")], declared),
+        ([table], Cell(wrench=WrenchSource(topic="/ft"))),
+        ([FT], declared),
+    ):
+        assert spelled_as_in(cell, infos) == cell
