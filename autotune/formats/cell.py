@@ -8,7 +8,8 @@ from difflib import get_close_matches
 from pathlib import Path
 
 from autotune.errors import UsageError
-from identification.logs.guess import CellGuess, Entry
+from identification.logs.guess import CellGuess
+from identification.logs.guess_trace import Entry
 from identification.logs.roles.cell import Cell
 from identification.logs.roles.registry import Role
 from identification.logs.summary import Candidate, LogSummary, RoleSummary

@@ -10,8 +10,9 @@ from problems.arrays import FloatArray
 from problems.frozen import freeze
 
 from ..errors import LogError
+from .guess_trace import FORCE_UNITS, UNLOADED_SHARE, Entry, NamedChannel, guess_trace, span_text
 from .messages.decode import Wanted
-from .names import Meaning, Named, NamedVector, is_unit, joint_groups, leaps, path_length, read_names, rises, unevenness
+from .names import Meaning, Named, NamedVector, is_unit, joint_groups, leaps, read_names, rises, unevenness
 from .numbers import NumberFields, number_fields
 from .opened import OpenedLogs, open_logs
 from .roles.cell import Cell
@@ -27,23 +28,10 @@ _NORM_TOLERANCE = 2e-3
 _SHORTEST_STEP = {"ns": 2e4, "us": 50.0, "ms": 0.5}
 _EPOCH = {"ns": 1e17, "us": 1e14, "ms": 1e11}
 _N_MM_RATIO = 30.0
-_FORCE_UNITS = ("N", "kN", "lbf", "kgf")
 _FEWEST = 3
 _NINE, _SIXTEEN = 9, 16
-_STEADY, _UNSTEADY = 3.0, 3.0
-_DEEPEST_M = 0.5
-_UNLOADED_SHARE = 0.1
 # The first and the last of so many parts of a log.
 _ENDS = 50
-
-
-@dataclass(frozen=True, kw_only=True)
-class Entry:
-    """One line of a role or a table in cell.yaml: its key, its value as plain data, and why it is guessed."""
-
-    key: str
-    value: object
-    evidence: str
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,18 +50,6 @@ class CellGuess:
 
     def __post_init__(self) -> None:
         freeze(self, "roles", "tables", "others", "joints")
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Channel:
-    """The numbers of one channel: what their names say, and their values (n, k), the columns by path."""
-
-    topic: str
-    named: Named
-    columns: Mapping[str, FloatArray]
-
-    def of(self, paths: Sequence[str]) -> FloatArray:
-        return np.column_stack([self.columns[path] for path in paths])
 
 
 def guess_cell(paths: Sequence[Path], *, salvage: bool = False) -> CellGuess:
@@ -99,8 +75,8 @@ def guess_cell(paths: Sequence[Path], *, salvage: bool = False) -> CellGuess:
     """
     tables: dict[str, Entry] = {}
     others: dict[str, tuple[str, ...]] = {}
-    vectors: list[tuple[_Channel, NamedVector]] = []
-    asked: list[tuple[_Channel, NamedVector]] = []
+    vectors: list[tuple[NamedChannel, NamedVector]] = []
+    asked: list[tuple[NamedChannel, NamedVector]] = []
     traces: list[dict[Role, tuple[Entry, ...]]] = []
     joints: dict[str, tuple[tuple[str, ...], str]] = {}
     untimed = Cell(table=TableLayout(rows="poses"))
@@ -113,7 +89,7 @@ def guess_cell(paths: Sequence[Path], *, salvage: bool = False) -> CellGuess:
                 continue
             vectors += [(channel, vector) for vector in channel.named.vectors]
             asked += [(channel, vector) for vector in channel.named.asked]
-            trace = _trace(channel)
+            trace = guess_trace(channel)
             if trace:
                 traces.append(trace)
             time = _time(channel) if found.topic in units else None
@@ -121,7 +97,7 @@ def guess_cell(paths: Sequence[Path], *, salvage: bool = False) -> CellGuess:
                 tables[found.topic] = time
             angles = _joint_angles(channel)
             if angles:
-                joints[found.topic] = (angles, f"by name; {_span(channel, angles)}")
+                joints[found.topic] = (angles, f"by name; {span_text(channel, angles)}")
             left = () if trace else tuple(_ranges(channel, angles))
             if left:
                 others[found.topic] = left
@@ -134,7 +110,7 @@ def guess_cell(paths: Sequence[Path], *, salvage: bool = False) -> CellGuess:
     return CellGuess(roles=roles, tables=tables, others=others, joints=joints)
 
 
-def _channel(logs: OpenedLogs, found: NumberFields, units: Sequence[str]) -> _Channel | None:
+def _channel(logs: OpenedLogs, found: NumberFields, units: Sequence[str]) -> NamedChannel | None:
     info = next(info for info in logs.infos if info.channel.topic == found.topic)
     columns: dict[str, FloatArray] = {}
     try:
@@ -152,7 +128,7 @@ def _channel(logs: OpenedLogs, found: NumberFields, units: Sequence[str]) -> _Ch
     named = read_names(tuple(columns), [below[path] for path in columns])
     if all(path.isdigit() for path in columns):
         named = _by_values(columns)
-    return _Channel(topic=found.topic, named=named, columns=columns)
+    return NamedChannel(topic=found.topic, named=named, columns=columns)
 
 
 def _by_values(columns: Mapping[str, FloatArray]) -> Named:
@@ -173,76 +149,7 @@ def _by_values(columns: Mapping[str, FloatArray]) -> Named:
     return Named(vectors=vectors, times=times, others=tuple(path for path in paths if path not in used))
 
 
-def _trace(channel: _Channel) -> dict[Role, tuple[Entry, ...]]:
-    """Guess the displacement and the force of a test along one axis, from two names or from two columns without any."""
-    named = channel.named
-    places, forces = (
-        [each for each in named.singles if each.kind is kind] for kind in (Meaning.POSITION, Meaning.FORCE)
-    )
-    if len(places) == len(forces) == 1 and not named.vectors:
-        place, force, why = places[0], forces[0], "by name"
-    elif len(named.others) == 2 and not named.vectors and all(path.isdigit() for path in channel.columns):
-        paths = sorted(named.others, key=lambda path: path_length(channel.columns[path]))
-        lengths = [path_length(channel.columns[path]) for path in paths]
-        if not lengths[0] < _STEADY or lengths[1] < _UNSTEADY * lengths[0]:
-            return {}
-        place, force = (
-            NamedVector(kind=kind, paths=(path,), words=(), unit="")
-            for kind, path in zip((Meaning.POSITION, Meaning.FORCE), paths, strict=True)
-        )
-        why = f"of two columns one goes its way {lengths[0]:.2g} times, the other, the force, {lengths[1]:.2g} times"
-    else:
-        return {}
-    return _trace_entries(channel, place, force, why)
-
-
-def _trace_entries(
-    channel: _Channel, place: NamedVector, force: NamedVector, why: str
-) -> dict[Role, tuple[Entry, ...]]:
-    axis = "xyz".index(force.components or place.components or "z")
-    travel, load = (channel.columns[each.paths[0]] for each in (place, force))
-    topic = Entry(key="topic", value=channel.topic, evidence="")
-
-    def along(each: NamedVector) -> list[str | None]:
-        return [each.paths[0] if i == axis else None for i in range(3)]
-
-    assumed = "" if force.components or place.components else "; along which axis is not said, z is taken"
-    length = place.unit if place.unit in ("mm", "cm", "m", "in") else ""
-    deepest = float(np.nanmax(np.abs(travel)))
-    is_travel = abs(float(travel[0])) < _UNLOADED_SHARE * float(np.ptp(travel)) or not place.components
-    kind = f"a displacement{': it begins near 0' if place.components else ''}" if is_travel else "a place"
-    units: dict[str, object] = {"position": length or ("mm" if deepest > _DEEPEST_M else "m")}
-    pose = [
-        topic,
-        Entry(key="fields", value={"position": along(place)}, evidence=f"{why}{assumed}; {kind}"),
-        Entry(key="units", value=units, evidence="by name" if length else f"up to {deepest:.4g}"),
-    ]
-    by_name = force.unit in _FORCE_UNITS
-    # A surface pushes one way only, whatever the tool does after the blow.
-    together = float(np.nansum(load * np.abs(load))) * float(np.nanmean(travel - travel[0])) > 0.0
-    wrench = [
-        topic,
-        Entry(key="fields", value={"force": along(force)}, evidence=f"{why}; {_span(channel, force.paths)}"),
-        Entry(
-            key="units",
-            value={"force": force.unit if by_name else "N"},
-            evidence="by name" if by_name else "newtons are usual",
-        ),
-        Entry(
-            key="exerted_by",
-            value="sensor" if together else "payload",
-            evidence="it points where the displacement does: the tool's force on the surface"
-            if together
-            else "it points against the displacement: the surface's force on the tool",
-        ),
-    ]
-    if abs(float(load[0])) < _UNLOADED_SHARE * float(np.ptp(load)):
-        evidence = "it begins near 0, whatever the payload weighs"
-        wrench.append(Entry(key="gravity_compensated", value=True, evidence=evidence))
-    return {Role.POSE: tuple(pose), Role.WRENCH: tuple(wrench)}
-
-
-def _joint_angles(channel: _Channel) -> tuple[str, ...]:
+def _joint_angles(channel: NamedChannel) -> tuple[str, ...]:
     """Return the paths of the angles of one arm, nothing where names and values leave none or several."""
     groups = [
         paths for paths in joint_groups(channel.named.others) if np.nanmax(np.abs(channel.of(paths))) < _LARGEST_RAD
@@ -250,7 +157,7 @@ def _joint_angles(channel: _Channel) -> tuple[str, ...]:
     return groups[0] if len(groups) == 1 else ()
 
 
-def _ranges(channel: _Channel, known: Sequence[str] = ()) -> Iterator[str]:
+def _ranges(channel: NamedChannel, known: Sequence[str] = ()) -> Iterator[str]:
     """Describe the numbers without a guess, and where a time runs backwards."""
     for path in channel.named.times:
         back = np.flatnonzero(np.diff(channel.columns[path]) < 0.0)
@@ -264,7 +171,7 @@ def _ranges(channel: _Channel, known: Sequence[str] = ()) -> Iterator[str]:
         yield f"{path}: {span}"
 
 
-def _time(channel: _Channel) -> Entry | None:
+def _time(channel: NamedChannel) -> Entry | None:
     """Guess the time column of a table and its unit, or that each row is a pose at rest."""
     turns = [vector.paths for vector in channel.named.vectors if vector.kind in (Meaning.TURN, Meaning.MATRIX)]
     are_rests = bool(turns) and len(channel.columns[turns[0][0]]) <= _MOST_POSES and leaps(channel.of(turns[0]))
@@ -316,15 +223,15 @@ def _role(vector: NamedVector) -> Role | None:
     return Role.COMMAND if vector.is_command else Role.POSE
 
 
-_Chosen = Mapping[str, tuple[_Channel, NamedVector]]
+_Chosen = Mapping[str, tuple[NamedChannel, NamedVector]]
 
 
-def _roles(vectors: Sequence[tuple[_Channel, NamedVector]]) -> Iterator[tuple[Role, tuple[Entry, ...]]]:
+def _roles(vectors: Sequence[tuple[NamedChannel, NamedVector]]) -> Iterator[tuple[Role, tuple[Entry, ...]]]:
     """Yield for each role the entries of the vectors that serve it, where names leave one of each."""
     selected: dict[Role, _Chosen] = {}
     for role in (Role.WRENCH, Role.POSE, Role.COMMAND, Role.TWIST, Role.DESIRED_FORCE):
         mine = [(channel, vector) for channel, vector in vectors if _role(vector) is role]
-        chosen: dict[str, tuple[_Channel, NamedVector]] = {}
+        chosen: dict[str, tuple[NamedChannel, NamedVector]] = {}
         for part in ("force", "torque", "position", "orientation", "linear", "angular"):
             found = _one([pair for pair in mine if part in _PARTS[pair[1].kind]])
             if found is not None:
@@ -337,7 +244,7 @@ def _roles(vectors: Sequence[tuple[_Channel, NamedVector]]) -> Iterator[tuple[Ro
         yield role, tuple(_entries(role, of_role, selected.get(Role.WRENCH, {})))
 
 
-def _one(found: Sequence[tuple[_Channel, NamedVector]]) -> tuple[_Channel, NamedVector] | None:
+def _one(found: Sequence[tuple[NamedChannel, NamedVector]]) -> tuple[NamedChannel, NamedVector] | None:
     """Return the vector that was measured and not processed, None where that leaves none or several."""
     for better in (lambda v: not v.is_processed, lambda v: v.is_measured):
         found = [pair for pair in found if better(pair[1])] or found
@@ -359,7 +266,7 @@ def _entries(role: Role, chosen: _Chosen, wrench: _Chosen) -> Iterator[Entry]:
     channel, first = next(iter(chosen.values()))
     yield Entry(key="topic", value=channel.topic, evidence="")
     fields = _fields(chosen)
-    ranges = "; ".join(f"{part} {_span(channel, paths)}" for part, paths in fields.items())
+    ranges = "; ".join(f"{part} {span_text(channel, paths)}" for part, paths in fields.items())
     said = "by name" if first.words or first.components else "four columns of norm 1"
     yield Entry(key="fields", value=fields, evidence=f"{said}; {ranges}")
     if role in (Role.WRENCH, Role.DESIRED_FORCE):
@@ -370,14 +277,9 @@ def _entries(role: Role, chosen: _Chosen, wrench: _Chosen) -> Iterator[Entry]:
         yield from _pose_entries(channel, chosen, fields, beside)
 
 
-def _span(channel: _Channel, paths: Sequence[str]) -> str:
-    values = channel.of(paths)
-    return f"{np.nanmin(values):.4g} to {np.nanmax(values):.4g}"
-
-
-def _wrench_entries(channel: _Channel, chosen: _Chosen, fields: Mapping[str, list[str]]) -> Iterator[Entry]:
+def _wrench_entries(channel: NamedChannel, chosen: _Chosen, fields: Mapping[str, list[str]]) -> Iterator[Entry]:
     force = chosen["force"][1]
-    units: dict[str, object] = {"force": force.unit if force.unit in _FORCE_UNITS else "N"}
+    units: dict[str, object] = {"force": force.unit if force.unit in FORCE_UNITS else "N"}
     why = ["by name" if force.unit else "newtons are usual"]
     if "torque" in chosen:
         torque = chosen["torque"][1]
@@ -406,20 +308,20 @@ def _is_unloaded(loads: FloatArray) -> bool:
     """Return whether a load (n,) is near 0 at its beginning and end, beside its largest."""
     rows = max(1, len(loads) // _ENDS)
     ends = [float(np.nanmedian(part)) for part in (loads[:rows], loads[-rows:])]
-    return max(ends) < _UNLOADED_SHARE * float(np.nanmax(loads))
+    return max(ends) < UNLOADED_SHARE * float(np.nanmax(loads))
 
 
-def _asked_entries(channel: _Channel, force: NamedVector) -> Iterator[Entry]:
+def _asked_entries(channel: NamedChannel, force: NamedVector) -> Iterator[Entry]:
     """Yield the entries of a desired force along one axis; F^d of the others is then taken as 0."""
     fields = [force.paths[0] if axis == force.components else None for axis in "xyz"]
     yield Entry(key="topic", value=channel.topic, evidence="")
-    yield Entry(key="fields", value={"force": fields}, evidence=f"by name; {_span(channel, force.paths)}")
-    if force.unit in _FORCE_UNITS:
+    yield Entry(key="fields", value={"force": fields}, evidence=f"by name; {span_text(channel, force.paths)}")
+    if force.unit in FORCE_UNITS:
         yield Entry(key="units", value={"force": force.unit}, evidence="by name")
 
 
 def _pose_entries(
-    channel: _Channel, chosen: _Chosen, fields: Mapping[str, list[str]], force: FloatArray | None
+    channel: NamedChannel, chosen: _Chosen, fields: Mapping[str, list[str]], force: FloatArray | None
 ) -> Iterator[Entry]:
     units: dict[str, object] = {}
     why = []

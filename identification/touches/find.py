@@ -248,10 +248,9 @@ def _met_free(axis: AxisSignals, span: Span, sign: int, into: FloatArray) -> Tou
     """
     deepest = int(np.argmax(into))
     beyond = deepest + np.flatnonzero(into[deepest:] < 0.0)
-    if float(np.min(into[deepest:])) < -_DRIVEN_M:
-        pressing = -sign * axis.force_n[span.slice]
-        if float(np.median(pressing[beyond])) > axis.level_n:
-            return TouchCause.HAND
+    pressing = -sign * axis.force_n[span.slice]
+    if float(np.min(into[deepest:])) < -_DRIVEN_M and float(np.median(pressing[beyond])) > axis.level_n:
+        return TouchCause.HAND
     return TouchCause.WALL if is_driven_by_desired(axis, span.start, sign) else TouchCause.UNDETERMINED
 
 

@@ -1,0 +1,113 @@
+"""Guess the displacement and the force of a test along one axis, with the evidence beside each guess."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from problems.arrays import FloatArray
+
+from .names import Meaning, Named, NamedVector, path_length
+from .roles.registry import Role
+
+_STEADY, _UNSTEADY = 3.0, 3.0
+_DEEPEST_M = 0.5
+UNLOADED_SHARE = 0.1
+FORCE_UNITS = ("N", "kN", "lbf", "kgf")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Entry:
+    """One line of a role or a table in cell.yaml: its key, its value as plain data, and why it is guessed."""
+
+    key: str
+    value: object
+    evidence: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class NamedChannel:
+    """The numbers of one channel: what their names say, and their values (n, k), the columns by path."""
+
+    topic: str
+    named: Named
+    columns: Mapping[str, FloatArray]
+
+    def of(self, paths: Sequence[str]) -> FloatArray:
+        """Return the numbers of these columns (n, k)."""
+        return np.column_stack([self.columns[path] for path in paths])
+
+
+def guess_trace(channel: NamedChannel) -> dict[Role, tuple[Entry, ...]]:
+    """Guess the displacement and the force of a test along one axis, from two names or from two columns without any."""
+    named = channel.named
+    places, forces = (
+        [each for each in named.singles if each.kind is kind] for kind in (Meaning.POSITION, Meaning.FORCE)
+    )
+    if len(places) == len(forces) == 1 and not named.vectors:
+        place, force, why = places[0], forces[0], "by name"
+    elif len(named.others) == 2 and not named.vectors and all(path.isdigit() for path in channel.columns):
+        paths = sorted(named.others, key=lambda path: path_length(channel.columns[path]))
+        lengths = [path_length(channel.columns[path]) for path in paths]
+        if not lengths[0] < _STEADY or lengths[1] < _UNSTEADY * lengths[0]:
+            return {}
+        place, force = (
+            NamedVector(kind=kind, paths=(path,), words=(), unit="")
+            for kind, path in zip((Meaning.POSITION, Meaning.FORCE), paths, strict=True)
+        )
+        why = f"of two columns one goes its way {lengths[0]:.2g} times, the other, the force, {lengths[1]:.2g} times"
+    else:
+        return {}
+    return _trace_entries(channel, place, force, why)
+
+
+def _trace_entries(
+    channel: NamedChannel, place: NamedVector, force: NamedVector, why: str
+) -> dict[Role, tuple[Entry, ...]]:
+    axis = "xyz".index(force.components or place.components or "z")
+    travel, load = (channel.columns[each.paths[0]] for each in (place, force))
+    topic = Entry(key="topic", value=channel.topic, evidence="")
+
+    def along(each: NamedVector) -> list[str | None]:
+        return [each.paths[0] if i == axis else None for i in range(3)]
+
+    assumed = "" if force.components or place.components else "; along which axis is not said, z is taken"
+    length = place.unit if place.unit in ("mm", "cm", "m", "in") else ""
+    deepest = float(np.nanmax(np.abs(travel)))
+    is_travel = abs(float(travel[0])) < UNLOADED_SHARE * float(np.ptp(travel)) or not place.components
+    kind = f"a displacement{': it begins near 0' if place.components else ''}" if is_travel else "a place"
+    units: dict[str, object] = {"position": length or ("mm" if deepest > _DEEPEST_M else "m")}
+    pose = [
+        topic,
+        Entry(key="fields", value={"position": along(place)}, evidence=f"{why}{assumed}; {kind}"),
+        Entry(key="units", value=units, evidence="by name" if length else f"up to {deepest:.4g}"),
+    ]
+    by_name = force.unit in FORCE_UNITS
+    # A surface pushes one way only, whatever the tool does after the blow.
+    together = float(np.nansum(load * np.abs(load))) * float(np.nanmean(travel - travel[0])) > 0.0
+    wrench = [
+        topic,
+        Entry(key="fields", value={"force": along(force)}, evidence=f"{why}; {span_text(channel, force.paths)}"),
+        Entry(
+            key="units",
+            value={"force": force.unit if by_name else "N"},
+            evidence="by name" if by_name else "newtons are usual",
+        ),
+        Entry(
+            key="exerted_by",
+            value="sensor" if together else "payload",
+            evidence="it points where the displacement does: the tool's force on the surface"
+            if together
+            else "it points against the displacement: the surface's force on the tool",
+        ),
+    ]
+    if abs(float(load[0])) < UNLOADED_SHARE * float(np.ptp(load)):
+        evidence = "it begins near 0, whatever the payload weighs"
+        wrench.append(Entry(key="gravity_compensated", value=True, evidence=evidence))
+    return {Role.POSE: tuple(pose), Role.WRENCH: tuple(wrench)}
+
+
+def span_text(channel: NamedChannel, paths: Sequence[str]) -> str:
+    """Return the least and the largest of these numbers as text."""
+    values = channel.of(paths)
+    return f"{np.nanmin(values):.4g} to {np.nanmax(values):.4g}"
