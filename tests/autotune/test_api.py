@@ -237,9 +237,9 @@ def test_the_runtime_refuses_a_payload_that_nobody_knows(design: at.Design, tmp_
 
 @pytest.mark.parametrize(
     ("target", "code", "message"),
-    [("c", 6, "give the payload"), ("ros2_control", 2, "no centre of mass"), ("json", 0, "checksum")],
+    [("c", 0, "cell_file_payload is empty"), ("ros2_control", 2, "no centre of mass"), ("json", 0, "checksum")],
 )
-def test_an_export_that_needs_the_payload_is_refused(
+def test_an_export_that_needs_the_payload_is_refused_or_leaves_it_to_the_cell(
     run_cli: RunCli, design: at.Design, tmp_path: Path, target: str, code: int, message: str
 ) -> None:
     design.save(tmp_path / "controller.yaml")
