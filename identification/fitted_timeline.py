@@ -12,7 +12,7 @@ from .axis_estimate import AxisResult
 from .result import AxisEstimate, EnvironmentEstimate, Finding, LogPhase, Timeline, Touch, TouchCause
 from .signals.aligned import AlignedLog
 from .signals.recording import AXES, Recording
-from .timeline.contacts import ContactTimes, find_contacts
+from .timeline.contacts import find_contacts
 from .timeline.left_contacts import Accounted, ObservedAxis, account_for_contacts
 from .timeline.payload import observe_payload, press_sign
 from .timeline.timeline import build_timeline, name_surfaces
@@ -105,7 +105,7 @@ def touches_of(
 
 def _on_axis(recording: Recording, log: AlignedLog, axis: ObservedAxis, phases: Sequence[LogPhase]) -> Iterator[Touch]:
     pressed = axis.pressed
-    judged = [(each, _cause(each)) for each in pressed.contacts]
+    judged = [(each, TouchCause.UNDETERMINED if each.hand_suspected else TouchCause.WALL) for each in pressed.contacts]
     judged += [(each, TouchCause.UNDETERMINED) for each in (*pressed.unclear, *pressed.restless)]
     judged += [(each, TouchCause.HAND) for each in pressed.by_hand]
     if not judged:
@@ -129,10 +129,6 @@ def _on_axis(recording: Recording, log: AlignedLog, axis: ObservedAxis, phases: 
             bounces_s=tuple(left * log.period_s for left in contact.bounces),
             surface=surfaces.get(contact.span.start),
         )
-
-
-def _cause(contact: ContactTimes) -> TouchCause:
-    return TouchCause.UNDETERMINED if contact.hand_suspected else TouchCause.WALL
 
 
 def _signals(recording: Recording, log: AlignedLog, axis: ObservedAxis) -> AxisSignals:

@@ -154,7 +154,8 @@ def print_schedule(tree: Mapping[str, Any]) -> None:
             ranges = (_range_text(entry[name], _SHORT[name][2]) for name in scheduled)
             rows.append((entry["name"], *ranges, axis, *_numbers(values), short(entry["checksum"])))
             if values["cost_n"] is not None:
-                costs[axis] = max(costs.get(axis, (-float("inf"), 0.0, "")), _cost(values, entry["name"]))
+                cost = (values["cost_percent"], values["cost_n"], entry["name"])
+                costs[axis] = max(costs.get(axis, (-float("inf"), 0.0, "")), cost)
     first = len(heads)
     print_table(rows, left=(0, len(scheduled) + 1, first + 4), point=range(first, first + 3), stacks=True)
     common = tree["common"]
@@ -177,10 +178,6 @@ def _numbers(values: Mapping[str, Any]) -> tuple[str, ...]:
         return f"{values['peak_force_n']:.{digits}f}", "-", "-", ""
     peaks = (f"{values[name]:.{digits}f}" for name in ("peak_force_n", "peak_with_common_n"))
     return *peaks, f"{values['cost_n']:.{digits + 1}f}", f"{values['cost_percent']:.1f} %"
-
-
-def _cost(values: Mapping[str, Any], name: str) -> tuple[float, float, str]:
-    return values["cost_percent"], values["cost_n"], name
 
 
 def validate_schedule(output: Output, path: Path, identified: Path | None) -> None:

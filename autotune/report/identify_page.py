@@ -127,7 +127,7 @@ def _summary_section(result: Identified, rows: Sequence[ParameterRow], picture: 
         Fact(
             label=row.name,
             value=f"{row.value} {row.unit}".strip(),
-            detail=_detail(row),
+            detail=f"± {row.std}, {row.verdict}" if row.std not in {"", "-"} else row.verdict,
             tone=_TONES.get(row.verdict, ""),
         )
         for row in rows
@@ -136,10 +136,6 @@ def _summary_section(result: Identified, rows: Sequence[ParameterRow], picture: 
     figure = () if picture is None else (picture,)
     grave = [each for each in result.findings if each.severity != "info" or each.code in _LACKING]
     return Section(key="result", title="Result", blocks=(Facts(facts=tuple(facts)), *_notes(grave), *figure))
-
-
-def _detail(row: ParameterRow) -> str:
-    return f"± {row.std}, {row.verdict}" if row.std not in {"", "-"} else row.verdict
 
 
 def _parameter_table(rows: Sequence[ParameterRow]) -> Table:

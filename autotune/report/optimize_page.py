@@ -37,7 +37,7 @@ from .controller_tables import (
     target_facts,
     worst_table,
 )
-from .page import Block, Fact, Facts, Note, Page, Section, Table, TableCell, Tone, build_table
+from .page import Block, Fact, Facts, Note, Page, Section, Table, TableCell, build_table
 from .strategy_chart import response_table, strategy_chart
 
 if TYPE_CHECKING:
@@ -104,7 +104,7 @@ def build_optimize_page(
     return Page(
         title="The controller and what it changes",
         lead=_lead(controller, designs, replayed),
-        tone=_tone(controller),
+        tone="good" if controller.status.value == "validated" else "bad",
         sections=tuple(section for section in sections if section.blocks),
         footer=footer(controller, checksum),
     )
@@ -180,10 +180,6 @@ def _notes(controller: Controller) -> Iterator[Note]:
     if found is not None:
         text = describe_false_triggers(found)
         yield Note(text=f"{text[0].upper()}{text[1:]}.")
-
-
-def _tone(controller: Controller) -> Tone:
-    return "good" if controller.status.value == "validated" else "bad"
 
 
 def footer(controller: Controller, checksum: str) -> str:

@@ -70,7 +70,7 @@ def build_controller(
     and one problem. `payload` is what the runtime compensates.
     """
     first = next(iter(results.values())).problem
-    controllers = {name: _controller(result) for name, result in results.items()}
+    controllers = {name: result.problem.controller(result.design) for name, result in results.items()}
     law = next(iter(controllers.values()))
     domain = {name: build_domain(result.problem) for name, result in results.items()}
     margins = {name: _margins(result.margins) for name, result in results.items()}
@@ -122,10 +122,6 @@ def build_controller(
 
 def _longest_delay_s(problem: DesignProblem) -> float:
     return max(problem.plants.nominal.robot.delay_s, problem.plants.range_of("delay_s")[1])
-
-
-def _controller(result: SearchResult) -> AdmittanceController:
-    return result.problem.controller(result.design)
 
 
 def _gains(name: str, controller: AdmittanceController) -> AxisGains:

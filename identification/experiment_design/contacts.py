@@ -130,17 +130,11 @@ def _stable_contact(values: PlanValues) -> tuple[SampledContact, AdmittanceContr
         pair = build_sampled_contact(build_sampled_plant(plant_of(values), values.sample_time_s.value))
     except ParameterError:
         return None  # a contact that swings too fast for this rate
-    stable = [controller for controller in _usual_controllers() if _is_stable(pair, controller)]
+    usual = (AdmittanceController(mass_kg=_ADMITTANCE_MASS_KG, damping_n_s_per_m=b) for b in _DAMPINGS_N_S_PER_M)
+    loops = ((law, [build_loop(plant, law) for plant in (pair.free, pair.contact)]) for law in usual)
+    stable = [law for law, both in loops if max(map(spectral_radius, both)) < 1.0]
     # The least damped stable one may oscillate long; nobody leaves a cell like that.
     return (pair, stable[min(1, len(stable) - 1)]) if stable else None
-
-
-def _usual_controllers() -> list[AdmittanceController]:
-    return [AdmittanceController(mass_kg=_ADMITTANCE_MASS_KG, damping_n_s_per_m=b) for b in _DAMPINGS_N_S_PER_M]
-
-
-def _is_stable(pair: SampledContact, controller: AdmittanceController) -> bool:
-    return max(spectral_radius(build_loop(plant, controller)) for plant in (pair.free, pair.contact)) < 1.0
 
 
 def _touch(

@@ -123,7 +123,7 @@ def cut_roles(
             f"{name} must hold messages {what} from {span}, found none; it is {(end - zero) * 1e-9:.3f} s long and "
             f"starts at @{zero // 10**9}.{zero % 10**9:09d} (with @ a time is a stamp)."
         )
-    return kept, (_span_finding(span, name),)
+    return kept, (Finding.info("part-read", f"Of {name} only {span} is read.", "Times are counted from there."),)
 
 
 def cut_series(series: Series, span: LogSpan, zero_ns: int) -> Series:
@@ -138,10 +138,6 @@ def _held(role: Role, inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
         inside = inside.copy()
         inside[before[-1]] = True
     return inside
-
-
-def _span_finding(span: LogSpan, name: str) -> Finding:
-    return Finding.info("part-read", f"Of {name} only {span} is read.", "Times are counted from there.")
 
 
 def separate_runs(paths: Sequence[Path], cell: Cell, *, salvage: bool = False) -> tuple[tuple[Path, ...], ...]:

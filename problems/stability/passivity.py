@@ -119,14 +119,10 @@ def _around(roots: ComplexArray, nyquist: float) -> FloatArray:
     return np.unique(np.clip(np.concatenate([np.zeros(0), *near]), low, nyquist)) if near else np.zeros(0)
 
 
-def _real_part(sampled: SampledPlant, controller: Controller, omega: FloatArray) -> FloatArray:
-    return np.asarray(free_space_admittance(sampled, controller, omega).real)
-
-
 def _root(sampled: SampledPlant, controller: Controller, low: float, high: float) -> float:
     for _ in range(_NARROWINGS):
         omega = np.linspace(low, high, _SECTIONS + 1)
-        outside = np.flatnonzero(_real_part(sampled, controller, omega[1:-1]) < 0.0)
+        outside = np.flatnonzero(free_space_admittance(sampled, controller, omega[1:-1]).real < 0.0)
         first = int(outside[0]) + 1 if outside.size else _SECTIONS
         low, high = float(omega[first - 1]), float(omega[first])
     return high

@@ -186,7 +186,7 @@ def _numbered(path: Path, file: io.TextIOWrapper, count: int) -> Iterator[tuple[
 def _find_delimiter(lines: Sequence[str]) -> str:
     """Return the delimiter that splits the first lines alike, else the one that splits the first line most."""
     lines = [line for line in lines if line.strip()]
-    counts = {mark: [_count(line, mark) for line in lines] for mark in _DELIMITERS}
+    counts = {mark: [len(_fields(line, mark)) for line in lines] for mark in _DELIMITERS}
     alike = [mark for mark, widths in counts.items() if widths[0] > 1 and len(set(widths)) == 1]
     if alike:
         return alike[0]
@@ -249,7 +249,3 @@ def _fields(line: str, delimiter: str) -> list[str]:
         return split(line, delimiter)
     except csv.Error:
         return []
-
-
-def _count(line: str, delimiter: str) -> int:
-    return len(_fields(line, delimiter))
