@@ -147,6 +147,19 @@ class ScenarioPrediction:
     time_of_peak_s: Annotated[float, Rule(minimum=0, maximum=1000)]
     further: Mapping[FurtherName, float] | None = None
 
+    @classmethod
+    def of(cls, name: str, scenario: Scenario, run: Any) -> "ScenarioPrediction":
+        """Return what a run, anything with two peaks and the time of the larger, predicts of a scenario."""
+        return cls(
+            name=name,
+            environment_stiffness_n_per_m=scenario.environment_stiffness_n_per_m,
+            payload_mass_kg=scenario.payload_mass_kg,
+            peak_sensor_force_n=run.peak_sensor_force_n,
+            peak_contact_force_n=run.peak_contact_force_n,
+            time_of_peak_s=run.time_of_peak_s,
+            further=scenario.further() or None,
+        )
+
     def __post_init__(self) -> None:
         if self.further is not None:
             freeze(self, "further")

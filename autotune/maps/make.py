@@ -277,19 +277,7 @@ def _tree(setup: MapSetup, result: MapResult | IntervalResult) -> dict[str, Any]
         "tolerance": result.request.tolerance,
         "along": _axis_tree(setup, result.request.along, values=True),
         "intervals": {
-            name: [
-                [
-                    {
-                        "lower": each.lower,
-                        "upper": each.upper,
-                        "lower_is_bound": each.lower_is_bound,
-                        "upper_is_bound": each.upper_is_bound,
-                    }
-                    for each in column
-                ]
-                for column in columns
-            ]
-            for name, columns in result.intervals.items()
+            name: [[vars(each) for each in column] for column in columns] for name, columns in result.intervals.items()
         },
     }
 

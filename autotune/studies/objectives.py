@@ -9,7 +9,7 @@ from problems.design.problem import DesignProblem
 from problems.model.controller import AdmittanceController
 from problems.model.plant import FREE_SPACE
 from problems.model.sampled import SampledPlant, build_sampled_plant
-from problems.stability.passivity import check_passivity
+from problems.stability.passivity import prepare_port
 
 from .plugins import Requirement
 
@@ -29,7 +29,7 @@ class PassiveBand(Requirement):
 
     @staticmethod
     def _share(free: SampledPlant, controller: AdmittanceController, end_hz: float) -> float:
-        fails_hz = check_passivity(free, controller).fails_above_hz
+        fails_hz = prepare_port(free).fails_above_hz(controller)
         if fails_hz is None:
             return 0.0
         return end_hz / fails_hz if fails_hz > 0.0 else math.inf

@@ -193,16 +193,8 @@ def check_choices(names: tuple[str, ...]) -> tuple[str, ...]:
 
 def design_of(problem: DesignProblem, controller: AdmittanceController) -> FloatArray:
     """Return the values of `problem.variables` (n,) that `problem.controller` makes this controller of."""
-    values = {
-        "mass": controller.mass_kg,
-        "damping": controller.damping_n_s_per_m,
-        "lead_s": controller.lead_s,
-        "feedback_damping_s": controller.feedback_damping_s,
-        "velocity_filter_rad_per_s": controller.velocity_filter_rad_per_s,
-        "acceleration_filter_rad_per_s": controller.acceleration_filter_rad_per_s,
-        "compensation_mass_kg": controller.compensation_mass_kg,
-    }
-    return np.array([values[name] for name in problem.variables])
+    fields = {"mass": "mass_kg", "damping": "damping_n_s_per_m"}
+    return np.array([getattr(controller, fields.get(name, name)) for name in problem.variables])
 
 
 def build_controller(problem: DesignProblem, design: FloatArray, chosen: Mapping[str, str]) -> AdmittanceController:

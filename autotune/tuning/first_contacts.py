@@ -182,15 +182,7 @@ def predictions(
     known = {each.scenario() for each in predicted.scenarios}
     worst = {max(runs, key=lambda each: peaks_of(runs[each])[kind]) for kind in (0, 1)}
     return tuple(
-        ScenarioPrediction(
-            name=scenario_name(name, scenario),
-            environment_stiffness_n_per_m=scenario.environment_stiffness_n_per_m,
-            payload_mass_kg=scenario.payload_mass_kg,
-            peak_sensor_force_n=run.peak_sensor_force_n,
-            peak_contact_force_n=run.peak_contact_force_n,
-            time_of_peak_s=run.time_of_peak_s,
-            further=scenario.further() or None,
-        )
+        ScenarioPrediction.of(scenario_name(name, scenario), scenario, run)
         for scenario, run in runs.items()
         if scenario in known or scenario in worst
     )

@@ -190,16 +190,7 @@ def _prediction(name: str, result: SearchResult, controller: AdmittanceControlle
     band = admittance_band_hz(problem.requirements)
     return AxisPrediction(
         scenarios=tuple(
-            ScenarioPrediction(
-                name=scenario_name(name, peak.scenario),
-                environment_stiffness_n_per_m=peak.scenario.environment_stiffness_n_per_m,
-                payload_mass_kg=peak.scenario.payload_mass_kg,
-                peak_sensor_force_n=peak.peak_sensor_force_n,
-                peak_contact_force_n=peak.peak_contact_force_n,
-                time_of_peak_s=peak.time_of_peak_s,
-                further=peak.scenario.further() or None,
-            )
-            for peak in peaks
+            ScenarioPrediction.of(scenario_name(name, peak.scenario), peak.scenario, peak) for peak in peaks
         ),
         free_space_admittance=FreeSpaceAdmittance(
             band_hz=band,

@@ -270,16 +270,9 @@ def worst_contact(task: AxisTask, law: LinearController) -> ScenarioPrediction:
         seen = simulate_linear_contact(pair, law, approach)
         found.append((seen.peak_contact_force_n, scenario, seen))
     _, scenario, seen = max(found, key=lambda each: each[0])
-    return ScenarioPrediction(
-        name=f"K_e {scenario.environment_stiffness_n_per_m:.4g} {units.stiffness}, "
-        f"{scenario.payload_mass_kg:.4g} {units.mass}{scenario.off_nominal}",
-        environment_stiffness_n_per_m=scenario.environment_stiffness_n_per_m,
-        payload_mass_kg=scenario.payload_mass_kg,
-        peak_sensor_force_n=seen.peak_sensor_force_n,
-        peak_contact_force_n=seen.peak_contact_force_n,
-        time_of_peak_s=seen.time_of_peak_s,
-        further=scenario.further() or None,
-    )
+    stiffness, mass = scenario.environment_stiffness_n_per_m, scenario.payload_mass_kg
+    name = f"K_e {stiffness:.4g} {units.stiffness}, {mass:.4g} {units.mass}{scenario.off_nominal}"
+    return ScenarioPrediction.of(name, scenario, seen)
 
 
 def smallest_admittance(task: AxisTask, law: LinearController, band_hz: tuple[float, float]) -> float:

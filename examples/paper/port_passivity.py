@@ -26,7 +26,7 @@ from examples.paper.paper_case import (
 )
 from problems.model.controller import AdmittanceController
 from problems.model.sampled import build_loop, build_sampled_plant
-from problems.stability.passivity import check_passivity
+from problems.stability.passivity import prepare_port
 
 READ_LEAD_S = (0.0, 0.005, 0.008, 0.009, 0.02, 0.04, 0.046, 0.047, 0.06)
 DRAWN_LEAD_S = np.linspace(0.0, 0.07, 71)
@@ -87,7 +87,7 @@ def _port(lead_s: float) -> Port:
     return Port(
         lead_s=lead_s,
         instant_hz=passive_up_to_hz(controller, 20.0),
-        sampled_hz=check_passivity(free, controller).fails_above_hz,
+        sampled_hz=prepare_port(free).fails_above_hz(controller),
         decay_rate_per_s=slowest.decay_rate_per_s,
         oscillation_hz=slowest.oscillation_hz,
     )

@@ -1,6 +1,5 @@
 """Passivity of the port F → V: whether the controlled robot ever feeds energy into what it touches."""
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,63 +25,43 @@ _AROUND_A_ROOT = np.linspace(-4.0, 4.0, 33)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Passivity:
-    """Re G(jω) ≥ 0 up to `fails_above_hz` (None: up to the Nyquist frequency).
-
-    `worst_real_m_s_per_n` is the smallest Re G, reached at `worst_hz`. A port that is unstable by itself is passive
-    nowhere: 0 Hz, and −∞.
-    """
-
-    fails_above_hz: float | None
-    worst_real_m_s_per_n: float
-    worst_hz: float
-
-
-@dataclass(frozen=True, kw_only=True)
 class PreparedPort:
     """A plant with its response on the frequencies that do not depend on the controller, see `prepare_port`."""
 
     sampled: SampledPlant
     grid: PlantResponse
 
-    def check(self, controller: Controller) -> Passivity:
-        """Look where the real part of the rendered admittance turns negative, see `check_passivity`."""
+    def fails_above_hz(self, controller: Controller) -> float | None:
+        """Return where the real part of the rendered admittance G = V/F turns negative, None up to Nyquist.
+
+        Delay and hold are in it. A port that is unstable by itself is passive nowhere. The first sign change of a grid
+        that is fine around every pole and zero of G is narrowed down to rounding.
+        """
         port = _port(self.sampled, controller)
         if not spectral_radius(port) < 1.0:
-            return Passivity(fails_above_hz=0.0, worst_real_m_s_per_n=-math.inf, worst_hz=0.0)
+            return 0.0
         h = self.sampled.sample_time_s
         further = plant_response(self.sampled, _around_poles(port))
         omega = np.concatenate([self.grid.frequency_rad_per_s, further.frequency_rad_per_s])
         order = np.argsort(omega, kind="stable")
         real = np.concatenate([rendered_admittance(each, controller, h).real for each in (self.grid, further)])
         omega, real = omega[order], real[order]
-        worst, negative, fails = int(np.argmin(real)), np.flatnonzero(real < 0.0), None
-        if negative.size:
-            first = int(negative[0])
-            fails = 0.0 if first == 0 else _root(self.sampled, controller, float(omega[first - 1]), float(omega[first]))
-        return Passivity(
-            fails_above_hz=None if fails is None else fails / (2.0 * np.pi),
-            worst_real_m_s_per_n=float(real[worst]),
-            worst_hz=float(omega[worst] / (2.0 * np.pi)),
-        )
+        negative = np.flatnonzero(real < 0.0)
+        if not negative.size:
+            return None
+        first = int(negative[0])
+        edge = 0.0 if first == 0 else _root(self.sampled, controller, float(omega[first - 1]), float(omega[first]))
+        return edge / (2.0 * np.pi)
 
     def passive_below_hz(self, controller: Controller) -> float:
         """Return the frequency up to which the port is passive, at most the Nyquist frequency."""
-        fails = self.check(controller).fails_above_hz
+        fails = self.fails_above_hz(controller)
         return 0.5 / self.sampled.sample_time_s if fails is None else fails
 
 
 def prepare_port(sampled: SampledPlant) -> PreparedPort:
     """Compute once what many controllers on one plant share."""
     return PreparedPort(sampled=sampled, grid=plant_response(sampled, _frequencies(sampled)))
-
-
-def check_passivity(sampled: SampledPlant, controller: Controller) -> Passivity:
-    """Look where the real part of the rendered admittance G = V/F (sampled, delay and hold included) turns negative.
-
-    The first sign change of a grid that is fine around every pole and zero of G is narrowed down to rounding.
-    """
-    return prepare_port(sampled).check(controller)
 
 
 def passive_below_hz(sampled: SampledPlant, controller: Controller) -> float:

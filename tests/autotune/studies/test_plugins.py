@@ -41,7 +41,7 @@ from problems.design.problem import AdmittanceTarget, DesignProblem, Requirement
 from problems.errors import ParameterError
 from problems.model.controller import AdmittanceController
 from problems.stability.noise import command_speed_gain
-from problems.stability.passivity import check_passivity
+from problems.stability.passivity import prepare_port
 from tests.autotune.studies.small import ROOT
 from tests.autotune.tuning.cases import FAST_PROBLEM_YAML, FAST_SPEC, identified_plant, write_plant
 from tests.next_step import is_next_alone
@@ -117,7 +117,7 @@ def test_noise_is_the_worst_of_contact_and_free_space() -> None:
 
 def test_a_port_that_stays_passive_beyond_the_band_has_room() -> None:
     for design in sample_designs(sample_problem()):
-        fails = check_passivity(design.prepared.free[0], design.controller).fails_above_hz
+        fails = prepare_port(design.prepared.free[0]).fails_above_hz(design.controller)
         assert fails is not None
         assert PassiveBand().achieved(1.0, design, 0) == pytest.approx(2.0 / fails)
 

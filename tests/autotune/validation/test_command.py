@@ -11,7 +11,7 @@ from problems.model.plant import FREE_SPACE, Plant, WrenchFilter
 from problems.model.robot import RobotModel
 from problems.model.sampled import build_sampled_plant
 from problems.stability.noise import command_speed_gain
-from problems.stability.passivity import check_passivity
+from problems.stability.passivity import prepare_port
 from tests.autotune.tuning.cases import design_problem
 
 H = 8e-4
@@ -64,7 +64,7 @@ def test_the_passive_band_ends_where_the_real_part_of_the_response_turns(
     delay: float, law: AdmittanceController
 ) -> None:
     plant = plants(delay)[0]
-    fails = check_passivity(build_sampled_plant(plant, H), law).fails_above_hz
+    fails = prepare_port(build_sampled_plant(plant, H)).fails_above_hz(law)
     assert fails is not None
     # Frequencies of the transform are 0.005 Hz apart.
     assert passive_band_hz(plant.port, law, H, 600.0) == pytest.approx(fails, abs=0.011)
@@ -77,7 +77,7 @@ def test_behind_a_filter_noise_and_passive_band_are_those_of_the_exact_loop(wren
     set_ = [replace(plant, wrench_filter=wrench) for plant in plants(2.4e-3)]
     reported = [command_speed_gain(build_sampled_plant(plant, H), law) for plant in set_]
     assert speed_rms(set_, law, H) == pytest.approx(reported, rel=1e-6)
-    fails = check_passivity(build_sampled_plant(set_[0], H), law).fails_above_hz
+    fails = prepare_port(build_sampled_plant(set_[0], H)).fails_above_hz(law)
     assert fails is not None
     # Frequencies of the transform are 0.005 Hz apart.
     assert passive_band_hz(set_[0].port, law, H, 600.0) == pytest.approx(fails, abs=0.011)
@@ -87,6 +87,6 @@ def test_a_port_that_does_not_come_to_rest_is_passive_nowhere() -> None:
     """Far too much compensation behind a fast filter drives itself."""
     law = replace(LAWS["compensation"], compensation_mass_kg=500.0, acceleration_filter_rad_per_s=2000.0)
     plant = plants(2.4e-3)[0]
-    assert check_passivity(build_sampled_plant(plant, H), law).fails_above_hz == 0.0
+    assert prepare_port(build_sampled_plant(plant, H)).fails_above_hz(law) == 0.0
     with np.errstate(over="ignore", invalid="ignore"):
         assert passive_band_hz(plant.port, law, H, 10.0) == 0.0

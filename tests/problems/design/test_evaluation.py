@@ -23,7 +23,7 @@ from problems.model.robot import RobotModel
 from problems.model.sampled import build_loop, build_sampled_plant, spectral_radius
 from problems.stability.margins import Margins, UnstableLoopError, find_margins
 from problems.stability.noise import command_speed_gain
-from problems.stability.passivity import check_passivity
+from problems.stability.passivity import prepare_port
 from tests.problems.axes import PERIOD_S, paper_problem
 
 GOOD = (15.0, 3000.0, 0.02, 0.0)
@@ -320,7 +320,7 @@ def test_the_command_noise_is_that_of_the_noisiest_plant() -> None:
 
 def test_passivity_is_asked_of_the_port() -> None:
     ready = prepared(requirements=COMMANDED)
-    fails = check_passivity(ready.free[0], ready.problem.controller(GOOD)).fails_above_hz
+    fails = prepare_port(ready.free[0]).fails_above_hz(ready.problem.controller(GOOD))
     assert fails is not None
     assert ready.evaluate(GOOD).requirements["passivity"] == pytest.approx(5.0 / fails, rel=1e-12)
     assert len(ready.robots) == 1

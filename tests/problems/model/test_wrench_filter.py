@@ -34,7 +34,7 @@ from problems.model.python_control import to_control
 from problems.model.response import free_space_admittance, loop_response
 from problems.model.sampled import build_loop, build_sampled_plant, spectral_radius
 from problems.stability.margins import UnstableLoopError, find_margins, margins_on_grid
-from problems.stability.passivity import check_passivity
+from problems.stability.passivity import prepare_port
 from tests.problems.axes import PERIOD_S, admittance, linear_controller, one_pole, paper_plant
 from tests.problems.filtered_cell import press
 
@@ -234,7 +234,7 @@ def test_the_rendered_admittance_has_the_filter_in_it() -> None:
     omega = np.geomspace(1.0, 1000.0, 50)
     plain, filtered = (free_space_admittance(each, CALM, omega) for each in free)
     np.testing.assert_allclose(filtered, plain / (1.0 + 1j * omega * FILTER.time_constant_s), rtol=1e-9)
-    first, second = (check_passivity(each, FORCED).fails_above_hz for each in free)
+    first, second = (prepare_port(each).fails_above_hz(FORCED) for each in free)
     assert first is not None
     assert second is not None
     assert second < first
