@@ -3,7 +3,7 @@
 import functools
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
@@ -100,7 +100,13 @@ _PROOF_OPTIONS = (
         metavar="SECONDS",
         help="Time for the proof over all uncertain parameters, about (10); 0 skips it.",
     ),
+    click.option(
+        "--axes",
+        type=click.Choice(["apart", "checked"]),
+        help="Axes on one payload: checked together by default; apart leaves that out.",
+    ),
 )
+_PROOF_NAMES = ("slack", "proof_budget", "axes")
 
 
 def proof_options(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -108,15 +114,17 @@ def proof_options(function: Callable[..., Any]) -> Callable[..., Any]:
 
     @functools.wraps(function)
     def command(*args: Any, **kwargs: Any) -> Any:
-        return function(*args, proof=_proof_options(kwargs.pop("slack"), kwargs.pop("proof_budget")), **kwargs)
+        return function(*args, proof=_proof_options(*(kwargs.pop(each) for each in _PROOF_NAMES)), **kwargs)
 
     for option in reversed(_PROOF_OPTIONS):
         command = option(command)
     return command
 
 
-def _proof_options(slack: float | None, budget_s: float | None) -> "ProofOptions | None":
-    if slack is None and budget_s is None:
+def _proof_options(
+    slack: float | None, budget_s: float | None, axes: Literal["apart", "checked"] | None
+) -> "ProofOptions | None":
+    if slack is None and budget_s is None and axes is None:
         return None
     from autotune.validation.axis_proof import ProofOptions
 
@@ -125,6 +133,7 @@ def _proof_options(slack: float | None, budget_s: float | None) -> "ProofOptions
         slack=usual.slack if slack is None else 0.01 * slack,
         budget_s=max(usual.budget_s, budget_s or 0.0),
         further_s=usual.further_s if budget_s is None else budget_s,
+        axes=axes or usual.axes,
     )
 
 

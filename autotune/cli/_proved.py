@@ -83,3 +83,18 @@ def held_lines(controller: "Controller") -> Iterator[str]:
             yield f"axis {name}: {hand} may make the loop unstable; the requirement held_by_hand excludes it"
         else:
             yield f"axis {name}, held by {hand}: {_proved(f'stable, |1 + L| > {held.modulus:.3g}', held.share)}"
+
+
+def coupled_lines(controller: "Controller", unchecked: str = "") -> Iterator[str]:
+    """Say what the axes do together; `unchecked` is why nothing is known of that."""
+    from autotune.prediction.as_run_by import designed_for
+
+    found = controller.certificate.coupled
+    if found is None or designed_for(controller):
+        if unchecked and found is None:
+            yield f"axes together: not checked, {unchecked}"
+        return
+    yield from found.sentences()
+    for each in found.proofs:
+        claim = f"stable, smallest singular value of I + L above {each.modulus:.3g}"
+        yield f"{'–'.join(each.axes)} together: {_proved(claim, each.share)}"

@@ -120,7 +120,9 @@ def _check_alone(tables: Mapping[str, Sequence[Interval]], others: Mapping[str, 
             instead = "; for the page of all: autotune report FOLDER/schedule.yaml" if name == "report" else ""
             raise click.UsageError(f"--{option} is about one controller, and --schedule tunes many{instead}.")
     if others["proof"] is not None:
-        raise click.UsageError("--slack and --proof-budget are about one controller, and --schedule tunes many.")
+        raise click.UsageError(
+            "--slack, --proof-budget and --axes are about one controller, and --schedule tunes many."
+        )
     for kind in tables:
         if others[_OPTION_OF[kind]] is not None:
             option = _OPTION_OF[kind].replace("_", "-")

@@ -27,7 +27,7 @@ from ._optimized import (
 )
 from ._options import SETTINGS, FilePath, GroupedCommand, PresentType, fields_with_unit, typed_range
 from ._pareto import FrontWriter, pareto_options, proof_options
-from ._proved import held_lines, led_lines, peak_lines, rest_lines
+from ._proved import coupled_lines, held_lines, led_lines, peak_lines, rest_lines
 from ._report import check_report, print_report_path, report_option, report_refusal, write_report
 from ._schedule import schedule_options
 from ._terminal import detect_terminal, echo, print_message, print_table
@@ -55,7 +55,7 @@ Examples:
 """
 _GROUPS = {
     "Ranges to certify": ("payload_mass", "environment_stiffness", "schedule"),
-    "Proof": ("slack", "proof_budget"),
+    "Proof": ("slack", "proof_budget", "axes"),
     "Pareto front": (*("pareto", "objectives", "require", "choose", "storage", "study", "trials", "sampler"),),
 }
 
@@ -333,6 +333,7 @@ def print_optimized(
         *rest_lines(controller),
         *held_lines(controller),
         *led_lines(controller),
+        *coupled_lines(controller, found.unchecked_together),
         *limit_lines(controller),
     ):
         print_message(line)

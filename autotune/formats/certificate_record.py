@@ -25,11 +25,11 @@ from problems.model.plant import NO_FILTER, WrenchFilter
 from problems.model.plant_parameters import PARAMETERS
 from problems.model.robot import RobotModel
 
+from .coupled_record import CoupledCertificate
 from .proof_records import BouncingProof, HeldProof, PeakProof
-from .units import AXES, ROTATIONAL_AXES, axis_units
+from .units import ROTATIONAL_AXES, Axis, axis_units
 
 Interval = tuple[float, float]
-Axis = Annotated[str, Rule(enum=AXES)]
 FurtherName = Annotated[str, Rule(enum=FURTHER_UNCERTAIN)]
 Period = Annotated[float, Rule(minimum=1e-5, maximum=0.1)]
 Band = Annotated[Interval, Rule(items=Rule(minimum=0, maximum=10000))]
@@ -342,6 +342,7 @@ class Certificate:
     `soft` holds by axis what need not be met, and what was achieved, `continuous` what of the modulus is proved, `held`
     what of it while a hand holds the payload, `peaks` what no first contact exceeds, `bouncing` whether every
     contact comes to rest (None: earlier releases).
+    `coupled` is of all axes together, None where one alone is known or asked.
     """
 
     domain: Mapping[
@@ -366,6 +367,7 @@ class Certificate:
     held: Mapping[Axis, HeldProof] | None = None
     peaks: Mapping[Axis, PeakProof] | None = None
     bouncing: Mapping[Axis, BouncingProof] | None = None
+    coupled: CoupledCertificate | None = None
 
     def __post_init__(self) -> None:
         freeze(self, "domain", "requirements", "margins")

@@ -97,4 +97,7 @@ def _renamed(body: dict[str, Any], *, reading: bool) -> dict[str, Any]:
     for part in ("soft", "continuous", "held", "peaks"):
         if part in certificate:
             renamed[part] = axes(certificate[part])
+    if "coupled" in certificate:
+        coupled = certificate["coupled"]
+        renamed["coupled"] = coupled | {"body": coupled["body"] | {"held": axes(coupled["body"]["held"])}}
     return body | {"predicted": axes(body["predicted"]), "certificate": certificate | renamed}

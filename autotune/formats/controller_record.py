@@ -13,16 +13,9 @@ from problems.errors import ParameterError
 from problems.frozen import Rule, Text, freeze
 from problems.model.controller import SMALLEST_FEEDBACK_DAMPING_S, AdmittanceController
 
-from .certificate_record import (
-    Axis,
-    Band,
-    Certificate,
-    FurtherName,
-    Period,
-    check_interval,
-)
+from .certificate_record import Band, Certificate, FurtherName, Period, check_interval
 from .limits import CollisionResponse, Limits, Peak, ResidualPeaks, VariableDampingSettings
-from .units import AXES, ROTATIONAL_AXES
+from .units import AXES, ROTATIONAL_AXES, Axis
 
 Vector = tuple[float, float, float]
 Corner = Annotated[float, Rule(minimum=0.1, maximum=1_000_000)]

@@ -11,12 +11,11 @@ from problems.frozen import AboveZero, Rule
 
 from .atomic import check_target, write_folder_atomic
 from .canonical import checksum, dump_yaml, plain, short
-from .certificate_record import Axis
 from .controller import ControllerFile, controller_tree, read_controller
 from .controller_record import Controller
 from .records import record_tree, rename_axis_keys
 from .schema import VERSION, check_document, check_format, check_tree
-from .units import ROTATIONAL_AXES
+from .units import ROTATIONAL_AXES, Axis
 from .yaml12 import Document, load_document
 
 if TYPE_CHECKING:

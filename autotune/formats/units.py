@@ -1,9 +1,14 @@
 """The axes of a cell and of which kind each is: straight ones x, y, z; turning ones rx, ry, rz."""
 
+from typing import Annotated
+
+from problems.frozen import Rule
 from problems.model.axis_kind import STRAIGHT, TURNING, AxisKind, rotational_name
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 ROTATIONAL_AXES = frozenset({"rx", "ry", "rz"})
+Axis = Annotated[str, Rule(enum=AXES)]
+"""An axis as an entry of a file."""
 
 
 def axis_units(axis: str) -> AxisKind:

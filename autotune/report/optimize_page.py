@@ -37,6 +37,7 @@ from .controller_tables import (
     target_facts,
     worst_table,
 )
+from .coupled_section import coupled_section
 from .page import Block, Fact, Facts, Note, Page, Section, Table, TableCell, build_table
 from .strategy_chart import response_table, strategy_chart
 
@@ -90,6 +91,7 @@ def build_optimize_page(
                     blocks=tuple(each for each in (led_table(controller, designs),) if each is not None),
                     is_folded=True,
                 ),
+                coupled_section(controller),
                 replace(search_section(controller, steps or {}), is_folded=True),
                 replace(certificate_section(controller, designs), is_folded=True),
             ],

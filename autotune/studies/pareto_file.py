@@ -7,10 +7,9 @@ from typing import Annotated, Any, Literal
 
 from autotune.formats.atomic import write_atomic
 from autotune.formats.canonical import dump_yaml, plain
-from autotune.formats.certificate_record import Axis
 from autotune.formats.records import record_tree, rename_axis_keys
 from autotune.formats.schema import VERSION, check_tree
-from autotune.formats.units import ROTATIONAL_AXES
+from autotune.formats.units import ROTATIONAL_AXES, Axis
 from problems.frozen import AboveZero, Count, NotNegative, Rule, Text
 from problems.model.controller import Discretization
 

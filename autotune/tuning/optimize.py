@@ -32,6 +32,7 @@ from problems.progress import ProgressSlice, no_progress
 from .causes import explain, explanation_message
 from .compare import SideBySide, check_comparable, compare, start_design
 from .compliance import Compliance, build_compliance_problems, choose_compliance, infeasible_message, settle_compliance
+from .coupled import TogetherCheck
 from .defaults import DefaultAdmittance, default_admittance, default_message, lower_default
 from .limits import LimitsSettings, limits_settings, with_limits
 from .optimality_report import OptimalityReport, report_optimality
@@ -71,7 +72,8 @@ class Optimized:
     `compared` puts it beside the present gains, axis by axis, if they are known, and `before_after` beside the contacts
     of the log; `compliance` holds the stiffness
     that was chosen for the axis, where the problem left it open; `defaults` what was asked by default and followed the
-    cell. What the user should know is in the provenance, as `notes`.
+    cell. What the user should know is in the provenance, as `notes`. `unchecked_together` says why the axes were not
+    checked on their common payload.
     """
 
     controller: Controller
@@ -82,6 +84,7 @@ class Optimized:
     compliance: Mapping[str, Compliance] = field(default_factory=dict)
     defaults: Mapping[str, DefaultAdmittance] = field(default_factory=dict)
     before_after: Mapping[str, BeforeAndAfter] = field(default_factory=dict)
+    unchecked_together: str = ""
 
 
 def optimize(
@@ -131,11 +134,12 @@ def optimize(
     problems = {name: each.problem for name, each in searches.items()}
     provenance = make_provenance(identified, problems, spec, seed, problem_path, present, asked)
     provenance |= result_trees(problems, identified.result, optimality_reports, defaults, chosen)
+    together = TogetherCheck(identified.result, asked)
     controller, checked = certify(
         searches, payload, provenance, asked, lambda done: report((1.0 - _SEARCH_SHARE) * done),
         strategies=strategy_settings(identified.result, spec),
         limits=limits_settings(identified.result, spec),
-        proved={name: each.proved for name, each in settled.items()},
+        proved={name: each.proved for name, each in settled.items()}, together=together,
     )  # fmt: skip
     compared = {} if present is None else compare(present, searches)
     before_after = replay_log(identified, controller, present, compared) if replays else {}
@@ -145,15 +149,10 @@ def optimize(
     notes += design_notes(identified, controller, problems, spec, has_compliance=bool(chosen))
     controller = with_notes(controller, notes, before_after)
     return Optimized(
-        controller=controller,
-        searches=searches,
-        optimality_reports=optimality_reports,
-        report=checked,
-        compared=compared,
-        compliance=chosen,
-        defaults=defaults,
-        before_after=before_after,
-    )
+        controller=controller, searches=searches, optimality_reports=optimality_reports, report=checked,
+        compared=compared, compliance=chosen, defaults=defaults, before_after=before_after,
+        unchecked_together=together.unchecked,
+    )  # fmt: skip
 
 
 def replay_log(
@@ -198,13 +197,15 @@ def certify(
     strategies: StrategySettings | None = None,
     proved: Mapping[str, AxisProof] | None = None,
     limits: LimitsSettings | None = None,
+    together: Callable[[Controller], Controller] | None = None,
 ) -> tuple[Controller, ValidationReport]:
     """Prove what can be proved of the designs, write them down, and return the controller once validation passed it.
 
     `strategies` asks for what is chosen for these designs beside gains, `limits` says what is known of the cell for
-    those of the runtime. `progress` gets the share of the work done since the last call; `proved` is what has been
-    proved already. Raises CertificateError when a claim cannot be proved or verified, RefutedError among them
-    (`prove_search`), and what `choose_strategies` raises.
+    those of the runtime; `together` adds what is certified of all axes on their payload. `progress` gets the share of
+    the work done since the last call; `proved` is what has been proved already. Raises CertificateError when a claim
+    cannot be proved or verified, RefutedError among them (`prove_search`), and what `choose_strategies` and `together`
+    raise.
     """
     for name, search in searches.items():
         check_within_bounds(search, name)
@@ -221,6 +222,8 @@ def certify(
     if strategies is not None:
         controller = choose_strategies(controller, searches, strategies, prover)
     controller = with_limits(controller, limits or LimitsSettings())
+    if together is not None:
+        controller = together(controller)
     checked = validate_controller(controller, lambda done: progress((1.0 - _PROOF_SHARE) * done), proved=prover.answers)
     checked.require()
     return controller, checked

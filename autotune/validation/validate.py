@@ -18,6 +18,7 @@ from .bouncing import search_bouncing
 from .bouncing_proof import check_bouncing
 from .certified_requirements import limit_n
 from .contacts import verify_led, verify_peaks, verify_response, verify_varied
+from .coupled import check_coupled
 from .held import check_held
 from .limits import verify_limits
 from .margins import SweptMargins, sweep_margins
@@ -263,6 +264,12 @@ def _bouncing(case: AxisCase) -> Iterator[Check]:
         yield case.check("bouncing", "" if found.passed else message, message)
 
 
+def _together(case: AxisCase) -> Iterator[Check]:
+    """Yield the check of all axes together, once."""
+    if case.name == next(iter(case.controller.axes)):
+        yield from check_coupled(case.controller)
+
+
 def _limits(case: AxisCase) -> Iterator[Check]:
     message, wrong = verify_limits(case.controller, case.name, case.domain, case.law)
     yield case.check("limits", "; ".join(wrong), message, warns=case.controller.limits is None)
@@ -303,6 +310,7 @@ _TABLE = (
     _Row(_proved_peaks, is_short=False),
     _Row(_led, is_short=False),
     _Row(_bouncing, is_short=False),
+    _Row(_together, is_short=False),
     _Row(_limits),
     _Row(_response, is_short=False),
 )

@@ -116,7 +116,7 @@ def _follow_linear(
         found = np.zeros(FOUND)
         touching, switches[w] = run_linear_contact(loop, start, force, window, touching, found)
         peaks[w] = found[CONTACT_PEAK]
-        verdict = _judge_window(peaks, switches, w, touching, force)
+        verdict = judge_window(peaks, switches, w, touching, force)
         if verdict >= 0:
             return verdict, w + 1
     return DECAYING, len(peaks)
@@ -146,14 +146,14 @@ def follow_bounces(
         found[:], before = 0.0, flags[SWITCHES]
         walk(plant, blocks, now, flags, forces, TickRange(0, length, length), results)
         peaks[w], switches[w] = found[CONTACT_PEAK], flags[SWITCHES] - before
-        verdict = _judge_window(peaks, switches, w, flags[TOUCHING] == 1, forces.desired + forces.push)
+        verdict = judge_window(peaks, switches, w, flags[TOUCHING] == 1, forces.desired + forces.push)
         if verdict >= 0:
             return verdict, w + 1
     return DECAYING, len(peaks)
 
 
 @compiled
-def _judge_window(peaks: FloatArray, switches: NDArray[np.int64], w: int, touching: bool, rest: float) -> int:
+def judge_window(peaks: FloatArray, switches: NDArray[np.int64], w: int, touching: bool, rest: float) -> int:
     """Return SETTLED or BOUNCING if windows 0 to w show it, else -1; `rest` is the force at rest."""
     if switches[w] == 0 and touching:
         return SETTLED

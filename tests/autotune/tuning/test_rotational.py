@@ -170,7 +170,7 @@ def test_both_axes_are_tuned_in_one_call_to_the_same_optimum() -> None:
     assert found.report.passed
     assert {check.name for check in found.report.checks if check.axis == "x"} - {
         check.name for check in found.report.checks if check.axis == "ry"
-    } == {"payload"}
+    } == {"payload", "axes together"}
 
 
 def test_the_file_shows_rotational_units_and_survives_validate_export_and_map(tmp_path: Path) -> None:
@@ -236,6 +236,7 @@ def test_validation_asks_rotational_axes_for_their_own_requirements(change: dict
             **change,  # type: ignore[arg-type]  # named in the table above
             domain={"ry": controller.certificate.domain["ry"]},
             margins={"ry": controller.certificate.margins["ry"]},
+            coupled=None,
             continuous={"ry": (controller.certificate.continuous or {})["ry"]},
             proved=tuple(each for each in controller.certificate.proved if each.claim.startswith("axis ry:")),
             sampled=tuple(each for each in controller.certificate.sampled if each.claim.startswith("axis ry:")),
