@@ -68,6 +68,9 @@ def _identify(data: JointData, begin: _Beginning, progress: ProgressSlice) -> Jo
     """Fit everything, beginning with the payload alone."""
     base, start = fit_robot(data)
     problem, point = begin(data, base, start[:-3])
+    if problem.layout.robot_order == 1:
+        # On the wrong side of a whole sample the jumps of the force look like a latency.
+        point, _ = compare_delay_hypotheses(problem, point)
     blurred = data.command is not None and data.command.is_mean
     problem, point, latency = fit_latency(problem, point, data.force_n, data.latency_s, 0.0, blurred=blurred)
     problem, point, latency = filter_or_delay(problem, point, data.force_n, latency, data.shifted_s)
@@ -89,9 +92,7 @@ def _identify(data: JointData, begin: _Beginning, progress: ProgressSlice) -> Jo
     progress.advance_to(_ROUNDED)
     problem, point = deepest_surfaces(problem, deepest_stiffness(problem, point))
     problem = with_fitted_noise(problem, point)
-    competing = None
-    if not problem.signals.is_smooth:  # else nothing jumps
-        point, competing = compare_delay_hypotheses(problem, point)
+    point, competing = compare_delay_hypotheses(problem, point)
     _require_mass(problem, float(point.values[3]))
     resting = np.concatenate([detrended(data.force_n[s]) for s in quiet_rests(data)])
     rest_rms_n = max(float(np.std(resting)), data.least_noise_n)

@@ -272,8 +272,11 @@ def _start(
         left = _misfit(base, start, span)
         if left < least:
             best, least = start, left
-    if least < _LARGEST_MISFIT:
+    pieces = informative_pieces([*whole, *mixed], data.position_m, data.force_n, data.period_s)[:_PIECE_STARTS]
+    if least < _LARGEST_MISFIT and (not pieces or any(s.start <= pieces[0].start < s.stop for s in whole)):
         return best
+    # Moves to and fro show drag and hardly a spring: a motion with a hand or a contact in it may show more.
+    values = best if least < _LARGEST_MISFIT else values
     windows = [w for w in windows_of([*whole, *mixed], data.period_s) if _is_loaded(base, w)]
 
     def shown_by(start: FloatArray) -> list[Segment]:
@@ -282,7 +285,6 @@ def _start(
     # What the frequency domain shows up to where the log resolves the motion may explain more than any piece does.
     best, shown = values, shown_by(values)
     holding = max(whole, key=lambda span: sum(not outside(window, [span]) for window in shown), default=None)
-    pieces = informative_pieces([*whole, *mixed], data.position_m, data.force_n, data.period_s)[:_PIECE_STARTS]
     most = len(shown)
     for piece in [*([] if holding is None or not shown else [holding]), *pieces]:
         start = start_coupling(base, values, piece, data.mass_kg)[0]

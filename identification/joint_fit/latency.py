@@ -177,9 +177,12 @@ def compare_delay_hypotheses(problem: Problem, point: Point) -> tuple[Point, Com
     The velocity of a robot with one pole jumps with every step of its command, and the damping of the coupling turns
     that into a jump of the force. A delay just below a whole number of samples puts the step just before the tick, one
     just above it behind: the same force at all other times, but another one in the log. No derivative shows that jump.
-    Of a robot with two poles the competing is that of one pole, where the second pole is fast.
+    Of a robot with two poles the competing is that of one pole, where the second pole is fast. Behind a smooth command
+    nothing jumps.
     """
     layout, period = problem.layout, problem.signals.period_s
+    if problem.signals.is_smooth:
+        return point, None
     if layout.robot_order == 2:
         return point, _one_pole(problem, point)
     if layout.robot_order != 1:

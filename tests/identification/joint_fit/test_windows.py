@@ -1,7 +1,6 @@
 """Motions that hold a hand, a sweep and a contact in one, on a cell integrated apart from the project's code."""
 
-from dataclasses import dataclass, field
-from functools import cache
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
@@ -39,6 +38,8 @@ class Story:
     program_m: list[FloatArray] = field(default_factory=list)
     desired_n: list[FloatArray] = field(default_factory=list)
     hand_n: list[FloatArray] = field(default_factory=list)
+    drag_n_s_per_m: float = B_P
+    is_felt_first: bool = False  # the force of a tick is that before the command's step, which makes the speed jump
 
     def add(
         self,
@@ -64,7 +65,7 @@ class Story:
         rows = np.zeros((6, 6))
         rows[0, [0, 3]], rows[1, 2] = (-OMEGA, OMEGA), 1.0
         rows[2] = -felt / M_P
-        rows[2, 2] -= B_P / M_P
+        rows[2, 2] -= self.drag_n_s_per_m / M_P
         rows[2, 4] = 1.0 / M_P
         touching = rows.copy()
         if np.isfinite(wall_m):
@@ -73,7 +74,7 @@ class Story:
         state, shown, commands = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0]), np.empty((len(hand), 2)), np.zeros(len(hand))
         speed = 0.0
         for k in range(len(hand)):
-            state[3] = commands[max(k - DELAY_SAMPLES, 0)]
+            state[3] = commands[max(k - DELAY_SAMPLES - self.is_felt_first, 0)]
             shown[k] = state[0], felt @ state
             if np.isnan(desired[k]):
                 speed, step = 0.0, float(program[k])
@@ -102,6 +103,9 @@ def data_of(story: Story, rest_s: float, *, wall_m: float = np.inf, holds: tuple
     rest, count = round(rest_s / H_S), len(position)
     moving = Span(start=rest, stop=holds[0].start if holds else count - rest)
     omega = 2.0 * np.pi * 25.0
+    guess = (
+        0.9 if story.is_felt_first else 1.1
+    )  # on the side of the whole sample where the force jumps too early or late
     return JointData(
         period_s=H_S,
         position_m=position + JITTER_M * rng.standard_normal(count),
@@ -113,7 +117,7 @@ def data_of(story: Story, rest_s: float, *, wall_m: float = np.inf, holds: tuple
         mixed=(moving,),
         holds=holds,
         coupling=np.array([M_P * omega**2, 0.1 * M_P * omega, 200.0, M_P]),
-        robot=RobotModel.from_bandwidth(bandwidth_rad_per_s=1.02 * OMEGA, delay_s=1.1 * DELAY_SAMPLES * H_S),
+        robot=RobotModel.from_bandwidth(bandwidth_rad_per_s=1.02 * OMEGA, delay_s=guess * DELAY_SAMPLES * H_S),
         mass_kg=1.01 * M_P,
     )
 
@@ -123,7 +127,12 @@ def commanded_sweep() -> FloatArray:
 
 
 def guided_then_swept(pause_s: float) -> JointData:
-    story = Story().add(1.5).add(HAND_S, desired=0.0, hand=push(HAND_S, 25.0)).add(pause_s, desired=0.0)
+    story = (
+        Story(is_felt_first=pause_s > 0.0)
+        .add(1.5)
+        .add(HAND_S, desired=0.0, hand=push(HAND_S, 25.0))
+        .add(pause_s, desired=0.0)
+    )
     return data_of(story.add(SWEEP_S, program=commanded_sweep()).add(1.5), 1.5)
 
 
@@ -134,18 +143,23 @@ def held_in_sweep() -> JointData:
     return data_of(Story().add(1.5).add(SWEEP_S, program=commanded_sweep(), hand=hand).add(1.5), 1.5)
 
 
-@cache
-def swept_then_pressed(pause_s: float) -> JointData:
-    story = Story().add(1.5).add(SWEEP_S, program=commanded_sweep()).add(pause_s).add(4.0, desired=DESIRED_N)
-    begin = round((1.5 + SWEEP_S + pause_s) / H_S)
-    wall = float(story.run()[0][begin]) + GAP_M
+def swept_then_pressed(drag_n_s_per_m: float) -> JointData:
+    """A sweep that goes over into an approach, a hold, and the way back from it, a motion of its own."""
+    story = Story(drag_n_s_per_m=drag_n_s_per_m).add(1.5).add(SWEEP_S, program=commanded_sweep()).add(0.1)
+    wall = float(story.add(0.0).run()[0][-1]) + GAP_M
+    story = story.add(4.0, desired=DESIRED_N)
     end = sum(map(len, story.hand_n))
-    return data_of(story, 1.5, wall_m=wall, holds=(Span(start=end - round(1.0 / H_S), stop=end),))
+    story = story.add(1.2, program=np.linspace(0.0, -0.03, round(1.2 / H_S))).add(1.5)
+    hold = Span(start=end - round(1.0 / H_S), stop=end)
+    back = Span(start=end, stop=end + round(1.8 / H_S))
+    data = data_of(story, 1.5, wall_m=wall, holds=(hold,))
+    return replace(data, moving=(*data.moving, back), free=(back,))
 
 
-def off(fit: JointFit) -> dict[str, float]:
+def off(fit: JointFit, drag_n_s_per_m: float = B_P) -> dict[str, float]:
     """Errors as shares of their targets."""
-    found = {name: abs(fit.value(name)[0] / TRUTH[name] - 1.0) / target for name, target in TARGETS.items()}
+    truth = {**TRUTH, "drag_n_s_per_m": drag_n_s_per_m}
+    found = {name: abs(fit.value(name)[0] / truth[name] - 1.0) / target for name, target in TARGETS.items()}
     return {**found, "delay_s": abs(fit.value("delay_s")[0] - DELAY_SAMPLES * H_S) / (0.14 * H_S)}
 
 
@@ -160,6 +174,9 @@ def test_a_hand_that_goes_over_into_a_sweep_leaves_the_sweep_to_be_used(pause_s:
     data = guided_then_swept(pause_s)
     fit = identify_joint(data)
     assert max(off(fit).values()) < 1.0, off(fit)
+    for name, truth in TRUTH.items():
+        value, std = fit.value(name)
+        assert abs(value - truth) < 3.5 * std, name  # eight values, all of them with 99.6 %
     assert touched_by(fit, 1.5, 1.5 + HAND_S) == []
     used = sum(len(span.measured) for span in fit.spans) * H_S
     assert used > SWEEP_S - 1.0
@@ -175,9 +192,10 @@ def test_a_hand_during_a_part_of_a_sweep_costs_that_part_only() -> None:
 
 
 def test_a_sweep_that_runs_into_a_contact_shows_payload_and_surface() -> None:
-    data = swept_then_pressed(0.1)
-    fit = identify_joint(data)
-    assert max(off(fit).values()) < 1.0, off(fit)
+    """The way back from the surface alone, in which drag is most of the force, looks like another payload."""
+    drag_n_s_per_m = 300.0
+    fit = identify_joint(swept_then_pressed(drag_n_s_per_m))
+    assert max(off(fit, drag_n_s_per_m).values()) < 1.0, off(fit, drag_n_s_per_m)
     assert fit.value("environment1_stiffness_n_per_m")[0] == pytest.approx(K_E, rel=0.05)
     # No sample is in free motion and in contact at once.
     (contact,) = [span for span in fit.spans if span.surface is not None]
