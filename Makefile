@@ -30,8 +30,9 @@ help:
 demo: $(RUNTIME)
 	@$(BIN)/autotune demo "$(DIR)"
 
+# Every process of the tests imports the same modules: without their bytecode each would compile them anew.
 test: $(DEV)
-	@$(BIN)/python -m pytest --numprocesses $(JOBS) --dist worksteal $(ARGS)
+	@PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest --numprocesses $(JOBS) --dist worksteal $(ARGS)
 
 # Kernels as plain Python, as for a debugger.
 PLAIN := tests/problems/contact/test_events.py tests/autotune/simulation/test_write_bags.py \

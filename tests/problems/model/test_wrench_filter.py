@@ -131,7 +131,7 @@ def test_the_margins_are_those_of_python_controls_loop(plant: Plant, law: Admitt
     held = control.sample_system(physical(plant), h, method="zoh")
     late = np.exp(-s * round(plant.robot.delay_s / h) * h)
     z = np.exp(s * h)
-    force, position = (late * held[i, 0](z) for i in range(2))
+    force, position = late * held(z)[:, 0]
     forward = control.sample_system(loop.forward, h, method="bilinear")(z)
     feedback = control.sample_system(loop.feedback, h, method="bilinear")(z) if law.feedback_damping_s else 0.0 * z
     damped = feedback * position
