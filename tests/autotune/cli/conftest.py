@@ -11,6 +11,7 @@ from autotune.simulation.simulate import simulate_cell
 from autotune.simulation.truth import SimulatedCell
 from autotune.simulation.write import write_mcap
 from identification.signals.recording import Recording
+from tests.autotune.tuning.cases import PURE, share_results
 
 SHORT = Program(pose_count=6, pose_hold_s=0.7, pose_move_s=0.6, jogging_s=0.0, sweep_s=5.0, contact_count=2)
 NO_CONTACT = replace(SHORT, contact_count=0)
@@ -25,6 +26,15 @@ def _with_nan(recording: Recording) -> Recording:
     force = np.array(recording.wrench.force_n)
     force[12000:12050] = np.nan
     return replace(recording, wrench=replace(recording.wrench, force_n=force))
+
+
+@pytest.fixture(autouse=True)
+def _shared_results(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Commands on the same files compute the same once; fronts are left, of which a test asks that they come again.
+
+    That a run again gives the same is a law of runs in processes of their own, here, and of the functions' own tests.
+    """
+    share_results(monkeypatch, [name for name in PURE if not name.endswith(".trace_front")])
 
 
 @pytest.fixture(scope="session")

@@ -16,12 +16,15 @@ from autotune.simulation.write import write_mcap
 from tests.autotune.cli.conftest import SHORT
 from tests.conftest import RunCli
 
+WRENCH = "/ft_sensor/wrench"
 
-def _messages(path: Path) -> dict[str, list[tuple[int, Any]]]:
-    """Return stamps [ns] and messages by topic."""
+
+def _messages(path: Path, topic: str | None = None) -> dict[str, list[tuple[int, Any]]]:
+    """Return stamps [ns] and messages by topic, of one or of all."""
     found: dict[str, list[tuple[int, Any]]] = {}
     with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
-        for link, stamp, raw in reader.messages():
+        links = [link for link in reader.connections if topic in (None, link.topic)]
+        for link, stamp, raw in reader.messages(links):
             found.setdefault(link.topic, []).append((stamp, reader.deserialize(raw, link.msgtype)))
     return found
 
@@ -32,9 +35,9 @@ def test_the_log_and_its_annotations_have_the_same_times_and_forces(
     done = run_cli("identify", good_log, "--annotate", "seen.mcap", "--json")
     assert done.returncode == 0, done.stderr
     timeline = json.loads(done.stdout)["timelines"][0]
-    messages, logged = _messages(tmp_path / "seen.mcap"), _messages(good_log)
+    messages, logged = _messages(tmp_path / "seen.mcap"), _messages(good_log, WRENCH)
     assert set(messages) == {f"/autotune/{name}" for name in ("wrench", "predicted_wrench", "phase", "contacts")}
-    raw = logged["/ft_sensor/wrench"]
+    raw = logged[WRENCH]
     measured = messages["/autotune/wrench"]
     assert [stamp for stamp, _ in measured] == [stamp for stamp, _ in raw]
     # At the first rest nothing but the weight pulls: without it the noise is left.
@@ -72,7 +75,8 @@ def test_times_are_those_of_the_log_where_the_pose_begins_later(run_cli: RunCli,
     write_mcap(replace(recording, pose=later), tmp_path / "late.mcap")
     assert run_cli("identify", "late.mcap", "--annotate", "seen.mcap").returncode == 0
     messages = _messages(tmp_path / "seen.mcap")
-    raw = {stamp: message.wrench.force.x for stamp, message in _messages(tmp_path / "late.mcap")["/ft_sensor/wrench"]}
+    logged_wrenches = _messages(tmp_path / "late.mcap", WRENCH)[WRENCH]
+    raw = {stamp: message.wrench.force.x for stamp, message in logged_wrenches}
     # Where a contact presses hardest in the log itself, the annotated force does too.
     (first, _), *_ = messages["/autotune/contacts"]
     span = range(first - 200_000_000, first + 200_000_000)

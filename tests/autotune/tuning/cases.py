@@ -1,5 +1,6 @@
 """A cell, its design problems and their solutions that several tests share, each solved once."""
 
+import functools
 import hashlib
 import importlib
 import pickle
@@ -223,7 +224,7 @@ OF_TARGETS = (
     "autotune.export.third_party.search_bouncing",
 )
 """What the laws of export targets are found and certified by."""
-_PURE = (
+PURE = (
     *("autotune.pipeline.identify_with_evidence", "autotune.tuning.optimize.solve_design"),
     *("autotune.tuning.optimize.settle", "autotune.studies.front.trace_front"),
     *("autotune.validation.contacts.replay_contact", "autotune.validation.requirements.sampled_admittance"),
@@ -231,28 +232,43 @@ _PURE = (
     "autotune.validation.bouncing_proof.search_bouncing",
     *("autotune.certificate.certify.certify", "autotune.validation.law.certify_law", *OF_TARGETS),
 )
+"""What takes long in a command and depends on nothing but its arguments."""
 
 
-def share_results(patch: pytest.MonkeyPatch, names: Sequence[str] = _PURE) -> None:
+# The results of one process, the latest used last; what has not been asked for longest goes first.
+_KEPT: dict[bytes, Any] = {}
+_MOST_KEPT = 400
+
+
+def share_results(patch: pytest.MonkeyPatch, names: Sequence[str] = PURE) -> None:
     """Compute what takes long once for the same arguments, where much is done to the same files."""
-    kept: dict[bytes, Any] = {}
     for name in names:
         module, _, function = name.rpartition(".")
-        patch.setattr(name, _remembered(getattr(importlib.import_module(module), function), kept))
+        patch.setattr(name, _remembered(getattr(importlib.import_module(module), function)))
 
 
-def _remembered(function: Callable[..., Any], kept: dict[bytes, Any]) -> Callable[..., Any]:
+def _remembered(function: Callable[..., Any]) -> Callable[..., Any]:
     """Return a pure function that keeps its results by the content of its arguments; functions hear of progress."""
 
+    @functools.wraps(function)
     def call(*arguments: Any, **options: Any) -> Any:
-        named = {name: value for name, value in sorted(options.items()) if not callable(value)}
-        given = function.__qualname__, [each for each in arguments if not callable(each)], named
+        kept = [each for each in arguments if not callable(each)], {k: v for k, v in options.items() if not callable(v)}
+        given = function.__module__, function.__qualname__, *kept, _amount_of_work()
         key = hashlib.sha256(pickle.dumps(given)).digest()
-        if key not in kept:
-            kept[key] = function(*arguments, **options)
-        return kept[key]
+        result = _KEPT.pop(key) if key in _KEPT else function(*arguments, **options)
+        _KEPT[key] = result
+        if len(_KEPT) > _MOST_KEPT:
+            del _KEPT[next(iter(_KEPT))]
+        return result
 
     return call
+
+
+def _amount_of_work() -> list[object]:
+    """Return what `shorten_checks` changes: a result of less work is none of more."""
+    defaults = ProofOptions.__init__.__kwdefaults__ or {}
+    homes = [name.rpartition(".") for name in _LESS_WORK]
+    return [defaults.get("further_s"), *(getattr(importlib.import_module(home), name) for home, _, name in homes)]
 
 
 def relaxed(problem: DesignProblem, requirement: str, share: float) -> DesignProblem:
