@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 Interval = tuple[float, float]
 
+# Rounding of another machine may move a dwell time by a period of some.
+_SAME = 0.02
 _OPTION_OF = {"payload": "payload_mass", "stiffness": "environment_stiffness"}
 _SHORT = {"payload_mass_kg": ("payload", "kg", 1.0), "environment_stiffness_n_per_m": ("K_e", "N/mm", 1e-3)}
 
@@ -171,6 +173,11 @@ def print_schedule(tree: Mapping[str, Any]) -> None:
         print_message(f"axis {axis}: one controller for all, {common['file']}, {most}")
     for name in scheduled:
         print_message(_coverage(name, tree["covered"][name]))
+    if "dwell_time_s" in tree:
+        print_message(
+            f"changes while it runs: each controller for {tree['dwell_time_s']:.3g} s at least, then any other may "
+            "take over, in free space or while a contact lasts"
+        )
 
 
 def _numbers(values: Mapping[str, Any]) -> tuple[str, ...]:
@@ -188,6 +195,7 @@ def validate_schedule(output: Output, path: Path, identified: Path | None) -> No
     from autotune.formats.canonical import short
     from autotune.formats.schedule import read_schedule
     from autotune.processes import count_processors, map_in_processes
+    from autotune.validation.dwell import dwell_time_s
     from autotune.validation.validate import validate_controller
 
     if identified is not None:
@@ -198,6 +206,12 @@ def validate_schedule(output: Output, path: Path, identified: Path | None) -> No
         work = [file.controller for file in files.values()]
         done = map_in_processes(validate_controller, work, count_processors(), each=lambda: advance(1.0))
     reports = dict(zip(files, done, strict=True))
+    stated, found = read.tree.get("dwell_time_s"), dwell_time_s(work)
+    if stated is not None and (found is None or stated < found * (1.0 - _SAME)):
+        raise CertificateError(
+            f"{path}: dwell_time_s is {stated:.4g} s, and changes are safe from "
+            f"{'no dwell time on' if found is None else f'{found:.4g} s on'}."
+        )
     tree = {
         "path": str(path),
         "checksum": read.checksum,

@@ -13,6 +13,7 @@ from typing import Any
 
 from autotune.formats.canonical import short
 from autotune.formats.limits import CollisionResponse
+from autotune.runtime.change import LEAST_MEMORY
 from autotune.runtime.controller import SAME_SAMPLE_TIME, RuntimeController
 from autotune.runtime.frames import LARGEST_SKEW, LARGEST_WAY, SMALLEST_TRACE
 from autotune.runtime.guard import (
@@ -70,6 +71,7 @@ def render_c(
         "way": _number(LARGEST_WAY),
         "trace": _number(SMALLEST_TRACE),
         "same": _number(SAME_SAMPLE_TIME),
+        "least_memory": _number(LEAST_MEMORY),
         **_limits(controller),
     }
     return CSource(header=_filled("controller.h.in", words), source=_filled("controller.c.in", words))

@@ -72,13 +72,17 @@ class Tuned:
 
 @dataclass(frozen=True, kw_only=True)
 class Schedule:
-    """The table, class by class, and the common controller over the hull of all classes, or why there is none."""
+    """The table, class by class, and the common controller over the hull of all classes, or why there is none.
+
+    `dwell_time_s` is how long each runs at least before another one takes over, None where that is not known.
+    """
 
     tuned: tuple[Tuned, ...]
     hull: ScheduleClass
     common: Controller | None
     common_refusal: str
     objective: "PeakObjective"
+    dwell_time_s: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -141,6 +145,10 @@ class ScheduleTable:
     covered: Coverage
     common: CommonController
     classes: Annotated[tuple[ScheduledClass, ...], Rule(minItems=1)]
+    dwell_time_s: (
+        Annotated[float, Rule(minimum=0, description="how long each runs at least before another one takes over")]
+        | None
+    ) = None
 
 
 def worst_peaks(controller: Controller, objective: "PeakObjective") -> dict[str, float]:
@@ -172,6 +180,7 @@ def schedule_tree(schedule: Schedule) -> dict[str, Any]:
             refusal=schedule.common_refusal or None,
         ),
         classes=tuple(map(_class, schedule.tuned)),
+        dwell_time_s=schedule.dwell_time_s,
     )
     tree = {"format": FORMAT, "version": VERSION, **record_tree(table), "provenance": _provenance(schedule)}
     for each in tree["classes"]:

@@ -3,6 +3,7 @@
 from autotune.formats.limits import AxisLimits, CollisionResponse, Limits
 from autotune.formats.units import AXES
 
+from .change import change
 from .controller import RuntimeController
 from .law import AxisLaw, Payload
 from .load import load_controller
@@ -21,6 +22,7 @@ __all__ = [
     "Phase",
     "RuntimeController",
     "State",
+    "change",
     "load_controller",
     "rearm",
     "step",

@@ -20,7 +20,7 @@ from problems.model.difference import (
 
 from .controller import RuntimeController
 from .frames import Nine, Place, Six, external_wrench, is_rotation, way_between
-from .guard import MOST_HELD, UNFELT_WAY, UNSEEN_WAY, Guard, Watch, rest, see, send, weigh
+from .guard import MOST_HELD, MOST_PERIODS, UNFELT_WAY, UNSEEN_WAY, Guard, Watch, rest, see, send, weigh
 from .law import AxisLaw, Blocks
 
 NOTHING: Six = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -93,7 +93,8 @@ class AxisState(NamedTuple):
 class State(NamedTuple):
     """What the controller keeps from one period to the next; x and x^d count from the pose at the start.
 
-    `twist` is the command's last speed, `tick` the caller's last count, None without one.
+    `twist` is the command's last speed, `tick` the caller's last count, None without one; `since_change` periods ago
+    another controller took over (`change`).
     """
 
     place: Place | None = None
@@ -103,6 +104,7 @@ class State(NamedTuple):
     twist: Six = NOTHING
     watch: Watch = Watch()
     tick: int | None = None
+    since_change: int = MOST_PERIODS
 
 
 START = State()
@@ -215,7 +217,10 @@ def _moved(controller: RuntimeController, state: State, desired: Six, external: 
     state = state._replace(watch=watch)
     if fault is not Fault.NONE or is_other:
         return _held(state, fault or Fault.OTHER_PAYLOAD)
-    following = state._replace(axes=tuple(axes), phase=phase, twist=twist, watch=send(watch, increment))
+    since = state.since_change if state.since_change >= MOST_PERIODS else state.since_change + 1
+    following = state._replace(
+        axes=tuple(axes), phase=phase, twist=twist, watch=send(watch, increment), since_change=since
+    )
     return following, Command(increment, twist, external, phase, Fault.NONE, True, watch.missing_kg)
 
 

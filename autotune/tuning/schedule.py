@@ -16,6 +16,7 @@ from autotune.formats.problem import Interval, ProblemSpec
 from autotune.formats.schedule import COMMON_FILE, Schedule, ScheduleClass, Tuned, worst_peaks
 from autotune.prediction.law import PresentGains
 from autotune.processes import map_in_processes
+from autotune.validation.dwell import dwell_time_s
 from identification.errors import EstimateError
 from problems.design.objectives import PeakObjective, force_of
 from problems.errors import ParameterError
@@ -131,7 +132,15 @@ def tune_schedule(
         pairs = [(task(each.of), each) for each in tuned]
         beside = map_in_processes(work, pairs, processes, each=lambda: report(0.2 / len(pairs)))
         tuned = _required({each.of.name: other for each, other in zip(tuned, beside, strict=True)})
-    return Schedule(tuned=tuple(tuned), hull=whole, common=common, common_refusal=refusal, objective=objective)
+    every = [each.controller for each in tuned] + ([] if common is None else [common])
+    return Schedule(
+        tuned=tuple(tuned),
+        hull=whole,
+        common=common,
+        common_refusal=refusal,
+        objective=objective,
+        dwell_time_s=dwell_time_s(every),
+    )
 
 
 def _check(task: _Task) -> None:

@@ -68,6 +68,7 @@ class CState(Structure):
         ("weight_kg", c_double),
         ("weight_work", c_double),
         ("periods", c_int * 6),
+        ("since_change", c_int),
         ("wrench_same", c_int),
         ("pose_same", c_int),
         ("resting", c_int),
@@ -107,6 +108,11 @@ class Twin:
         """Begin; `at_rest` as if the first readings had been found at rest."""
         self.function("start")(byref(self.state))
         self.state.resting = 10**6 if at_rest else 0
+
+    def take_over(self, state: CState, dwell_time_s: float) -> bool:
+        """Go on from another twin's state, if the dwell time has passed."""
+        ctypes.pointer(self.state)[0] = state
+        return bool(self.function("take_over")(byref(self.state), c_double(dwell_time_s)))
 
     def rearm(self) -> None:
         self.function("rearm")(byref(self.state))

@@ -13,7 +13,7 @@ from autotune.export.c_source import CSource, render_c
 from autotune.export.export import export_controller
 from autotune.formats.controller import write_controller
 from autotune.formats.controller_record import ControllerStatus
-from autotune.runtime import AXES, CollisionResponse, Command, RuntimeController, rearm, step
+from autotune.runtime import AXES, CollisionResponse, Command, RuntimeController, change, rearm, step
 from autotune.runtime.load import read_law
 from tests.autotune.export.c_twin import CPayload, Twin, compile_c, numbers
 from tests.autotune.formats.samples import make_controller
@@ -25,6 +25,7 @@ from tests.autotune.runtime.cases import (
     make_runtime,
     random_readings,
     random_runtime,
+    random_schedule,
     run_contact,
 )
 
@@ -192,3 +193,36 @@ def test_every_number_is_the_exact_double(tmp_path: Path) -> None:
     for axis in law.axes:
         for value in (*axis.blocks.values(), axis.deadband, *axis.payload_range):
             assert value.hex() in text
+
+
+@needs_gcc
+def test_c_takes_over_as_python_does_and_only_after_the_dwell_time(tmp_path: Path) -> None:
+    rng = np.random.default_rng(7)
+    first = random_runtime(rng, CollisionResponse.NONE)
+    second = dataclasses.replace(
+        first,
+        axes=tuple(
+            dataclasses.replace(
+                each,
+                mass=2.0 * each.mass,
+                damping=0.6 * each.damping,
+                lead_s=0.01,
+                feedback_damping_s=0.5 * each.feedback_damping_s,
+                velocity_filter_rad_per_s=90.0,
+                variable_damping=None if each.turns else random_schedule(rng),
+            )
+            for each in first.axes
+        ),
+    )
+    twins = [twin_of(first, tmp_path, "one"), twin_of(second, tmp_path, "two")]
+    state, running, laws, refused = STARTED, 0, (first, second), 0
+    for k, reading in enumerate(random_readings(rng, 1500)):
+        if k % 40 == 39:
+            now, law = change(laws[running], laws[1 - running], state, dwell_time_s=60 * PERIOD_S)
+            did = twins[1 - running].take_over(twins[running].state, 60 * PERIOD_S)
+            assert did == (law is laws[1 - running])
+            refused += not did
+            state, running = now, laws.index(law)
+        state, command = step(laws[running], state, **reading.arguments())  # type: ignore[arg-type]
+        np.testing.assert_array_equal(numbers(twins[running].step(reading)), row(command))
+    assert refused > 10

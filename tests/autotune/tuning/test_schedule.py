@@ -19,10 +19,12 @@ from autotune.tuning import schedule as schedule_module
 from autotune.tuning.optimize import optimize
 from autotune.tuning.problems import build_problems
 from autotune.tuning.schedule import build_classes, hull, of_class, tune_schedule
+from autotune.validation.dwell import dwell_time_s
 from identification.errors import EstimateError
 from problems.contact.transient import build_sampled_contact, simulate_contact
 from problems.design.uncertainty import Scenario
 from problems.model.sampled import build_sampled_plant
+from tests.autotune.formats.samples import make_controller
 from tests.autotune.tuning.cases import BARE_SPEC, identified_plant
 
 PLANT = IdentifiedFile(result=identified_plant(), provenance={}, path=Path("identified.yaml"), sha256="0" * 64)
@@ -130,6 +132,20 @@ def test_peaks_and_cost_are_those_of_the_exact_transient() -> None:
 
 
 @pytest.mark.slow
+def test_the_dwell_time_is_that_of_the_classes_and_the_common_controller(tmp_path: Path) -> None:
+    schedule = small_schedule()
+    own = [each.controller for each in schedule.tuned]
+    assert schedule.common is not None
+    assert schedule.dwell_time_s == dwell_time_s([*own, schedule.common])
+    # One class alone waits for nobody, and with more of them none waits less.
+    assert dwell_time_s(own[:1]) == 0.0
+    assert 0.0 < (dwell_time_s(own) or 0.0) <= (schedule.dwell_time_s or 0.0) < 5.0
+    write_schedule(tmp_path / "cell", schedule)
+    assert read_schedule(tmp_path / "cell" / "schedule.yaml").tree["dwell_time_s"] == schedule.dwell_time_s
+    # Controllers of other axes are no schedule that changes while it runs.
+    assert dwell_time_s([make_controller(("x",)), make_controller(("y",))]) is None
+
+
 def test_processes_do_not_change_the_bytes(tmp_path: Path) -> None:
     side_by_side = tune_schedule(PLANT, SPEC, CLASSES, seed=1, processes=2)
     assert side_by_side == small_schedule()
