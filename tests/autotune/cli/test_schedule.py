@@ -33,7 +33,8 @@ def test_the_table_is_printed_written_and_validates(run_cli: RunCli, tmp_path: P
     assert lines[3].startswith("axis x: one controller for all, all.yaml, costs up to ")
     assert lines[4] == "payload covered: 8, 16 to 22 kg; no class from 8 to 16"
     tree = load_yaml(tmp_path / "cell" / "schedule.yaml")
-    assert lines[5] == f"written: cell, 3 controllers and schedule.yaml, checksum {tree['checksum'][:8]}"
+    assert lines[5].startswith("changes while it runs: each controller for ")
+    assert lines[6] == f"written: cell, 3 controllers and schedule.yaml, checksum {tree['checksum'][:8]}"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["cell", "identified.yaml", "problem.yaml"]
     valid = run_cli("validate", "cell/schedule.yaml")
     assert valid.returncode == 0

@@ -147,9 +147,9 @@ def test_the_runtime_does_what_the_shared_coordinates_say() -> None:
     z = np.zeros(len(loops[0]))
     z[n - 2] = 1e-4
     plant, past, state, running = z[:n].copy(), [0.0] * (sampled.chain_length + 1), STARTED, 0
-    controllers, sent, moved = (HEAVY, LIGHT), 0.0, 0.0
+    sent = moved = 0.0
     no_weight = replace(HEAVY.payload, mass_kg=0.0, force_bias_S_n=(0.0,) * 3, torque_bias_S_n_m=(0.0,) * 3)
-    controllers = tuple(replace(each, payload=no_weight) for each in controllers)
+    controllers = [replace(each, payload=no_weight) for each in (HEAVY, LIGHT)]
     for k in range(400):
         if k % 40 == 39:
             state, law = change(controllers[running], controllers[1 - running], state, dwell_time_s=0.0)
