@@ -345,6 +345,21 @@ def scenario_text(scenario: Scenario, units: AxisKind) -> str:
     return ", ".join(part for part in (*always, off_nominal(scenario, units)) if part)
 
 
+def compliance_remark(compliance: Mapping[str, Any], tried: Mapping[str, Any]) -> str:
+    """Say what one stiffness in `provenance.compliance` is."""
+    stiffness, bound, remarks = tried["environment_stiffness_n_per_m"], compliance["active_bound"], []
+    if stiffness == compliance["chosen_n_per_m"]:
+        remarks.append("chosen" if bound is None else f"chosen, at the {bound} bound")
+    elif stiffness == compliance["stiffest_within_one_percent_n_per_m"]:
+        remarks.append("the stiffest within 1 % of that")
+    if stiffness == compliance["stiffest_that_meets_all_n_per_m"]:
+        remarks.append("the stiffest that meets everything")
+    if not tried["meets_all"]:
+        is_none = tried["peak_force_n"] is None
+        remarks.append("no controller meets the requirements" if is_none else "above max_peak_force_n")
+    return ", ".join(remarks)
+
+
 def gain_rows(units: AxisKind, *laws: AdmittanceController) -> Iterator[tuple[str, ...]]:
     """Yield for each of the four gains its symbol with its unit, and its value in each of the laws."""
     for symbol, name, scale in (

@@ -236,6 +236,9 @@ def print_compliance(name: str, compliance: "Compliance", problem: "DesignProble
 
     `problem` is the one that the controller was found for.
     """
+    from autotune.text import compliance_remark
+    from autotune.tuning.compliance import compliance_tree
+
     low, high = problem.plants.environment_stiffness_n_per_m
     tolerance = 100.0 * compliance.asked.tolerance
     print_message(
@@ -245,7 +248,9 @@ def print_compliance(name: str, compliance: "Compliance", problem: "DesignProble
     # Where requirements are soft, it is the peak and their price that is least.
     prices = ("and price [N]",) if problem.requirements.soft_n else ()
     heads = ("K_e [N/mm]", _objective_head(problem.objective), *prices, "")
-    rows = [(*_numbers(point, len(prices)), _remark(compliance, point)) for point in compliance.points]
+    tree = compliance_tree(compliance)
+    pairs = zip(compliance.points, tree["tried"], strict=True)
+    rows = [(*_numbers(point, len(prices)), compliance_remark(tree, tried)) for point, tried in pairs]
     last = len(heads) - 1
     print_table([heads, *rows], left=(last,), point=range(last), indent="  ")
     for line in _lines(compliance, problem):
@@ -270,22 +275,6 @@ def _numbers(point: "CompliancePoint", prices: int) -> tuple[str, ...]:
         values = (objective.value(evaluation.objective_cost), evaluation.cost)
         text = [f"{value:.2f}" if isinstance(objective, PeakObjective) else f"{value:.4g}" for value in values]
     return f"{point.stiffness_n_per_m * 1e-3:.6g}", *text[: 1 + prices]
-
-
-def _remark(compliance: "Compliance", point: "CompliancePoint") -> str:
-    """Return what is said of one row."""
-    if point.found is None:
-        return "no controller meets the requirements"
-    if point.missed > 0.0:
-        return "above max_peak_force_n"
-    remarks = []
-    if point is compliance.chosen:
-        remarks.append("chosen")
-    elif point is compliance.nearly_as_good:
-        remarks.append("the stiffest within 1 % of that")
-    if point is compliance.stiffest and point is not compliance.points[-1]:
-        remarks.append("the stiffest that meets everything")
-    return ", ".join(remarks)
 
 
 def _lines(compliance: "Compliance", problem: "DesignProblem") -> Iterator[str]:

@@ -13,7 +13,7 @@ from autotune.formats.units import ROTATIONAL_AXES, axis_units
 from autotune.plugins import find_requirement
 from autotune.prediction.as_run_by import as_run_by, designed_for, led_speed_text, peak_per_speed
 from autotune.prediction.law import PresentGains
-from autotune.text import gain_rows, scenario_text, stiffness_text, value_text
+from autotune.text import compliance_remark, gain_rows, scenario_text, stiffness_text, value_text
 from problems.design.requirements import BODY_REGIONS, HANDS, MARGINS, AdmittanceRequirement, Margin, PeakForceLimit
 from problems.design.uncertainty import SYMBOLS, UNCERTAIN
 from problems.model.axis_kind import AxisKind
@@ -181,19 +181,10 @@ def compliance_tables(controller: Controller) -> Iterator[Table]:
 def _compliance_row(
     chosen: Mapping[str, Any], entry: Mapping[str, Any], keys: tuple[str, ...]
 ) -> tuple[str | TableCell, ...]:
-    stiffness, peak, bound = entry["environment_stiffness_n_per_m"], entry["peak_force_n"], chosen["active_bound"]
-    remarks = []
-    if stiffness == chosen["chosen_n_per_m"]:
-        remarks.append("chosen" if bound is None else f"chosen, at the {bound} bound")
-    elif stiffness == chosen["stiffest_within_one_percent_n_per_m"]:
-        remarks.append("the stiffest within 1 % of that")
-    if stiffness == chosen["stiffest_that_meets_all_n_per_m"]:
-        remarks.append("the stiffest that meets everything")
-    if not entry["meets_all"]:
-        remarks.append("no controller meets the requirements" if peak is None else "above max_peak_force_n")
     values = ("-" if entry.get(key) is None else f"{entry[key]:.2f}" for key in keys)
     tone: Tone = "" if entry["meets_all"] else "bad"
-    return (f"{stiffness * 1e-3:.6g}", *values, TableCell(text=", ".join(remarks), tone=tone))
+    stiffness = 1e-3 * entry["environment_stiffness_n_per_m"]
+    return (f"{stiffness:.6g}", *values, TableCell(text=compliance_remark(chosen, entry), tone=tone))
 
 
 def prices_of(optimality: Mapping[str, Any] | None) -> dict[str, float] | None:

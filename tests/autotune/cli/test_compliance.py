@@ -32,7 +32,7 @@ def test_the_table_the_file_and_the_same_bytes_twice(
     lines = done.stdout.splitlines()[1:]
     assert lines[0] == "axis x: build K_e 80 N/mm to ± 10 %, certified from 72 to 88 N/mm"
     assert [line.split()[0] for line in lines[2:5]] == ["80", "82.95", "86"]
-    assert lines[2].endswith("  chosen")
+    assert lines[2].endswith("  chosen, at the lower bound")
     assert "  the lower bound of K_e, 80 N/mm, is active: widen it, or accept" in lines
     assert any(line.startswith("  assumed of the compliance: damping B_e 0 N·s/m, and no mass") for line in lines)
     monkeypatch.chdir(tmp_path)
