@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from .compensated import CompensatedAxes, identify_compensated_axes
-from .errors import EstimateError
+from .errors import EstimateError, LogError
 from .fitted_timeline import account_for_log, hand_findings, with_surfaces, without_surface
 from .given import Given
 from .result import (
@@ -36,6 +36,8 @@ from .verdicts import (
     without_coupling,
 )
 
+# A contact lasts a second or less.
+_SLOWEST_S = 0.5
 _REMOVED = "gravity was removed before recording"
 
 
@@ -47,8 +49,9 @@ def identify_partial(
     The robot follows from the command, else from the admittance's gains and the force; coupling and moving mass from
     pose and force. A trace is a displacement since contact with its force. `sample_time_s` is handed on. The centre of
     mass and the sensor's bias are unidentifiable; what else is missing has a finding of severity `error`. Raises
-    EstimateError when nothing is identified.
+    EstimateError when nothing is identified, LogError where half a second and more lies between forces.
     """
+    _check_rate(recording)
     recording = _with_orientation(recording)
     led = AdmittanceRobots(robots={}, findings=())
     if recording.command is None:
@@ -92,6 +95,18 @@ def identify_partial(
         findings=tuple(findings),
         timelines=(touched.timeline,),
     )
+
+
+def _check_rate(recording: Recording) -> None:
+    """Raise LogError where forces are so far apart that no contact shows between them, as in a wrong unit of time."""
+    wrench = recording.wrench
+    apart_s = float(np.median(np.diff(wrench.stamp_ns))) * 1e-9 if len(wrench.stamp_ns) > 1 else 0.0
+    if wrench.measured_axes and apart_s > _SLOWEST_S:
+        raise LogError(
+            f"The wrench of topic {wrench.topic} must show contacts, found a sample every {apart_s:.3g} s; record at "
+            f"100 Hz or more. If it was recorded {1e3 / apart_s:.4g} times a second, its times are in ms: say so "
+            "(`table: {time_unit: ms}` in cell.yaml)."
+        )
 
 
 def _with_orientation(recording: Recording) -> Recording:

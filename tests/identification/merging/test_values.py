@@ -168,3 +168,22 @@ def test_what_differs_by_contact_does_not_average() -> None:
     merge = Merge(names=("a", "b", "c", "d"), findings=[])
     assert merge.scalars("a surface", logs).std == pytest.approx(1.0)
     assert merge.scalars("a surface", logs, differs_by_contact=True).std == pytest.approx(2.0)
+
+
+def test_the_deviation_of_a_mean_holds_what_differs_between_logs() -> None:
+    """Seventeen logs that scatter three times as far as their noise: the mean is as sure as that scatter makes it."""
+    rng, inside, shares = np.random.default_rng(5), 0, []
+    for _ in range(200):
+        stds = np.linspace(0.01, 0.03, 17)
+        values = 0.7 + 0.06 * rng.standard_normal(17) + stds * rng.standard_normal(17)
+        logs = [
+            Estimate(value=float(v), std=float(s), status=Status.IDENTIFIED) for v, s in zip(values, stds, strict=True)
+        ]
+        merged = Merge(names=tuple("abcdefghijklmnopq"), findings=[]).scalars("gain", logs)
+        assert merged.value is not None
+        assert merged.std is not None
+        inside += abs(merged.value - 0.7) < 1.96 * merged.std
+        shares.append(merged.std / (np.std(values, ddof=1) / np.sqrt(17.0)))
+    # 95 % of 200 less three deviations of a count; the weights make a tenth of difference to the plain mean.
+    assert inside >= 0.9 * 200
+    assert np.median(shares) == pytest.approx(1.0, abs=0.1)

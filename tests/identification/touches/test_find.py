@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import StateSpace, lsim
 
-from identification.errors import EstimateError
+from identification.errors import EstimateError, LogError
 from identification.partial import identify_partial
 from identification.result import TouchCause
 from identification.signals.recording import GainsSignal, PoseSignal, Recording, WrenchSignal
@@ -382,3 +382,11 @@ def test_the_deviation_holds_what_differs_between_contacts(values: list[float], 
         pytest.approx(np.sqrt(np.mean(np.square(errors))), abs=1e-9 * mean) if errors else None
     )
     assert std >= (left_out_error(values) or 0.0)
+
+
+def test_times_in_milliseconds_that_are_read_as_seconds_are_refused() -> None:
+    time = np.arange(0.0, 400.0, 5.0)
+    with pytest.raises(
+        LogError, match=r"a sample every 5 s; record at .* recorded 200 times a second, its times are in ms"
+    ):
+        identify_partial(logged(3e-5 * time, np.zeros(80), 5.0, 0.0), unidentifiable())
