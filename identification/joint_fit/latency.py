@@ -425,15 +425,15 @@ def find_wrench_filter(
         status = Status.IDENTIFIED if is_sharp and not why else Status.WEAK
         found = WrenchFilterEstimate(delay_s=Estimate(value=seconds, std=std, status=status, method=_METHOD, note=why))
         described = f"comes {1e3 * seconds:.3f} ± {1e3 * std:.2g} ms late"
-    return found, (_text(described, tuple(alike), why),)
+    message = f"The wrench {described} (axis {', '.join(alike)}){f': {why}' if why else ''}. It is in the loop, and in "
+    about = Finding.warning if why else Finding.info
+    return found, (about("wrench-filter", f"{message}`sensor.wrench_filter`.", ""),)
 
 
 def _together(alike: Mapping[str, WrenchLatency]) -> tuple[float, float, str]:
     """Return mean and deviation of what the axes show, the largest where they disagree, and why it is weak then."""
-    values, stds = (
-        np.array([latency.seconds for latency in alike.values()]),
-        np.array([latency.std_s for latency in alike.values()]),
-    )
+    values = np.array([latency.seconds for latency in alike.values()])
+    stds = np.array([latency.std_s for latency in alike.values()])
     weights = stds**-2.0
     mean = float(weights @ values / np.sum(weights))
     apart = float(np.max(values) - np.min(values))
@@ -441,13 +441,3 @@ def _together(alike: Mapping[str, WrenchLatency]) -> tuple[float, float, str]:
         return float(np.max(values)), apart, "the axes disagree; the latest counts"
     squares = float(np.sum(weights * (values - mean) ** 2)) / max(len(values) - 1, 1)
     return mean, float(np.min(stds)) * max(1.0, float(np.sqrt(squares))), ""
-
-
-def _text(described: str, axes: tuple[str, ...], why: str) -> Finding:
-    return Finding(
-        code="wrench-filter",
-        severity="warning" if why else "info",
-        message=f"The wrench {described} (axis {', '.join(axes)}){f': {why}' if why else ''}. It is in the loop, "
-        "and in `sensor.wrench_filter`.",
-        advice="",
-    )
