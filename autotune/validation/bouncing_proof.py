@@ -107,7 +107,7 @@ def prove_bouncing(
 
 def covers(stated: BouncingProof, domain: AxisDomain) -> bool:
     """Return whether a proof is of all that is uncertain, so that no impact need be followed."""
-    return stated.is_proved and set(domain.uncertain or ()) <= set(stated.over)
+    return stated.is_proved and {*ALWAYS_UNCERTAIN, *(domain.uncertain or ())} <= set(stated.over)
 
 
 def _proved(
@@ -171,6 +171,8 @@ def _check_proof(
     bound = f"every contact comes to rest, over {', '.join(SYMBOLS.get(each, each) for each in stated.over)}"
     if stated.multiplier is None or stated.method != METHOD:
         return f"{bound}: stated without a multiplier, or by a method that is not {METHOD!r}", ""
+    if not set(ALWAYS_UNCERTAIN) <= set(stated.over):
+        return f"{bound}: K_e and M_p must be among what it is proved over", ""
     claim = _RestClaim(
         plants=domain.plants,
         over=stated.over,

@@ -52,6 +52,8 @@ def test_a_design_over_stiffness_and_mass_is_proved_and_nothing_of_it_is_sampled
         ({"multiplier": None}, "stated without a multiplier"),
         ({"method": "trust"}, "by a method that is not"),
         ({"over": (*ALWAYS_UNCERTAIN, "delay_s")}, "delay_s"),
+        # Over the mass alone it would be of the softest surface.
+        ({"over": ("payload_mass_kg",)}, "K_e and M_p must be among"),
         ({"budget_s": 1e-3}, "proved for 0"),
     ],
 )
