@@ -1,10 +1,14 @@
-"""`autotune demo`: the whole chain, once as users run it and once on a short program."""
+"""`autotune demo`: the whole chain, once as users run it."""
 
+import contextlib
+import hashlib
+import io
 import json
 import subprocess
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import click
 import pytest
@@ -17,21 +21,57 @@ from autotune.formats.controller import read_controller
 from autotune.formats.identified import read_identified
 from autotune.formats.yaml12 import load_yaml
 from autotune.report import page
-from autotune.simulation.truth import SimulatedCell
 from problems.model.plant import FREE_SPACE
 from problems.model.robot import bandwidth_hz
 from problems.model.sampled import build_loop, build_sampled_plant, spectral_radius
-from tests.autotune.cli.conftest import SHORT
-from tests.autotune.tuning.cases import FAST_SPEC, shorten_checks
+from problems.progress import Progress
 
 RunCli = Callable[..., "subprocess.CompletedProcess[str]"]
+EARLIER = "from an earlier run\n"
 
 
-def test_the_demo_as_users_run_it(run_process: RunCli, tmp_path: Path) -> None:
-    done = run_process("demo", "out", "--json", timeout_s=300.0)
-    assert done.returncode == 0, done.stderr
-    tree = json.loads(done.stdout)
-    assert [line.removesuffix(" ...") for line in done.stderr.splitlines()] == list(STEPS)
+@dataclass(frozen=True, kw_only=True)
+class Whole:
+    """What a demo found and printed, and the shares of the work that it reported."""
+
+    folder: Path
+    found: DemoResult
+    printed: str
+    notes: list[str]
+    shares: list[float]
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Whole:
+    """The demo as users run it (`make demo` is its own process), over a file of an earlier run."""
+    folder = tmp_path_factory.mktemp("demo") / "deep"
+    folder.mkdir()
+    (folder / "controller.yaml").write_text(EARLIER, encoding="utf-8")
+    MadeHere(folder, []).add(folder / "controller.yaml")
+    results, shares = list[DemoResult](), list[float]()
+
+    def watched(*arguments: Any, progress: Progress, **options: Any) -> DemoResult:
+        def report(share: float) -> None:
+            shares.append(share)
+            progress(share)
+
+        results.append(run_demo(*arguments, progress=report, **options))
+        return results[0]
+
+    out, err = io.StringIO(), io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        patch.setattr(demo_module, "run_demo", watched)
+        assert main(["demo", str(folder), "--seed", "3", "--json"]) == 0
+    notes = err.getvalue().splitlines()
+    return Whole(folder=folder, found=results[0], printed=out.getvalue(), notes=notes, shares=shares)
+
+
+def test_the_demo_finds_the_truth_and_a_controller_that_is_certified_for_it(whole: Whole) -> None:
+    tree = json.loads(whole.printed)
+    *notes, replaced = whole.notes
+    assert [line.removesuffix(" ...") for line in notes] == list(STEPS)
+    earlier = hashlib.sha256(EARLIER.encode()).hexdigest()[:8]
+    assert replaced == f"replaced {whole.folder / 'controller.yaml'} (sha256 {earlier}), of an earlier demo"
     by_name = {row["name"]: row for row in tree["identified"]}
     for name in ("payload mass M_p", "coupling stiffness K_s", "environment stiffness K_e"):
         assert by_name[name]["value"] == pytest.approx(by_name[name]["truth"], rel=0.05)
@@ -39,46 +79,27 @@ def test_the_demo_as_users_run_it(run_process: RunCli, tmp_path: Path) -> None:
     assert all(check["passed"] for check in tree["checks"])
     assert tree["active"]["x"]
     names = {"cell.mcap", "identified.yaml", "controller.yaml", "controller.json"}
-    assert {path.name for path in (tmp_path / "out").iterdir()} == names | {"report.html", "demo.yaml"}
+    assert {path.name for path in whole.folder.iterdir()} == names | {"report.html", "demo.yaml"}
     assert Path(tree["report"]).name == "report.html"
     assert {Path(path).name for path in tree["files"].values()} == names
-    assert tree["controller"] == load_yaml(tmp_path / "out" / "controller.yaml")
+    assert tree["controller"] == load_yaml(whole.folder / "controller.yaml")
     # The truth lies in the domain for which the controller is certified.
-    domain = read_controller(tmp_path / "out" / "controller.yaml").controller.certificate.domain["x"]
+    domain = read_controller(whole.folder / "controller.yaml").controller.certificate.domain["x"]
     low, high = domain.environment_stiffness_n_per_m
     assert low < 1e3 * by_name["environment stiffness K_e"]["truth"] < high
     low, high = domain.payload_mass_kg
     assert low < by_name["payload mass M_p"]["truth"] < high
 
 
-@pytest.fixture(scope="module")
-def brief(tmp_path_factory: pytest.TempPathFactory) -> tuple[DemoResult, list[str], list[float]]:
-    """A short program and a small search over files of an earlier run, the steps and the shares that were told."""
-    folder = tmp_path_factory.mktemp("demo") / "deep"
-    folder.mkdir()
-    (folder / "controller.yaml").write_text("from an earlier run\n", encoding="utf-8")
-    MadeHere(folder, []).add(folder / "controller.yaml")
-    steps, shares = list[str](), list[float]()
-    with pytest.MonkeyPatch.context() as patch:
-        shorten_checks(patch)
-        patch.setattr(demo_module, "Program", lambda: SHORT)
-        patch.setattr(demo_module, "CELLS", {"standard": (SimulatedCell, FAST_SPEC)})
-        return run_demo(folder, seed=3, step=steps.append, progress=shares.append), steps, shares
+def test_how_far_it_is_is_reported_in_many_small_parts_that_make_the_whole(whole: Whole) -> None:
+    assert sum(whole.shares) == pytest.approx(1.0, abs=1e-9)
+    assert min(whole.shares) >= 0.0
+    assert max(whole.shares) < 0.4
+    assert len(whole.shares) > 20
 
 
-def test_how_far_it_is_is_reported_in_many_small_parts_that_make_the_whole(
-    brief: tuple[DemoResult, list[str], list[float]],
-) -> None:
-    _, steps, shares = brief
-    assert steps == list(STEPS)
-    assert sum(shares) == pytest.approx(1.0, abs=1e-9)
-    assert min(shares) >= 0.0
-    assert max(shares) < 0.4
-    assert len(shares) > 20
-
-
-def test_the_files_of_an_earlier_run_are_replaced(brief: tuple[DemoResult, list[str], list[float]]) -> None:
-    found, _, _ = brief
+def test_the_files_of_an_earlier_run_are_replaced(whole: Whole) -> None:
+    found = whole.found
     assert found.report.passed
     written = read_controller(found.files.controller)
     assert written.checksum == found.checksum == read_controller(found.files.twin).checksum
@@ -105,12 +126,11 @@ def test_the_command_offers_the_cells_that_there_are() -> None:
 
 
 def test_people_see_a_summary(
-    brief: tuple[DemoResult, list[str], list[float]],
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    whole: Whole, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    found, _, _ = brief
+    found = whole.found
     monkeypatch.setattr(demo_module, "run_demo", lambda *_args, **_options: found)
+    monkeypatch.setattr(page, "render_page", lambda *_arguments, **_options: "drawn once already")
     assert main(["demo", "anywhere"]) == 0
     output = capsys.readouterr().out
     for expected in (
@@ -124,7 +144,7 @@ def test_people_see_a_summary(
         found.checksum[:8],
     ):
         assert expected in output
-    monkeypatch.setattr(page, "render_page", lambda *_arguments, **_options: "drawn once already")
+    (whole.folder / "report.html").unlink()  # what was written instead is no page, and would not be replaced
     assert main(["demo", "anywhere", "--quiet"]) == 0
     quiet = capsys.readouterr()
     assert (quiet.out, quiet.err) == ("", "")
