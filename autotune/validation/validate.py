@@ -259,7 +259,8 @@ def _bouncing(case: AxisCase) -> Iterator[Check]:
     yield from check_bouncing(case.controller, case.name, case.law, case.prover)
     variable, h = case.controller.damping_of(case.name), case.controller.sample_time_s
     for damping in () if variable is None else dict.fromkeys((variable.lowest, variable.highest)):
-        found = search_bouncing(case.name, case.domain, replace(case.law, damping_n_s_per_m=damping), h)
+        law = replace(case.law, damping_n_s_per_m=damping)
+        found = search_bouncing(case.name, case.domain, law, h, is_short=True)
         message = f"at a constant B_a of {damping:g}, {found.message()}"
         yield case.check("bouncing", "" if found.passed else message, message)
 
