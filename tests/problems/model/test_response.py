@@ -191,3 +191,20 @@ def test_an_ideally_compensated_admittance_is_that_of_a_smaller_mass(
     damped = (inverse + c.feedback_damping_s * (c.mass_kg * s + c.damping_n_s_per_m) / (1.0 + c.lead_s * s) * s) ** -1
     # Half a sample of lag, and the filters' ω/ω_v and ω/ω_a below 1e-2, act on small terms only (ω M_a/B_a < 0.06).
     np.testing.assert_allclose(found, damped, rtol=1e-3)
+
+
+@pytest.mark.parametrize("moving_kg", [0.5, 6.0])
+def test_a_mass_that_moves_with_the_surface_makes_the_loop_of_a_heavier_payload(moving_kg: float) -> None:
+    """While they touch, M_e s is beside M_p s: a range of M_p up to M_p + M_e holds the contact with a moving table."""
+    law = admittance(12.0, 1200.0, 0.015)
+    moving, heavier = (
+        build_sampled_plant(each, PERIOD_S)
+        for each in (
+            paper_plant(stiffness=1e5, mass=16.0, coupling_damping=50.0, environment_mass=moving_kg),
+            paper_plant(stiffness=1e5, mass=16.0 + moving_kg, coupling_damping=50.0),
+        )
+    )
+    frequency = np.geomspace(0.1, 3000.0, 50)
+    found, expected = (loop_response(each, law, frequency) for each in (moving, heavier))
+    np.testing.assert_allclose(found.at_force, expected.at_force, rtol=1e-9)
+    np.testing.assert_allclose(found.at_command, expected.at_command, rtol=1e-9)

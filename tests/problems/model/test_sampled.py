@@ -438,20 +438,3 @@ def test_a_loop_that_is_cut_has_the_open_loop_between_its_ends(signal_at: str) -
     expected = loop.at_force if signal_at == "force" else loop.at_command
     # A solve with states that span 1e6.
     assert -found == pytest.approx(expected[0], rel=1e-8)
-
-
-@pytest.mark.parametrize("moving_kg", [0.5, 6.0])
-def test_a_mass_that_moves_with_the_surface_makes_the_loop_of_a_heavier_payload(moving_kg: float) -> None:
-    """While they touch, M_e s is beside M_p s: a range of M_p up to M_p + M_e holds the contact with a moving table."""
-    law = admittance(12.0, 1200.0, 0.015)
-    moving, heavier = (
-        build_sampled_plant(each, PERIOD_S)
-        for each in (
-            paper_plant(stiffness=1e5, mass=16.0, coupling_damping=50.0, environment_mass=moving_kg),
-            paper_plant(stiffness=1e5, mass=16.0 + moving_kg, coupling_damping=50.0),
-        )
-    )
-    frequency = np.geomspace(0.1, 3000.0, 50)
-    found, expected = (loop_response(each, law, frequency) for each in (moving, heavier))
-    np.testing.assert_allclose(found.at_force, expected.at_force, rtol=1e-9)
-    np.testing.assert_allclose(found.at_command, expected.at_command, rtol=1e-9)
