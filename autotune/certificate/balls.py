@@ -237,6 +237,13 @@ def solved(matrix: Any, right: Any) -> Any:
     return np.array([DualBall(found[i, 0], change[i, 0]) for i in range(n)], dtype=object)
 
 
+def inverse_of(matrix: FloatArray) -> Any:
+    """Return the inverse of an exact real matrix (n, n) as an object array of flint balls."""
+    n = len(matrix)
+    found = flint.arb_mat(n, n, [flint.arb(float(each)) for each in matrix.ravel()]).inv()
+    return np.array([[found[i, j] for j in range(n)] for i in range(n)], dtype=object)
+
+
 def similar(matrix: Any, basis: NDArray[Any]) -> tuple[Balls, Balls]:
     """Return W A V and W, the inverse of the exact complex matrix V (n, n), for an object array A of numbers.
 

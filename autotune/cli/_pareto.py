@@ -102,8 +102,8 @@ _PROOF_OPTIONS = (
     ),
     click.option(
         "--axes",
-        type=click.Choice(["apart", "checked"]),
-        help="Axes on one payload: checked together by default; apart leaves that out.",
+        type=click.Choice(["apart", "checked", "together"]),
+        help="Axes on one payload: checked together by default; together proves it, apart leaves it out.",
     ),
 )
 _PROOF_NAMES = ("slack", "proof_budget", "axes")
@@ -122,7 +122,7 @@ def proof_options(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _proof_options(
-    slack: float | None, budget_s: float | None, axes: Literal["apart", "checked"] | None
+    slack: float | None, budget_s: float | None, axes: Literal["apart", "checked", "together"] | None
 ) -> "ProofOptions | None":
     if slack is None and budget_s is None and axes is None:
         return None

@@ -7,8 +7,9 @@ from autotune.errors import InfeasibleError
 from autotune.formats.controller_record import Controller
 from autotune.formats.coupled_record import PRODUCTS, CoupledBody, HeldAxis, Vector
 from autotune.formats.units import AXES, ROTATIONAL_AXES
-from autotune.validation.axis_proof import ProofOptions
+from autotune.validation.axis_proof import ProofOptions, Prover
 from autotune.validation.coupled_cell import CoupledCell
+from autotune.validation.coupled_proof import prove_together
 from autotune.validation.coupled_sweep import CoupledFailure, damped_by, first_failure, sweep_coupled
 from identification.result import AxisEstimate, Estimate, Identified
 from problems.errors import ParameterError
@@ -31,13 +32,17 @@ class TogetherCheck:
     def __init__(self, identified: Identified, asked: ProofOptions) -> None:
         self._identified, self._asked, self.unchecked = identified, asked, ""
 
-    def __call__(self, controller: Controller) -> Controller:
+    def __call__(self, controller: Controller, prover: Prover) -> Controller:
         """Return the controller with its certificate of all axes; raises what `check_together` raises."""
         if self._asked.axes == "apart":
             return controller
         found = check_together(controller, self._identified)
         self.unchecked = found.unchecked
-        return found.controller
+        return (
+            prove_together(found.controller, prover, self._asked)
+            if self._asked.axes == "together"
+            else found.controller
+        )
 
 
 def check_together(controller: Controller, identified: Identified, contact_points_m: Sequence[Vector] = ()) -> Together:

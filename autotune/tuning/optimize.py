@@ -197,7 +197,7 @@ def certify(
     strategies: StrategySettings | None = None,
     proved: Mapping[str, AxisProof] | None = None,
     limits: LimitsSettings | None = None,
-    together: Callable[[Controller], Controller] | None = None,
+    together: Callable[[Controller, Prover], Controller] | None = None,
 ) -> tuple[Controller, ValidationReport]:
     """Prove what can be proved of the designs, write them down, and return the controller once validation passed it.
 
@@ -223,7 +223,7 @@ def certify(
         controller = choose_strategies(controller, searches, strategies, prover)
     controller = with_limits(controller, limits or LimitsSettings())
     if together is not None:
-        controller = together(controller)
+        controller = together(controller, prover)
     checked = validate_controller(controller, lambda done: progress((1.0 - _PROOF_SHARE) * done), proved=prover.answers)
     checked.require()
     return controller, checked

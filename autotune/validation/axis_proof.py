@@ -32,14 +32,14 @@ class ProofOptions:
     """How much is to be proved: the share of the swept modulus that may be given away, and about how long it may take.
 
     `further_s` is for the proof over everything that is uncertain; 0 leaves it out. `axes` says what of axes on one
-    payload: "apart" nothing, "checked" a sweep. Raises ValueError unless 0 < `slack` < 1 and the times are
-    positive.
+    payload: "apart" nothing, "checked" a sweep, "together" a proof too. Raises ValueError unless 0 < `slack` < 1 and
+    the times are positive.
     """
 
     slack: float = 0.05
     budget_s: float = 60.0
     further_s: float = 10.0
-    axes: Literal["apart", "checked"] = "checked"
+    axes: Literal["apart", "checked", "together"] = "checked"
 
     def __post_init__(self) -> None:
         if not 0.0 < self.slack < 1.0:

@@ -19,6 +19,7 @@ from .bouncing_proof import check_bouncing
 from .certified_requirements import limit_n
 from .contacts import verify_led, verify_peaks, verify_response, verify_varied
 from .coupled import check_coupled
+from .coupled_proof import check_proofs
 from .held import check_held
 from .limits import verify_limits
 from .margins import SweptMargins, sweep_margins
@@ -269,6 +270,7 @@ def _together(case: AxisCase) -> Iterator[Check]:
     """Yield the check of all axes together, once."""
     if case.name == next(iter(case.controller.axes)):
         yield from check_coupled(case.controller)
+        yield from check_proofs(case.controller, case.prover)
 
 
 def _limits(case: AxisCase) -> Iterator[Check]:

@@ -14,8 +14,10 @@ from autotune.formats.controller import read_controller, write_controller
 from autotune.formats.controller_record import Controller
 from autotune.formats.coupled_record import CoupledCertificate
 from autotune.tuning.coupled import check_together, coupled_body
+from autotune.validation.axis_proof import ProofOptions, Prover
 from autotune.validation.coupled import build_dense_loop, check_coupled
 from autotune.validation.coupled_cell import CoupledCell
+from autotune.validation.coupled_proof import check_proofs, prove_together
 from identification.result import Identified, InertiaEstimate
 from problems.model.coupled import PointSurface, build_coupled_loop, build_coupled_sampled_plant, coupled_poles
 from tests.autotune.tuning.cases import absent, known, known_vector
@@ -129,6 +131,21 @@ def test_the_dense_step_matrix_has_the_same_poles(surface: PointSurface | None, 
     dense = build_dense_loop(plant, LAWS, PERIOD_S)
     poles = coupled_poles(build_coupled_loop(build_coupled_sampled_plant(plant, PERIOD_S), LAWS))[0]
     assert dense.radius() == pytest.approx(float(np.max(np.abs(poles))), abs=1e-10)
+
+
+def test_what_is_proved_together_is_proved_again_from_the_file(tmp_path: Path) -> None:
+    made = prove_together(tuned(), Prover(), ProofOptions(axes="together", budget_s=30.0))
+    (proof,) = certificate(made).proofs
+    assert (proof.axes, proof.share) == (("x", "ry"), 1.0)
+    assert proof.modulus == pytest.approx(0.95 * certificate(made).modulus)
+    assert any("x–ry together" in line and line.endswith("proved") for line in coupled_lines(made))
+    write_controller(tmp_path / "controller.yaml", made)
+    read = read_controller(tmp_path / "controller.yaml").controller
+    (check,) = check_proofs(read, Prover())
+    assert check.passed, check.message
+    higher = replace(certificate(made), proofs=(replace(proof, modulus=0.9),))
+    (check,) = check_proofs(replace(read, certificate=replace(read.certificate, coupled=higher)), Prover())
+    assert not check.passed
 
 
 def test_axes_that_are_unstable_together_are_refused_with_what_eases_it() -> None:

@@ -1,0 +1,99 @@
+"""Proofs of axes together: the enclosed loop is the sampled one, what is true is proved, what is false never is."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from autotune.certificate.coupled import prove_coupled
+from autotune.certificate.coupled_system import AffineLoop, CoupledFamily, coupled_system
+from problems.errors import ParameterError
+from problems.model.coupled import CoupledPlant, PointSurface, build_coupled_loop, build_coupled_sampled_plant
+from problems.model.plant import WrenchFilter
+from problems.stability.coupled_margins import largest_gain, largest_sensitivity
+from tests.problems.axes import PERIOD_S
+from tests.problems.coupled_cases import LAWS, SCALE, cell, wall
+
+SOFT, STIFF = 1e5, 1.1e5
+
+
+def family(
+    plant: CoupledPlant, stiffness: tuple[float, float] = (0.0, 0.0), factors: tuple[float, float] = (1.0, 1.0)
+) -> CoupledFamily:
+    return CoupledFamily(
+        plant=plant,
+        laws=LAWS,
+        scale=SCALE,
+        sample_time_s=PERIOD_S,
+        stiffness_n_per_m=stiffness,
+        mass_factors=factors,
+    )
+
+
+def gain_of(plant: CoupledPlant) -> float:
+    return largest_sensitivity(build_coupled_loop(build_coupled_sampled_plant(plant, PERIOD_S), LAWS), (0, 1), SCALE)[0]
+
+
+def middle_gain(system: AffineLoop) -> float:
+    n, m = system.states, system.middle
+    return largest_gain(m[:n, :n], m[:n, n:], m[n:, :n], m[n:, n:])[0]
+
+
+def filtered(plant: CoupledPlant) -> CoupledPlant:
+    wrench = WrenchFilter.from_corner(100.0)
+    return replace(plant, plants=tuple(replace(each, wrench_filter=wrench) for each in plant.plants))
+
+
+@pytest.mark.parametrize("surface", [None, wall(), wall(direction=np.array([1.0, 0.3]))])
+@pytest.mark.parametrize("has_filter", [False, True])
+def test_the_enclosed_loop_is_the_sampled_one(surface: PointSurface | None, has_filter: bool) -> None:
+    plant = filtered(cell(surface=surface)) if has_filter else cell(surface=surface)
+    stiffness = 0.0 if surface is None else surface.environment.stiffness_n_per_m
+    system = coupled_system(family(plant, (stiffness, stiffness)), family(plant, (stiffness, stiffness)).box())
+    assert middle_gain(system) == pytest.approx(gain_of(plant), rel=1e-8)  # both to 1e-9
+    # Forces in N per displacement in m make entries of 3e5, which doubles hold to 1e-10.
+    assert float(np.max(system.rest)) < 1e-8
+
+
+def test_a_range_is_proved_down_to_the_slack() -> None:
+    plant = cell(surface=wall(STIFF, damping=0.0))
+    least = 1.0 / max(gain_of(cell(surface=wall(each, damping=0.0))) for each in np.linspace(SOFT, STIFF, 5))
+    found = prove_coupled(family(plant, (SOFT, STIFF), (0.9995, 1.0005)), 0.95 * least, work=2_000_000)
+    assert (found.share, found.refuted) == (1.0, None)
+    assert found.cells > 1
+
+
+@pytest.mark.parametrize("surface", [None, wall(SOFT, damping=0.0)])
+def test_what_is_false_is_refuted_and_never_proved(surface: PointSurface | None) -> None:
+    plant, stiffness = cell(surface=surface), 0.0 if surface is None else SOFT
+    false = prove_coupled(family(plant, (stiffness, stiffness)), 1.001 / gain_of(plant), work=100_000)
+    assert false.refuted == (stiffness, 1.0)
+    true = prove_coupled(family(plant, (stiffness, stiffness)), 0.97 / gain_of(plant), work=100_000)
+    assert (true.share, true.cells) == (1.0, 1)
+
+
+def test_half_a_per_cent_above_the_least_is_never_proved_of_a_range() -> None:
+    least = 1.0 / max(gain_of(cell(surface=wall(each, damping=0.0))) for each in (SOFT, STIFF))
+    plant = cell(surface=wall(STIFF, damping=0.0))
+    found = prove_coupled(family(plant, (SOFT, STIFF)), 1.005 * least, work=300_000)
+    assert found.share < 1.0
+
+
+def test_an_unstable_plant_refutes() -> None:
+    plant = cell(surface=wall(SOFT, damping=0.0))
+    softer = tuple(replace(law, damping_n_s_per_m=0.3 * law.damping_n_s_per_m) for law in LAWS)
+    unstable = replace(family(plant, (SOFT, STIFF)), laws=softer)
+    assert prove_coupled(unstable, 0.01, work=100_000).refuted is not None
+
+
+def test_a_spent_budget_says_how_far_it_got() -> None:
+    found = prove_coupled(family(cell(surface=wall(5e5, damping=0.0)), (2e4, 5e5)), 0.05, work=5_000)
+    assert 0.0 <= found.share < 1.0
+    assert found.refuted is None
+
+
+def test_a_command_that_acts_at_once_is_refused() -> None:
+    plants = tuple(replace(each, robot=replace(each.robot, delay_s=0.0)) for each in cell().plants)
+    plant = replace(cell(), plants=plants)
+    with pytest.raises(ParameterError, match="damping in the coupling"):
+        coupled_system(family(plant), family(plant).box())
