@@ -1,0 +1,178 @@
+"""`autotune limit`: how far a design is from what any linear controller could reach."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from autotune.formats.kinds import PLANTS
+
+from ._common import Output, output_options
+from ._options import SETTINGS, FilePath
+from ._terminal import print_message, print_table
+
+if TYPE_CHECKING:
+    from autotune.limit.limit import LimitResult
+
+_EPILOG = """\b
+Examples:
+  autotune limit controller.yaml
+  autotune limit identified.yaml --problem problem.yaml --plot limit.svg
+  autotune limit controller.yaml --plants 3 --noise 3 --json
+"""
+
+
+@click.command("limit", epilog=_EPILOG)
+@click.argument("source", type=FilePath(*SETTINGS, kinds=(*PLANTS, "controller")))
+@click.option(
+    "--controller",
+    type=FilePath(*SETTINGS, kinds=("controller",)),
+    help="Controller of SOURCE's plant to look at (default: one that is searched).",
+)
+@click.option("--problem", type=FilePath(*SETTINGS, kinds=("problem",)), help="Requirements and ranges: problem.yaml.")
+@click.option("--axis", metavar="NAME", help="x, y, z, rx, ry or rz (default: all).")
+@click.option(
+    "--plants",
+    type=click.IntRange(1, 4),
+    default=1,
+    show_default=True,
+    help="How many of the hardest contacts one controller is to soften at once.",
+)
+@click.option(
+    "--noise",
+    type=click.FloatRange(min=1.0, max=100.0),
+    default=1.0,
+    show_default=True,
+    metavar="FACTOR",
+    help="How often the design's command noise the others may have, where the problem does not limit it.",
+)
+@click.option(
+    "--plot", type=click.Path(path_type=Path, dir_okay=False), metavar="F.svg", help="Also draw it, .svg or .png."
+)
+@output_options
+def command(
+    output: Output,
+    source: Path,
+    controller: Path | None,
+    problem: Path | None,
+    axis: str | None,
+    plants: int,
+    noise: float,
+    plot: Path | None,
+) -> None:
+    """Say how far the design is from what any linear controller could reach under the same requirements.
+
+    SOURCE is controller.yaml, or a plant, for which a design is searched. Looked at are the hardest contacts of the
+    certified set. All controllers approach at the speed of the design, keep the modulus and the free-space admittance
+    that are asked, and make no more noise of the command. From above: a controller of high order that reaches less, as
+    the exact loop shows. From below: a force that no linear controller gets below. Needs the extra `limit`. Exit code
+    5: no design meets the requirements.
+    """
+    from autotune.formats.atomic import check_target
+    from autotune.formats.units import axis_units
+    from problems.errors import require_extra
+
+    require_extra("autotune limit", "cvxpy", "limit")
+    if plot is not None:
+        if plot.suffix.lower() not in {".svg", ".png"}:
+            raise click.UsageError(f"--plot {plot} must end in .svg or .png.")
+        check_target(plot, [source], kind="picture", option="--plot")
+    found = _found(output, source, controller, problem, axis, plants, noise)
+    tree: dict[str, Any] = {"axes": {name: each.to_dict() for name, each in found.items()}}
+    if plot is not None:
+        _write_plot(output, plot, found)
+        tree["plot"] = str(plot)
+
+    def text() -> None:
+        for name, each in found.items():
+            print_message(f"axis {name}: {each.summary(axis_units(name).force)}")
+            _print_limit(each, name)
+        if plot is not None:
+            print_message(f"written: {plot}")
+
+    output.result(tree, text)
+    output.next_command("explore", controller or source)
+
+
+def _found(
+    output: Output,
+    source: Path,
+    controller: Path | None,
+    problem: Path | None,
+    axis: str | None,
+    plants: int,
+    noise: float,
+) -> "dict[str, LimitResult]":
+    from autotune.errors import InfeasibleError, UsageError
+    from autotune.explore.source import read_exploration
+    from autotune.formats.controller import read_controller
+    from autotune.formats.controller_record import admittance_controller
+    from autotune.formats.yaml12 import kind_of_file
+    from autotune.limit.limit import find_limit, hardest
+    from problems.progress import ProgressSlice
+
+    with output.progress("looking for the limit", 1.0) as advance:
+        share = 0.0 if controller is not None else 0.2
+        exploration = read_exploration(source, problem, lambda done: advance(share * done))
+        is_plant = kind_of_file(source) != "controller"
+        names = list(exploration.axes) if axis is None else [axis]
+        if axis is not None and axis not in exploration.axes:
+            raise UsageError(f"Axis {axis} is not in {source}; it holds {', '.join(exploration.axes)}.")
+        given = None if controller is None else read_controller(controller).controller
+        found = {}
+        for name in names:
+            start = exploration.axes[name]
+            if start.note and given is None and is_plant:
+                raise InfeasibleError(f"Axis {name}: {start.note}")
+            if given is not None and name not in given.axes:
+                raise UsageError(f"Axis {name} is not in {controller}; it holds {', '.join(given.axes)}.")
+            law = start.problem.controller(start.design) if given is None else admittance_controller(given, name)
+            portion = ProgressSlice(advance, (1.0 - share) / len(names))
+            found[name] = find_limit(
+                start.problem, law, hardest(start.problem, law, start.scenarios, plants),
+                noise_factor=noise, progress=portion,
+            )  # fmt: skip
+            portion.finish()
+    return found
+
+
+def _print_limit(found: "LimitResult", axis: str) -> None:
+    """Print the controllers side by side, over which plants, and what is neglected."""
+    from autotune.formats.units import axis_units
+    from autotune.limit.limit import NEGLECTED_ABOVE, NEGLECTED_BELOW
+
+    units = axis_units(axis)
+    columns = [("the design", found.design)] + ([] if found.attained is None else [("any order", found.attained)])
+    rows = [("", *(head for head, _ in columns))]
+    lines: Mapping[str, tuple[str, float]] = {
+        f"peak at the {found.place} [{units.force}]": ("peak_force_n", 1.0),
+        "modulus margin": ("modulus", 1.0),
+        f"command noise [m{units.speed} per {units.force}]": ("noise_m_s_per_n", 1e3),
+        f"least admittance [{units.admittance}]": ("min_m_s_per_n", 1.0),
+        "phase margin [°]": ("phase_deg", 1.0),
+        "delay margin [ms]": ("delay_s", 1e3),
+    }
+    for label, (name, scale) in lines.items():
+        rows.append((label, *(f"{getattr(each, name) * scale:.4g}" for _, each in columns)))
+    print_table(rows, point=(1, 2), indent="  ")
+    print_message(
+        f"  over {'; '.join(each.name for each in found.scenarios)}; approached at "
+        f"{1e3 * found.approach_speed_m_s:.4g} m{units.speed}"
+    )
+    print_message(f"  neglected from below: {NEGLECTED_BELOW}")
+    print_message(f"  neglected of the other: {NEGLECTED_ABOVE}")
+
+
+def _write_plot(output: Output, path: Path, found: "Mapping[str, LimitResult]") -> None:
+    from dataclasses import replace
+
+    from autotune.charts.matplotlib_renderer import render
+    from autotune.formats.atomic import write_atomic
+    from autotune.formats.kinds import PICTURE_MARK
+    from autotune.formats.units import axis_units
+
+    charts = [each.chart(f"axis {name}", axis_units(name).force) for name, each in found.items()]
+    whole = replace(charts[0], panels=tuple(panel for chart in charts for panel in chart.panels))
+    with output.replacing(path, "picture"):
+        write_atomic(path, render(whole, path.suffix, mark=PICTURE_MARK))

@@ -1,0 +1,348 @@
+"""How far a design is from what any linear controller could reach under the same requirements."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from autotune.charts.chart import Chart, Line, Panel, Role, Scale
+from autotune.charts.chart import Limit as ChartLimit
+from autotune.errors import InfeasibleError
+from problems.arrays import FloatArray
+from problems.contact.linear_controller_contact import trace_linear_contact
+from problems.contact.transient import (
+    Approach,
+    ContactTransient,
+    SampledContact,
+    build_sampled_contact,
+    simulate_contact,
+)
+from problems.design.objectives import PeakObjective
+from problems.design.problem import DesignProblem
+from problems.design.requirements.admittance import band_frequencies
+from problems.design.uncertainty import Scenario
+from problems.model.controller import AdmittanceController
+from problems.model.linear_controllers import LinearController
+from problems.model.response import free_space_admittance, loop_response
+from problems.model.sampled import Controller, SampledPlant, build_loop, build_sampled_plant, spectral_radius
+from problems.progress import no_progress
+from problems.stability.margins import RawMargins, UnstableLoopError, frequency_grid, margins_on_grid
+from problems.stability.noise import command_speed_gain
+
+from .programs import ConvexStep, EqualDemands, LowerBound, NoSolutionError, lower_bound
+from .signals import ContactSignals, contact_signals
+from .youla import YoulaBasis
+
+# Delayed pulses, and time constants of the exponentials in samples.
+_TAPS, _TIME_CONSTANTS = 150, (12.0, 40.0, 120.0, 400.0)
+_MOST_STEPS, _SETTLED = 8, 1e-3
+_SHORTEST, _LONGEST, _PEAK_TIMES = 250, 900, 8
+_BOUND_SHORTEST, _BOUND_LONGEST, _BOUND_PEAK_TIMES = 120, 450, 2
+_GRID = 600
+_SHOWN_S = 0.2
+_MET = 1.0 + 1e-9
+
+NEGLECTED_BELOW = (
+    "free space, the admittance beyond its speed of approach, the other margins, what noise and modulus ask after the "
+    "ticks that count, and the force between two ticks"
+)
+NEGLECTED_ABOVE = (
+    "requirements beside modulus, noise and admittance, plants beside those looked at, deadband and command limits"
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReachedPeak:
+    """What one controller does over the plants: worst peak [N], margins, noise [m/s/N] and least |G| [m/s/N].
+
+    `trace` is its contact with the plant of the worst peak.
+    """
+
+    peak_force_n: float
+    modulus: float
+    gain_db: float
+    phase_deg: float
+    delay_s: float
+    noise_m_s_per_n: float
+    min_m_s_per_n: float
+    trace: ContactTransient
+
+    def to_dict(self) -> dict[str, float | None]:
+        """Return the numbers; None is a margin without limit."""
+        names = [each.name for each in fields(self) if each.name != "trace"]
+        numbers = {name: float(getattr(self, name)) for name in names}
+        return {name: number if math.isfinite(number) else None for name, number in numbers.items()}
+
+
+@dataclass(frozen=True, kw_only=True)
+class LimitResult:
+    """The design, a linear controller that gets nearer, and the force that none gets below, over `scenarios`.
+
+    `attained` is None where nothing better than the design was found. `states` is the order of that controller,
+    `noise_factor` how often the design's noise it may have.
+    """
+
+    scenarios: tuple[Scenario, ...]
+    place: str
+    approach_speed_m_s: float
+    asked: EqualDemands
+    noise_factor: float
+    design: ReachedPeak
+    attained: ReachedPeak | None
+    controller: LinearController | None
+    bound: LowerBound
+
+    @property
+    def reached_n(self) -> float:
+        """The least peak [N] that a known controller reaches."""
+        return self.design.peak_force_n if self.attained is None else self.attained.peak_force_n
+
+    def summary(self, unit: str = "N") -> str:
+        """Return the answer in one sentence."""
+        said = f"{self.design.peak_force_n:.4g} {unit}; "
+        noise = "of this noise" if self.noise_factor == 1.0 else f"of {self.noise_factor:g} times its noise"
+        said += f"no linear controller {noise} gets below {self.bound.force_n:.4g} {unit}"
+        if self.attained is None:
+            return f"{said}, and none better than the design was found"
+        return f"{said}; {self.reached_n:.4g} {unit} is reached"
+
+    def chart(self, title: str, unit: str = "N") -> Chart:
+        """Return the picture: the force of both contacts over time, and the force that none gets below."""
+        lines = [_line(self.design.trace, self.place, "the design", "before")]
+        if self.attained is not None:
+            lines.append(_line(self.attained.trace, self.place, "a linear controller of any order", "after"))
+        floor = ChartLimit(value=self.bound.force_n, label="no linear controller below")
+        what = "force" if unit == "N" else "torque"
+        panel = Panel(
+            x=Scale(label="time after touching [ms]"),
+            y=Scale(label=f"{what} at the {self.place} [{unit}]"),
+            elements=(*lines, floor),
+            title=title,
+        )
+        return Chart(key="limit", title="How far from the limit", alternative=self.summary(unit), panels=(panel,))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain data."""
+        return {
+            "scenarios": [
+                {
+                    "environment_stiffness_n_per_m": each.environment_stiffness_n_per_m,
+                    "payload_mass_kg": each.payload_mass_kg,
+                    **each.further(),
+                }
+                for each in self.scenarios
+            ],
+            "peak_at": self.place,
+            "approach_speed_m_s": self.approach_speed_m_s,
+            "modulus_margin": self.asked.modulus,
+            "noise_m_s_per_n": self.asked.noise_m_s_per_n,
+            "noise_factor": self.noise_factor,
+            "design": self.design.to_dict(),
+            "attained": None if self.attained is None else self.attained.to_dict(),
+            "states": None if self.controller is None else self.controller.state_count,
+            "lower_bound": {"force_n": self.bound.force_n, "ticks": self.bound.ticks, "inputs": self.bound.inputs},
+            "neglected": {"attained": NEGLECTED_ABOVE, "lower_bound": NEGLECTED_BELOW},
+        }
+
+
+def _line(trace: ContactTransient, place: str, label: str, role: Role) -> Line:
+    force = trace.contact_force_n if place == "contact" else trace.sensor_force_n
+    shown = trace.time_s <= max(_SHOWN_S, 3.0 * trace.time_of_peak_s)
+    return Line(x=1e3 * trace.time_s[shown], y=force[shown], label=label, role=role)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Judge:
+    """Looks at a controller on the exact loops of all plants, with none of the convex program's numbers."""
+
+    pairs: tuple[SampledContact, ...]
+    approach: Approach
+    band_rad_per_s: FloatArray
+    at_contact: bool
+
+    def __call__(self, law: Controller) -> ReachedPeak:
+        """Return what it reaches; raises UnstableLoopError where a loop is unstable."""
+        traces = [self._trace(pair, law) for pair in self.pairs]
+        worst = max(traces, key=self.peak)
+        plants = [plant for pair in self.pairs for plant in (pair.contact, pair.free)]
+        margins = np.min([_margins(plant, law) for plant in plants], axis=0)
+        return ReachedPeak(
+            peak_force_n=self.peak(worst),
+            modulus=float(margins[0]),
+            gain_db=float(margins[1]),
+            phase_deg=float(margins[2]),
+            delay_s=float(margins[3]),
+            noise_m_s_per_n=max(command_speed_gain(plant, law) for plant in plants),
+            min_m_s_per_n=min(
+                float(np.min(np.abs(free_space_admittance(pair.free, law, self.band_rad_per_s)))) for pair in self.pairs
+            ),
+            trace=worst,
+        )
+
+    def peak(self, trace: ContactTransient) -> float:
+        """Return the peak [N] where it is asked."""
+        return trace.peak_contact_force_n if self.at_contact else trace.peak_sensor_force_n
+
+    def _trace(self, pair: SampledContact, law: Controller) -> ContactTransient:
+        if isinstance(law, AdmittanceController):
+            return simulate_contact(pair, law, self.approach)
+        radius = spectral_radius(build_loop(pair.free, law))
+        if not radius < 1.0:
+            raise UnstableLoopError(radius)
+        return trace_linear_contact(pair, law, self.approach)
+
+
+def _margins(plant: SampledPlant, law: Controller) -> RawMargins:
+    omega = frequency_grid(plant, _GRID)
+    response = loop_response(plant, law, omega)
+    found = [margins_on_grid(omega, each) for each in (response.at_force, response.at_command)]
+    return RawMargins(*np.min(found, axis=0))
+
+
+def hardest(
+    problem: DesignProblem, law: AdmittanceController, scenarios: Sequence[Scenario], count: int
+) -> tuple[Scenario, ...]:
+    """Return the `count` scenarios of the largest peaks; raises InfeasibleError where the law is unstable on one."""
+    peaks = []
+    for each in dict.fromkeys(scenarios):
+        pair = build_sampled_contact(build_sampled_plant(problem.plant(each), problem.sample_time_s))
+        try:
+            trace = simulate_contact(pair, law, problem.approach)
+        except UnstableLoopError as error:
+            raise InfeasibleError(f"The design is unstable at {each.name} ({error}), so it has no peak.") from error
+        place = problem.objective.place if isinstance(problem.objective, PeakObjective) else "contact"
+        peaks.append((trace.peak_contact_force_n if place == "contact" else trace.peak_sensor_force_n, each))
+    return tuple(each for _, each in sorted(peaks, key=lambda pair: -pair[0])[:count])
+
+
+def find_limit(
+    problem: DesignProblem,
+    law: AdmittanceController,
+    scenarios: Sequence[Scenario],
+    *,
+    noise_factor: float = 1.0,
+    progress: Callable[[float], None] | None = None,
+) -> LimitResult:
+    """Return how near `law` is to the limit over `scenarios`, the hardest contact first.
+
+    All controllers approach with the speed of the law, meet the modulus and the free-space admittance of the problem,
+    and have at most `noise_factor` times the noise of the law, or what the problem allows where it limits the noise.
+    Raises InfeasibleError where the law itself is unstable on one of the plants.
+    """
+    report = progress or no_progress
+    pairs = tuple(
+        build_sampled_contact(build_sampled_plant(problem.plant(each), problem.sample_time_s)) for each in scenarios
+    )
+    at_contact = not isinstance(problem.objective, PeakObjective) or problem.objective.place == "contact"
+    requirements, target = problem.requirements, problem.requirements.free_space_admittance
+    band = np.zeros(0) if target is None else band_frequencies(pairs[0].contact.plant.robot, target.band_hz)
+    judge = _Judge(
+        pairs=pairs,
+        approach=problem.approach,
+        band_rad_per_s=band if len(band) else np.array([2.0 * math.pi]),
+        at_contact=at_contact,
+    )
+    try:
+        design = judge(law)
+    except UnstableLoopError as error:
+        raise InfeasibleError(f"The design is unstable on a plant of the set ({error}), so it has no peak.") from error
+    noise, allowed = design.noise_m_s_per_n * noise_factor, problem.requirements.command_noise
+    if allowed is not None and allowed.force_noise_rms_n:
+        noise = allowed.max_speed_rms_m_s / allowed.force_noise_rms_n
+    asked = EqualDemands(
+        modulus=requirements.modulus_margin or design.modulus,
+        min_m_s_per_n=None if target is None else target.min_m_s_per_n,
+        band_rad_per_s=band,
+        noise_m_s_per_n=noise,
+        driving_force_n=design.trace.driving_force_n,
+        at_contact=at_contact,
+    )
+    signals = _signals(pairs, law, problem.approach)
+    attained, controller = _attain(signals, law, asked, judge, lambda share: report(0.8 * share))
+    bound = max(
+        (lower_bound(each, asked, _bound_ticks(each, law, problem.approach)) for each in signals),
+        key=lambda found: found.force_n,
+    )
+    report(0.2)
+    better = attained is not None and attained.peak_force_n < design.peak_force_n
+    return LimitResult(
+        scenarios=tuple(scenarios),
+        place="contact" if at_contact else "sensor",
+        approach_speed_m_s=design.trace.contact_speed_m_s,
+        asked=asked,
+        noise_factor=noise / design.noise_m_s_per_n if allowed is not None else noise_factor,
+        design=design,
+        attained=attained if better else None,
+        controller=controller if better else None,
+        bound=bound,
+    )
+
+
+def _signals(
+    pairs: Sequence[SampledContact], law: AdmittanceController, approach: Approach
+) -> tuple[ContactSignals, ...]:
+    traces = [simulate_contact(pair, law, approach) for pair in pairs]
+    h = pairs[0].contact.sample_time_s
+    latest = max(trace.time_of_peak_s for trace in traces)
+    count = min(_LONGEST, max(_SHORTEST, math.ceil(_PEAK_TIMES * latest / h)))
+    return tuple(
+        contact_signals(pair, trace.contact_speed_m_s, count) for pair, trace in zip(pairs, traces, strict=True)
+    )
+
+
+def _bound_ticks(signals: ContactSignals, law: AdmittanceController, approach: Approach) -> int:
+    peak_s = simulate_contact(signals.pair, law, approach).time_of_peak_s
+    ticks = math.ceil(_BOUND_PEAK_TIMES * peak_s / signals.pair.contact.sample_time_s)
+    return min(max(ticks, _BOUND_SHORTEST), _BOUND_LONGEST, len(signals.wall_force))
+
+
+def _attain(
+    signals: tuple[ContactSignals, ...],
+    law: AdmittanceController,
+    asked: EqualDemands,
+    judge: _Judge,
+    report: Callable[[float], None],
+) -> tuple[ReachedPeak | None, LinearController | None]:
+    """Return the best controller that met everything on the exact loops, None where there was none."""
+    first = signals[0]
+    basis = YoulaBasis(
+        taps=_TAPS, decays=np.exp(-1.0 / np.array(_TIME_CONSTANTS)), loop=build_loop(first.pair.contact, law)
+    )
+    step, best = ConvexStep(basis, signals, asked), None
+    theta, kept, trust = step.start(basis.start()), None, 1.0
+    for i in range(_MOST_STEPS):
+        try:
+            moved = step.solve(theta, 0.3 * trust)
+        except NoSolutionError:
+            break
+        made = basis.controller(moved, first.open, first.pair.contact.sample_time_s)
+        found, met = _judged(judge, made), step.met(moved)
+        report(1.0 / _MOST_STEPS)
+        if found is None or met < 0.5:
+            trust *= 0.5
+            continue
+        theta = moved
+        if _meets(found, asked, met):
+            settled = best is not None and found.peak_force_n > best.peak_force_n * (1.0 - _SETTLED)
+            if best is None or found.peak_force_n < best.peak_force_n:
+                best, kept = found, made
+            if settled:
+                report(1.0 - (i + 1.0) / _MOST_STEPS)
+                break
+    return best, kept
+
+
+def _judged(judge: _Judge, law: LinearController) -> ReachedPeak | None:
+    try:
+        return judge(law)
+    except UnstableLoopError:
+        return None
+
+
+def _meets(found: ReachedPeak, asked: EqualDemands, met: float) -> bool:
+    """Return whether a controller meets everything; `met` is the modulus over what is asked, by Q itself."""
+    is_free = asked.min_m_s_per_n is None or found.min_m_s_per_n >= asked.min_m_s_per_n
+    is_quiet = found.noise_m_s_per_n <= asked.noise_m_s_per_n * _MET
+    return min(found.modulus, met * asked.modulus) >= asked.modulus and is_quiet and is_free
