@@ -118,6 +118,7 @@ def test_no_path_of_one_machine_is_in_the_project(repository: Path) -> None:
         ("casadi", {"problems/design/symbolic.py"}),
         ("control", {"problems/model/python_control.py"}),
         ("cryptography", {"autotune/formats/signature.py"}),
+        ("cvxpy", {"autotune/limit/programs.py"}),
         ("flint", {"autotune/certificate/balls.py"}),
         ("optuna", {"autotune/studies/storage.py", "autotune/studies/study.py"}),
         ("sqlalchemy", {"autotune/studies/storage.py"}),

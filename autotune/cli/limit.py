@@ -141,6 +141,7 @@ def _print_limit(found: "LimitResult", axis: str) -> None:
     """Print the controllers side by side, over which plants, and what is neglected."""
     from autotune.formats.units import axis_units
     from autotune.limit.limit import NEGLECTED_ABOVE, NEGLECTED_BELOW
+    from autotune.text import scenario_text
 
     units = axis_units(axis)
     columns = [("the design", found.design)] + ([] if found.attained is None else [("any order", found.attained)])
@@ -157,11 +158,11 @@ def _print_limit(found: "LimitResult", axis: str) -> None:
         rows.append((label, *(f"{getattr(each, name) * scale:.4g}" for _, each in columns)))
     print_table(rows, point=(1, 2), indent="  ")
     print_message(
-        f"  over {'; '.join(each.name for each in found.scenarios)}; approached at "
+        f"  over {'; '.join(scenario_text(each, units) for each in found.scenarios)}; approached at "
         f"{1e3 * found.approach_speed_m_s:.4g} m{units.speed}"
     )
-    print_message(f"  neglected from below: {NEGLECTED_BELOW}")
-    print_message(f"  neglected of the other: {NEGLECTED_ABOVE}")
+    print_message(f"  neglected by the force that none gets below: {NEGLECTED_BELOW}")
+    print_message(f"  neglected by the controller of any order: {NEGLECTED_ABOVE}")
 
 
 def _write_plot(output: Output, path: Path, found: "Mapping[str, LimitResult]") -> None:

@@ -175,7 +175,7 @@ class ConvexStep:
             rows, offset = noise_rows(self.basis, self.plants, theta, j, self.h)
             # A norm of many rows is that of their triangle.
             both = np.column_stack([rows @ self.directions, offset + rows @ theta])
-            triangle = np.linalg.qr(both, mode="r") / limit
+            triangle = np.asarray(np.linalg.qr(both, mode="r"), dtype=np.float64) / limit
             constraints.append(cp.norm(triangle[:, :-1] @ y + triangle[:, -1]) <= 1.0)
         return constraints
 

@@ -1,0 +1,78 @@
+"""Peak, noise and processor time of the four gains, of a controller of any order, and the force that none gets below.
+
+`python benchmarks/bench_limit.py` prints a table (Markdown) of the paper's nominal cell with once and three times the
+design's noise, and of drawn problems; `--drawn 20` says how many.
+"""
+
+import argparse
+import statistics
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from autotune.errors import InfeasibleError
+from autotune.limit.limit import LimitResult, find_limit, hardest
+from autotune.tuning.search import solve_design
+from benchmarks.tuning_problems import draw_problem, paper_cell
+from problems.design.problem import DesignProblem
+
+_NOMINAL = paper_cell((5e5, 5e5), (16.0, 16.0))
+_GRID = (3, 2)
+
+
+def _cases(drawn: int) -> Iterator[tuple[str, DesignProblem, float]]:
+    yield "paper's nominal cell", _NOMINAL, 1.0
+    yield "the same, three times the noise", _NOMINAL, 3.0
+    for seed in range(drawn):
+        yield f"drawn {seed}", draw_problem(seed), 1.0
+
+
+def _row(name: str, problem: DesignProblem, noise: float) -> tuple[str, LimitResult | None]:
+    begun = time.process_time()
+    try:
+        found = solve_design(problem)
+    except InfeasibleError:
+        return f"| {name} | no design | | | | | |", None
+    law, searched = problem.controller(found.design), time.process_time()
+    limit = find_limit(problem, law, hardest(problem, law, problem.scenarios(*_GRID), 1), noise_factor=noise)
+    ended = time.process_time()
+    columns = (
+        f"{limit.design.peak_force_n:.2f}",
+        f"{limit.reached_n:.2f}",
+        f"{limit.bound.force_n:.2f}",
+        f"{1e3 * limit.asked.noise_m_s_per_n:.2f}",
+        f"{searched - begun:.1f}",
+        f"{ended - searched:.1f}",
+    )
+    return f"| {name} | {' | '.join(columns)} |", limit
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--drawn", type=int, default=20, help="how many drawn problems")
+    options = parser.parse_args()
+    print(
+        "| problem | four gains [N] | any order reaches [N] | none below [N] "
+        "| noise [mm/s/N] | search [s] | limit [s] |"
+    )
+    print("|---|---|---|---|---|---|---|")
+    reached, bound = list[float](), list[float]()
+    for name, problem, noise in _cases(options.drawn):
+        row, limit = _row(name, problem, noise)
+        print(row, flush=True)
+        if limit is not None and name.startswith("drawn"):
+            reached.append(limit.reached_n / limit.design.peak_force_n)
+            bound.append(limit.bound.force_n / limit.design.peak_force_n)
+    if reached:
+        print(
+            f"\nMedian of {len(reached)} drawn problems: any order reaches {100.0 * statistics.median(reached):.0f} %, "
+            f"none gets below {100.0 * statistics.median(bound):.0f} % of the four gains' peak."
+        )
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,185 @@
+"""What any linear controller could do: affine forces, the controller of a response, the force that none gets below."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from problems.contact.linear_controller_contact import simulate_linear_contact
+from problems.contact.transient import Approach, SampledContact, build_sampled_contact, simulate_contact
+from problems.model.controller import AdmittanceController
+from problems.model.plant import Coupling, Environment, PayloadDynamics, Plant
+from problems.model.robot import RobotModel
+from problems.model.sampled import build_loop, build_sampled_plant, spectral_radius
+from problems.stability.noise import command_speed_gain
+from tests.conftest import RunCli
+
+pytest.importorskip("cvxpy", reason="needs the extra `limit`")
+
+from autotune.limit.limit import NEGLECTED_BELOW
+from autotune.limit.programs import ConvexStep, EqualDemands, at_rest, lower_bound, noise_rows
+from autotune.limit.signals import ContactSignals, contact_signals
+from autotune.limit.youla import YoulaBasis
+
+_H = 8e-4
+_TICKS = 300
+_APPROACH = Approach(force_n=30.0)
+_PLANT = """\
+format: autotune/plant
+version: 1
+mass: 16
+coupling_stiffness: 3e5
+drag: 630
+robot: {bandwidth: 3.2, delay: 2.4e-3}
+environment_stiffness: [5e5, 5e5]
+sample_time: 8e-4
+"""
+
+
+def _pair(delay_s: float = 2.4e-3, coupling_damping: float = 0.0) -> SampledContact:
+    plant = Plant(
+        robot=RobotModel.from_bandwidth(bandwidth_rad_per_s=20.0, delay_s=delay_s),
+        coupling=Coupling(stiffness_n_per_m=3e5, damping_n_s_per_m=coupling_damping),
+        payload=PayloadDynamics(mass_kg=16.0, drag_n_s_per_m=630.0),
+        environment=Environment(stiffness_n_per_m=2e5),
+    )
+    return build_sampled_contact(build_sampled_plant(plant, _H))
+
+
+_LAW = AdmittanceController(mass_kg=8.0, damping_n_s_per_m=1300.0, lead_s=0.018, feedback_damping_s=0.01)
+
+
+def _signals(pair: SampledContact) -> ContactSignals:
+    return contact_signals(pair, simulate_contact(pair, _LAW, _APPROACH).contact_speed_m_s, _TICKS)
+
+
+def _basis(pair: SampledContact) -> YoulaBasis:
+    return YoulaBasis(taps=40, decays=np.array([0.9, 0.99]), loop=build_loop(pair.contact, _LAW))
+
+
+def _asked(pair: SampledContact, noise_factor: float = 1.0, modulus: float = 0.3) -> EqualDemands:
+    noise = max(command_speed_gain(plant, _LAW) for plant in (pair.contact, pair.free))
+    return EqualDemands(
+        modulus=modulus,
+        min_m_s_per_n=None,
+        band_rad_per_s=np.zeros(0),
+        noise_m_s_per_n=noise_factor * noise,
+        driving_force_n=30.0,
+        at_contact=True,
+    )
+
+
+@pytest.mark.parametrize(("delay_s", "coupling_damping"), [(2.4e-3, 0.0), (2.0e-3, 150.0), (0.0, 80.0)])
+def test_a_first_contact_is_the_answer_to_the_ramp_of_the_wall(delay_s: float, coupling_damping: float) -> None:
+    """F_e and −F of the exact transient, ticks apart, come from Q and what the wall does to the plant alone."""
+    pair = _pair(delay_s, coupling_damping)
+    exact, found, basis = simulate_contact(pair, _LAW, _APPROACH), _signals(pair), _basis(pair)
+    q = basis.pulses(_TICKS) @ basis.start()
+    command = np.convolve(q, found.wall_force)[:_TICKS]
+    pressed = found.wall_contact + np.convolve(found.contact_pulse, command)[:_TICKS]
+    sensed = -found.steady_force_n - found.wall_force + np.convolve(found.force_pulse, command)[:_TICKS]
+    # Until the payload leaves, both are the same linear motion; rounding grows with some hundred ticks.
+    stop = int(np.argmax(exact.contact_force_n[1:] <= 0.0)) or min(_TICKS, len(exact.time_s) - 1)
+    assert pressed[:stop] == pytest.approx(exact.contact_force_n[:stop], abs=1e-6)
+    # At the tick of the touch the sensor still reads the approach.
+    assert sensed[1:stop] == pytest.approx(exact.sensor_force_n[1:stop], abs=1e-6)
+
+
+@pytest.mark.parametrize("delay_s", [2.4e-3, 2.0e-3])
+def test_the_controller_of_the_design_s_response_is_the_design(delay_s: float) -> None:
+    pair = _pair(delay_s)
+    basis, signals = _basis(pair), _signals(pair)
+    law = basis.controller(basis.start(), signals.open, _H)
+    for plant in (pair.contact, pair.free):
+        assert spectral_radius(build_loop(plant, law)) == pytest.approx(
+            max(spectral_radius(build_loop(plant, _LAW)), 0.99), abs=1e-6
+        )
+        assert command_speed_gain(plant, law) == pytest.approx(command_speed_gain(plant, _LAW), rel=1e-8)
+    exact = simulate_contact(pair, _LAW, _APPROACH)
+    found = simulate_linear_contact(pair, law, _APPROACH)
+    assert found.contact_speed_m_s == pytest.approx(exact.contact_speed_m_s, rel=1e-8)
+    # The linear law's contact is stepped in twentieths of a sample: the peak's curvature is all that is lost.
+    assert found.peak_contact_force_n == pytest.approx(exact.peak_contact_force_n, rel=1e-4)
+
+
+def test_what_the_program_asks_of_the_design_is_what_the_exact_loop_says() -> None:
+    pair = _pair()
+    basis, signals = _basis(pair), _signals(pair)
+    rows, values = at_rest(basis, signals, 30.0)
+    assert rows @ basis.start() == pytest.approx(values, rel=1e-6)
+    for loop, plant in enumerate((pair.contact, pair.free)):
+        slope, offset = noise_rows(basis, (signals,), basis.start(), loop, _H)
+        rms = float(np.linalg.norm(slope @ basis.start() + offset))
+        assert rms == pytest.approx(command_speed_gain(plant, _LAW), rel=1e-6)
+
+
+def test_a_step_of_the_program_softens_the_contact_of_the_exact_loop() -> None:
+    pair = _pair()
+    basis, signals, asked = _basis(pair), _signals(pair), _asked(pair)
+    step = ConvexStep(basis, (signals,), asked)
+    moved = step.solve(step.start(basis.start()))
+    law = basis.controller(moved, signals.open, _H)
+    found = simulate_linear_contact(pair, law, _APPROACH)
+    exact = simulate_contact(pair, _LAW, _APPROACH)
+    assert found.contact_speed_m_s == pytest.approx(exact.contact_speed_m_s, rel=1e-6)
+    assert found.peak_contact_force_n < exact.peak_contact_force_n
+    assert command_speed_gain(pair.contact, law) <= asked.noise_m_s_per_n * 1.001
+    # No linear controller gets below the bound, so neither does this one.
+    assert lower_bound(signals, asked, 120).force_n <= found.peak_contact_force_n
+
+
+@pytest.mark.parametrize(
+    "law",
+    [
+        AdmittanceController(mass_kg=8.0, damping_n_s_per_m=1300.0, lead_s=0.018, feedback_damping_s=0.01),
+        AdmittanceController(mass_kg=6.0, damping_n_s_per_m=1300.0, lead_s=0.022, feedback_damping_s=0.02),
+        AdmittanceController(mass_kg=12.0, damping_n_s_per_m=1300.0, lead_s=0.012, feedback_damping_s=0.005),
+    ],
+)
+def test_no_controller_of_the_same_speed_and_noise_is_below_the_bound(law: AdmittanceController) -> None:
+    pair = _pair()
+    noise = command_speed_gain(pair.contact, law) / command_speed_gain(pair.contact, _LAW)
+    trace = simulate_contact(pair, law, _APPROACH)
+    signals = contact_signals(pair, trace.contact_speed_m_s, _TICKS)
+    # Its own noise and no modulus to speak of: the bound is of everything that could be done with as much.
+    asked = _asked(pair, noise_factor=noise * 1.001, modulus=0.01)
+    assert lower_bound(signals, asked, 100).force_n < trace.peak_contact_force_n
+
+
+def test_what_happens_before_the_command_can_answer_is_in_the_bound() -> None:
+    """Without limits of noise and modulus the force of the first delayed ticks is left, which nothing can change."""
+    pair = _pair()
+    signals = _signals(pair)
+    asked = _asked(pair, noise_factor=1e6, modulus=1e-3)
+    late = pair.contact.chain_length
+    assert late == 3
+    # The force of a tick is answered a tick later at the earliest, and `late` ticks later the robot begins to move.
+    untouched = float(np.max(signals.wall_contact[: late + 1]))
+    assert lower_bound(signals, asked, 20).force_n >= untouched * (1.0 - 1e-4)
+
+
+def test_the_command_prints_design_reached_and_bound(
+    run_cli: RunCli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Half the pulses: the law is the same, and reaches a little less.
+    monkeypatch.setattr("autotune.limit.limit._TAPS", 75)
+    (tmp_path / "plant.yaml").write_text(_PLANT, encoding="utf-8")
+    done = run_cli("limit", "plant.yaml", "--json", "--plot", "limit.svg")
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)["axes"]["x"]
+    design, attained, bound = found["design"], found["attained"], found["lower_bound"]["force_n"]
+    assert bound < attained["peak_force_n"] < design["peak_force_n"]
+    assert attained["modulus"] >= found["modulus_margin"] - 1e-12
+    assert attained["noise_m_s_per_n"] <= found["noise_m_s_per_n"] * (1.0 + 1e-9)
+    assert attained["min_m_s_per_n"] >= 7e-4 - 1e-12
+    assert found["neglected"]["lower_bound"] == NEGLECTED_BELOW
+    assert (tmp_path / "limit.svg").read_text(encoding="utf-8").startswith("<?xml")
+
+
+def test_an_axis_that_is_not_there_and_a_wrong_picture_are_usage(run_cli: RunCli, tmp_path: Path) -> None:
+    (tmp_path / "plant.yaml").write_text(_PLANT, encoding="utf-8")
+    done = run_cli("limit", "plant.yaml", "--plot", "limit.pdf")
+    assert done.returncode == 2
+    assert ".svg or .png" in done.stderr
+    assert not (tmp_path / "limit.pdf").exists()
