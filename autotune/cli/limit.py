@@ -9,7 +9,7 @@ import click
 from autotune.formats.kinds import PLANTS
 
 from ._common import Output, output_options
-from ._options import SETTINGS, FilePath
+from ._options import SETTINGS, FilePath, GroupedCommand
 from ._terminal import print_message, print_table
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ Examples:
 """
 
 
-@click.command("limit", epilog=_EPILOG)
+@click.command("limit", cls=GroupedCommand, epilog=_EPILOG)
 @click.argument("source", type=FilePath(*SETTINGS, kinds=(*PLANTS, "controller")))
 @click.option(
     "--controller",
