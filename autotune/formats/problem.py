@@ -89,6 +89,7 @@ class ProblemSpec:
     Names in `bounds` and `uncertain` are those of problem.yaml, or of gains and of `Plant`, as `lead` and `drag`.
     `uncertain` maps further parameters of the plant to a range, to "identified" (the confidence set of the identified
     file) or to "nominal" (as if it were known). `limits` are those that the runtime enforces.
+    `contact_points_m` are where the payload may touch, in the sensor frame; () is the box that has its inertia.
     `options` holds those ranges that were said outside of the file (`with_options`), `with_unit` names those whose unit
     was typed.
     """
@@ -108,11 +109,14 @@ class ProblemSpec:
     variable_damping: Interval | None = None
     compliance: ComplianceSpec | None = None
     limits: LimitsSpec = field(default_factory=LimitsSpec)
+    contact_points_m: tuple[tuple[float, float, float], ...] = ()
     options: Mapping[str, Interval] = field(default_factory=dict)
     with_unit: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
         self._check_types()
+        points = tuple(as_numbers("contact_points_m", each, 3) for each in self.contact_points_m)
+        object.__setattr__(self, "contact_points_m", points)
         for name in ("environment_stiffness", "payload_mass", "collision_threshold", "variable_damping"):
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, _range(name, getattr(self, name)))
@@ -197,6 +201,7 @@ def read_problem(path: Path) -> ProblemSpec:
             variable_damping=_optional_pair(free.get(_DAMPING)),
             compliance=_compliance(document),
             limits=_limits(tree.get("limits", {})),
+            contact_points_m=tuple(tree.get("payload", {}).get("contact_points_m", ())),
             rotational=_rotational(turned),
         )
     except ParameterError as error:

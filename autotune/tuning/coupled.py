@@ -29,14 +29,14 @@ class Together:
 class TogetherCheck:
     """Adds what is certified of all axes to a controller; `unchecked` then says in words what could not be checked."""
 
-    def __init__(self, identified: Identified, asked: ProofOptions) -> None:
-        self._identified, self._asked, self.unchecked = identified, asked, ""
+    def __init__(self, identified: Identified, asked: ProofOptions, contact_points_m: Sequence[Vector] = ()) -> None:
+        self._identified, self._asked, self._points, self.unchecked = identified, asked, contact_points_m, ""
 
     def __call__(self, controller: Controller, prover: Prover) -> Controller:
         """Return the controller with its certificate of all axes; raises what `check_together` raises."""
         if self._asked.axes == "apart":
             return controller
-        found = check_together(controller, self._identified)
+        found = check_together(controller, self._identified, self._points)
         self.unchecked = found.unchecked
         return (
             prove_together(found.controller, prover, self._asked)

@@ -134,7 +134,7 @@ def optimize(
     problems = {name: each.problem for name, each in searches.items()}
     provenance = make_provenance(identified, problems, spec, seed, problem_path, present, asked)
     provenance |= result_trees(problems, identified.result, optimality_reports, defaults, chosen)
-    together = TogetherCheck(identified.result, asked)
+    together = TogetherCheck(identified.result, asked, spec.contact_points_m)
     controller, checked = certify(
         searches, payload, provenance, asked, lambda done: report((1.0 - _SEARCH_SHARE) * done),
         strategies=strategy_settings(identified.result, spec),

@@ -13,6 +13,7 @@ from autotune.errors import InfeasibleError
 from autotune.formats.controller import read_controller, write_controller
 from autotune.formats.controller_record import Controller
 from autotune.formats.coupled_record import CoupledCertificate
+from autotune.formats.problem import read_problem
 from autotune.tuning.coupled import check_together, coupled_body
 from autotune.validation.axis_proof import ProofOptions, Prover
 from autotune.validation.coupled import build_dense_loop, check_coupled
@@ -195,9 +196,12 @@ def test_products_of_inertia_come_from_the_tensor_or_from_the_centre() -> None:
     assert seen.inertia_kg_m2["yy"] == pytest.approx(0.64)  # that of its own loop
 
 
-def test_contact_points_are_those_that_are_given() -> None:
+def test_contact_points_are_those_that_are_given(tmp_path: Path) -> None:
     point = (0.1, 0.0, 0.4)
-    found = certificate(check_together(tuned(), two_axes(), (point,)).controller)
+    (tmp_path / "problem.yaml").write_text("payload: {contact_points_m: [[0.1, 0, 0.4]]}\n", encoding="utf-8")
+    spec = read_problem(tmp_path / "problem.yaml")
+    assert spec.contact_points_m == (point,)
+    found = certificate(check_together(tuned(), two_axes(), spec.contact_points_m).controller)
     assert [each.point_m for each in found.points["x"]] == [point]
 
 
