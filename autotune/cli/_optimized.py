@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 # Decimals of a price: what is 0 in them saves nothing.
 _DECIMALS = {"N": 2, "N·m": 4}
+# How much further a bound that holds a design is proposed.
+_WIDER = 2.0
 
 
 def active_tree(found: "Optimized") -> dict[str, Any]:
@@ -99,12 +101,25 @@ def _active_line(entry: "ActiveConstraint", problem: "DesignProblem", units: "Ax
         limit = problem.bounds[variable][0 if side == "lower" else 1]
         if is_nothing:
             return f"the {entry.name}, {limit:g}, is active, and widening it saves nothing"
-        return f"the {entry.name}, {limit:g}, is active: 1 % wider saves {saved}; widen it, or accept"
+        wider = _wider_bound(problem, variable, side, turning=units.force != "N")
+        return f"the {entry.name}, {limit:g}, is active: 1 % wider saves {saved}; {wider}"
     if is_nothing:
         return f"{entry.name} is active, easing it alone saves nothing"
     if entry.soft:
         return f"{entry.name} is a soft requirement: asking 1 % less saves {saved} of peak and price"
     return f"{entry.name} holds the peak up: easing it by 1 % saves {saved}, asking 1 % more costs as much"
+
+
+def _wider_bound(problem: "DesignProblem", variable: str, side: str, *, turning: bool) -> str:
+    """Return the line of problem.yaml that makes room on one side of a variable, where there is any."""
+    from problems.design.problem import VARIABLES
+
+    low, high = problem.bounds[variable]
+    if side == "lower" and low == 0.0:
+        return "it cannot be lower"
+    span = f"[{low / _WIDER:g}, {high:g}]" if side == "lower" else f"[{low:g}, {high * _WIDER:g}]"
+    line = f"{'bounds' if variable in VARIABLES else 'free'}: {{{variable}: {span}}}"
+    return f"accept it, or widen it in problem.yaml: {f'rotational: {{{line}}}' if turning else line}"
 
 
 def _optimality_lines(report: "OptimalityReport", unit: str, digits: tuple[str, str], has_soft: bool) -> Iterator[str]:

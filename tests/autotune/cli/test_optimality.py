@@ -24,7 +24,10 @@ def with_active(*active: ActiveConstraint) -> Optimized:
         ),
         (
             ActiveConstraint(name="upper bound of lead_s", price=0.25),
-            "the upper bound of lead_s, 0.03, is active: 1 % wider saves 0.25 N; widen it, or accept",
+            (
+                "the upper bound of lead_s, 0.03, is active: 1 % wider saves 0.25 N; "
+                "accept it, or widen it in problem.yaml: bounds: {lead_s: [0.01, 0.06]}"
+            ),
         ),
         (
             ActiveConstraint(name="lower bound of damping", price=0.0),
