@@ -231,6 +231,8 @@ def test_validation_asks_rotational_axes_for_their_own_requirements(change: dict
         controller,
         axes={"ry": controller.axes["ry"]},
         predicted={"ry": controller.predicted["ry"]},
+        # Chosen for both axes.
+        limits=None,
         certificate=replace(
             controller.certificate,
             **change,  # type: ignore[arg-type]  # named in the table above
