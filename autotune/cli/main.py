@@ -88,9 +88,7 @@ COMMANDS: Mapping[str, CommandEntry] = FrozenDict(
         "explore": CommandEntry(
             module="autotune.cli.explore", help="Change gains and plant with sliders in the browser."
         ),
-        "limit": CommandEntry(
-            module="autotune.cli.limit", help="Say what any linear controller could reach, from above and from below."
-        ),
+        "limit": CommandEntry(module="autotune.cli.limit", help="Say what any linear controller could reach."),
         "warm": CommandEntry(module="autotune.cli.warm", help="Compile every kernel now, so that nothing waits later."),
         "completion": CommandEntry(module="autotune.cli.completion", help="Print the completion script for a shell."),
     }

@@ -33,7 +33,7 @@ def render(request: ExportRequest) -> Rendered:
     parameters = {
         "checksum": source.checksum,
         "tuned_axes": list(source.controller.axes),
-        **{name: _parameter(name, tree[name]) for name in _PARTS},
+        **{name: _parameter(name, tree[name]) for name in _PARTS if tree.get(name) is not None},
     }
     comments = (
         f"Written by autotune {__version__} as parameters of a node of your own.",

@@ -9,8 +9,6 @@ from pathlib import Path
 from autotune.errors import AutotuneError, UsageError
 from problems.frozen import FrozenDict
 
-from .canonical import checksum, short
-
 LOG = "log"
 PLANTS = ("identified", "plant")
 HEAD_BYTES = 4096
@@ -115,9 +113,11 @@ def describe_existing(path: Path | str) -> str:
         return ""
     if kind is None:
         return "a file of another program"
+    from .canonical import checksum, short  # noqa: PLC0415 - imports a YAML library, and mostly there is no file
+
     if kind not in _SEALED:
         return f"the {_noun(kind)} of sha256 {short(sha256(path.read_bytes()).hexdigest())}"
-    from .yaml12 import load_yaml  # noqa: PLC0415 - slow to import, and mostly there is no file
+    from .yaml12 import load_yaml  # noqa: PLC0415 - the same
 
     try:
         tree = load_yaml(path)

@@ -21,6 +21,8 @@ _STILL_TURN_RAD_S = 0.02
 _SHORTEST_STILL_S = 0.4
 _LONGEST_PAUSE_S = 0.12
 _MOTION_BAND_HZ = 25.0
+# A position so noisy that it must be smoothed more is none in metres; a push of 0.1 s would be smoothed away.
+_SLOWEST_BAND_HZ = 5.0
 # From the median of the absolute second difference of white noise, squared.
 _TO_VARIANCE = 1.4826**2 / 6.0
 _SHAKE_WINDOW_S = 0.12
@@ -107,7 +109,8 @@ def _quiet_band_hz(log: AlignedLog) -> float:
     second = np.diff(log.position_B_m[np.isfinite(log.position_B_m).all(axis=1)], n=2, axis=0)
     variance = float(np.sum(np.median(np.abs(second), axis=0) ** 2)) * _TO_VARIANCE if len(second) else 0.0
     speed = variance * 2.0 * log.period_s * (2.0 * np.pi) ** 2 / 3.0
-    return float(min(_MOTION_BAND_HZ, ((_STILL_SPEED_M_S / 3.0) ** 2 / max(speed, 1e-30)) ** (1.0 / 3.0)))
+    quiet = ((_STILL_SPEED_M_S / 3.0) ** 2 / max(speed, 1e-30)) ** (1.0 / 3.0)
+    return float(min(_MOTION_BAND_HZ, max(_SLOWEST_BAND_HZ, quiet)))
 
 
 def without_pauses(mask: BoolArray, longest: int) -> BoolArray:

@@ -76,7 +76,7 @@ def test_infeasible_classes_are_exit_5_and_nothing_is_left(run_cli: RunCli, tmp_
         (("--schedule", "payload=8:12"), "Class m8-12: The payload range 8 to 12 kg leaves out the identified payload"),
         (("--schedule", "payload=16", "--compare", "mass=10,damping=1500"), "--compare is about one controller"),
         (("--schedule", "payload=16", "--pareto"), "--pareto is about one controller"),
-        (("--schedule", "payload=16", "--slack", "3"), "--slack and --proof-budget are about one controller"),
+        (("--schedule", "payload=16", "--slack", "3"), "--slack, --proof-budget and --axes are about one"),
         (("--schedule", "payload=16", "--payload-mass", "16"), "both say the payload"),
         (("--schedule", "stiffness=1e5", "--environment-stiffness", "1e5:2e5"), "both say the stiffness"),
         (("--schedule", "payload=16", "-o", "problem.yaml"), "problem.yaml is a file"),

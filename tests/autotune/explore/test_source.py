@@ -93,7 +93,9 @@ def test_a_controller_starts_where_it_is_and_keeps_its_deadband(tmp_path: Path) 
 def test_a_collision_response_is_not_kept_and_the_page_says_so(tmp_path: Path) -> None:
     write_controller(tmp_path / "old.yaml", responding().controller)
     start = read_exploration(tmp_path / "old.yaml").axes["x"]
-    assert start.note == "The collision response of the file was chosen for its gains; what is saved here has none."
+    assert start.note == (
+        "Collision response and variable damping of the file were chosen for its gains; what is saved here has none."
+    )
 
 
 def test_a_problem_beside_a_controller_is_refused(tmp_path: Path) -> None:
