@@ -99,7 +99,7 @@ def _active_line(entry: "ActiveConstraint", problem: "DesignProblem", units: "Ax
     side, _, variable = entry.name.partition(" bound of ")
     if variable:
         limit = problem.bounds[variable][0 if side == "lower" else 1]
-        if is_nothing:
+        if is_nothing or (side, limit) == ("lower", 0.0):
             return f"the {entry.name}, {limit:g}, is active, and widening it saves nothing"
         wider = _wider_bound(problem, variable, side, turning=units.force != "N")
         return f"the {entry.name}, {limit:g}, is active: 1 % wider saves {saved}; {wider}"
@@ -115,10 +115,8 @@ def _wider_bound(problem: "DesignProblem", variable: str, side: str, *, turning:
     from problems.design.problem import VARIABLES
 
     low, high = problem.bounds[variable]
-    if side == "lower" and low == 0.0:
-        return "it cannot be lower"
-    span = f"[{low / _WIDER:g}, {high:g}]" if side == "lower" else f"[{low:g}, {high * _WIDER:g}]"
-    line = f"{'bounds' if variable in VARIABLES else 'free'}: {{{variable}: {span}}}"
+    low, high = (low / _WIDER, high) if side == "lower" else (low, high * _WIDER)
+    line = f"{'bounds' if variable in VARIABLES else 'free'}: {{{variable}: [{low:g}, {high:g}]}}"
     return f"accept it, or widen it in problem.yaml: {f'rotational: {{{line}}}' if turning else line}"
 
 
@@ -406,11 +404,9 @@ def limit_lines(controller: "Controller") -> Iterator[str]:
     )
 
 
-_BLOCKS = "▁▂▃▄▅▆▇█"
-_CELLS = 40
+_BLOCKS, _CELLS = "▁▂▃▄▅▆▇█", 40
 # What is shown ends where the force stays this near to its last value.
-_SETTLED_SHARE = 0.02
-_BEHIND_THE_PEAK = 3.0
+_SETTLED_SHARE, _BEHIND_THE_PEAK = 0.02, 3.0
 
 
 def spark(values: Sequence[float], cells: int = _CELLS) -> str:

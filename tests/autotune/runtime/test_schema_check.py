@@ -9,6 +9,7 @@ import pytest
 from jsonschema import Draft202012Validator
 
 from autotune.formats.controller import controller_tree
+from autotune.formats.limits import VariableDampingSettings
 from autotune.formats.schema import explain, load_schema
 from autotune.runtime.schema_check import KEYWORDS, breaches
 from tests.autotune.formats.samples import make_controller, make_limits
@@ -63,7 +64,12 @@ def test_every_word_of_the_schema_is_understood() -> None:
 
 @pytest.mark.parametrize("part", list(SCHEMA["properties"]))
 def test_both_say_the_same_of_every_damage(part: str) -> None:
-    tree = controller_tree(replace(make_controller(), limits=make_limits()))
+    controller = make_controller()
+    damping = controller.axes["x"].damping
+    varied = VariableDampingSettings(
+        highest=2.0 * damping, lowest=0.5 * damping, decay_s_per_m=8.0, update_periods=10, largest_change=20.0
+    )
+    tree = controller_tree(replace(controller, limits=make_limits(), variable_damping={"x": varied}))
     assert reported(tree) == (set(), set())
     for turn, at in enumerate(places(tree[part], (part,))):
         # The oracle takes milliseconds for a file: in the large parts every entry meets some of the values in turn.

@@ -43,6 +43,8 @@ def uncertain() -> Controller:
             proved=tuple(replace(stated, over=f"{stated.over}{nominal}") for stated in certificate.proved),
             sampled=sampled_claims(domain, certificate.margins["x"], controller.predicted["x"], "x"),
             continuous=None,
+            # Sampled, as in a file whose contacts no multiplier was found for.
+            bouncing=None,
         ),
     )
 

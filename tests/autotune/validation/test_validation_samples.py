@@ -43,12 +43,14 @@ def test_the_file_shows_proved_from_sampled() -> None:
     certificate = uncertain_optimized().controller.certificate
     assert dict(certificate.domain["x"].uncertain or {}) == FURTHER
     assert all("everything else at its nominal value" in str(proof.over) for proof in certificate.proved)
-    claim, bouncing = certificate.sampled
+    (claim,) = certificate.sampled
     for reported in ("K_s in [285000, 315000] N/m", "T_d in [0.00235, 0.0026] s", "f_b in [3.1, 3.27] Hz"):
         assert reported in str(claim.over)
     assert (claim.numbers or {})["plants"] >= 64.0
-    assert str(bouncing.over).startswith(str(claim.over))
-    assert (bouncing.numbers or {})["runs"] >= 1000.0
+    # That contacts come to rest is proved over all that is uncertain, so that no impact need be followed.
+    bouncing = (certificate.bouncing or {})["x"]
+    assert (bouncing.share, bouncing.impacts) == (1.0, 0)
+    assert set(FURTHER) <= set(bouncing.over)
 
 
 def test_the_worst_cases_are_written_with_all_their_parameters() -> None:
