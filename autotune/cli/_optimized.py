@@ -22,8 +22,7 @@ if TYPE_CHECKING:
 
 # Decimals of a price: what is 0 in them saves nothing.
 _DECIMALS = {"N": 2, "N·m": 4}
-# How much further a bound that holds a design is proposed.
-_WIDER = 2.0
+_WIDER = 2.0  # how much further a bound that holds a design is proposed
 
 
 def active_tree(found: "Optimized") -> dict[str, Any]:
@@ -240,8 +239,9 @@ def _verdict(side: "EvaluatedController", units: "AxisKind") -> str:
         where = f"K_e {stiffness_text(stiffness, units)}" if stiffness > 0.0 else "free space"
         return f"{painted('UNSTABLE')} in {where} with {mass:.4g} {units.mass} (largest |z| {side.spectral_radius:.5f})"
     missed = {} if side.performance is None else side.performance.missed
-    text = ", ".join(f"{name} ({min(100.0 / value, 99.99):.4g} %)" for name, value in missed.items())
-    return f"misses {text} of what is asked" if text else "meets every requirement"
+    shares = {name: min(100.0 / value, 99.99) for name, value in missed.items()}
+    text = ", ".join(f"{name} (only {share:.4g} % of what is asked)" for name, share in shares.items())
+    return f"misses {text}" if text else "meets every requirement"
 
 
 def print_compliance(name: str, compliance: "Compliance", problem: "DesignProblem") -> None:

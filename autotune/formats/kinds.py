@@ -16,6 +16,7 @@ PICTURE_MARK = "autotune map"
 """What a picture says of its maker: as `Software` of a PNG, as the creator of an SVG."""
 _FORMAT = re.compile(rb"""^\s*(?:/\* |\{\s*)?["']?format["']?\s*:\s*["']?autotune/([a-z_]+)""", re.MULTILINE)
 _LOG_BEGINS = (b"\x89MCAP0\r\n", b"#ROSBAG", b"SQLite format 3", b"PAR1", b"\x28\xb5\x2f\xfd")
+_TABLE_ENDINGS = (".csv", ".tsv", ".parquet")
 _PAGE = b'<meta name="generator" content="autotune report">'
 _TABLE = b"# autotune/map version "
 _PICTURES = (
@@ -70,11 +71,13 @@ def kind_of(path: Path) -> str | None:
 
 
 def is_log(path: Path) -> bool:
-    """Return whether a path is plainly a log: a folder, or a file that begins as one."""
+    """Return whether a path is plainly a log: a folder, a file that begins as one, or a table by its name."""
     if path.is_dir():
         return True
     with path.open("rb") as stream:
-        return stream.read(HEAD_BYTES).startswith(_LOG_BEGINS)
+        head = stream.read(HEAD_BYTES)
+    is_table = path.suffix.lower() in _TABLE_ENDINGS and not head.startswith(_TABLE)
+    return head.startswith(_LOG_BEGINS) or is_table
 
 
 def check_kind(path: Path, kinds: Sequence[str]) -> None:

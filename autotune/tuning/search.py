@@ -344,7 +344,8 @@ class Search:
         # The next round starts where this one ended, in the best few valleys.
         self.elite = spread_out([candidates[i] for i in order if costs[i] < _MISSED], _NEAR, _POLISH_STARTS)
         if np.min(costs) >= _MISSED:
-            best = self._recover(screen, [best])
+            # The population knew other scenarios, and may have left the valley that holds over these too.
+            best = self._recover(screen, [best], far=self.goal is None)
         if self.goal is not None:
             return np.asarray(best)
         design = polish_exactly(screen, self.box.design(best), backoff=self.backoff, reserve=_RESERVE)
@@ -358,17 +359,17 @@ class Search:
         count = _OTHER_VALLEYS if self.goal is None or self.start is None else _POLISH_STARTS
         return spread_out((unit for _, unit in sorted(seen, key=lambda pair: pair[0])), _FAR, count)
 
-    def _recover(self, screen: BatchEvaluator, closest: list[FloatArray]) -> FloatArray:
+    def _recover(self, screen: BatchEvaluator, closest: list[FloatArray], *, far: bool = False) -> FloatArray:
         """Walk from points that miss something into the feasible set, or say why there is no way.
 
         A population may end beside the set, or in a valley that has none of it: neither shows that there is none. Where
-        little is missed, another one is asked before anything is refused.
+        little is missed, or `far` from there too, another one is asked before anything is refused.
         """
         ends = [self.local(screen, start) for start in closest]
         costs = self._tightened_costs(screen, np.array(ends))
         if np.min(costs) < _MISSED:
             return ends[int(np.argmin(costs))]
-        if np.min(costs) > (1.0 + _FAR_OFF) * _MISSED:
+        if np.min(costs) > (1.0 + _FAR_OFF) * _MISSED and not far:
             raise self._refusal(screen.prepared, [*closest, *ends])
         seen: list[tuple[float, FloatArray]] = []
 

@@ -68,7 +68,7 @@ def test_what_the_old_one_misses_is_reported_with_its_share() -> None:
     assert both.old.performance.missed["free_space_admittance"] == pytest.approx(1.0 / share)
     assert not both.is_start  # 2000 is above the bound of 1600
     message = "\n".join(compare_lines(file_of(old_with(damping=2000.0)), {"x": both}))
-    assert f"old: misses free_space_admittance ({100.0 * share:.4g} %) of what is asked" in message
+    assert f"old: misses free_space_admittance (only {100.0 * share:.4g} % of what is asked)" in message
     assert "new: meets every requirement" in message
 
 

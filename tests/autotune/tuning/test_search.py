@@ -18,8 +18,9 @@ from benchmarks.tuning_problems import paper_cell
 from problems.arrays import FloatArray
 from problems.contact.transient import Approach
 from problems.design.evaluation import PreparedScenarios, build_scenarios
-from problems.design.problem import VARIABLES, AdmittanceTarget, Requirements
-from problems.design.uncertainty import Scenario
+from problems.design.problem import VARIABLES, AdmittanceTarget, DesignProblem, Requirements
+from problems.design.uncertainty import PlantSet, Scenario
+from problems.model.robot import RobotModel
 from tests.autotune.tuning.cases import MASS, ROOM, STIFFNESS, design_problem, solved
 from tests.problems.axes import LAW
 
@@ -241,3 +242,29 @@ def test_a_population_that_ends_beside_the_feasible_set_is_led_into_it() -> None
     found = build_scenarios(problem, scenarios).evaluate(design, peaks_if_missed=True)
     assert found.violation <= 1e-3
     assert found.is_stable
+
+
+def test_a_valley_that_holds_over_the_rest_is_looked_for_before_anything_is_refused() -> None:
+    """What is best over the corners of K_e and M_p has no B_fb, and no way to the designs that hold over B_s too."""
+    problem = DesignProblem(
+        plants=PlantSet.of(
+            RobotModel.from_bandwidth(bandwidth_rad_per_s=28.3, delay_s=2.4e-3),
+            coupling_stiffness_n_per_m=1.8e5,
+            coupling_damping_n_s_per_m=150.0,
+            drag_n_s_per_m=250.0,
+            environment_stiffness_n_per_m=(3.7e4, 1.24e5),
+            payload_mass_kg=(9.7, 12.8),
+            further={
+                "coupling_stiffness_n_per_m": (1.48e5, 2.1e5),
+                "coupling_damping_n_s_per_m": (20.0, 300.0),
+                "drag_n_s_per_m": (145.0, 350.0),
+            },
+        ),
+        sample_time_s=1e-3,
+        requirements=Requirements(
+            free_space_admittance=AdmittanceTarget(min_m_s_per_n=7e-4, band_hz=(0.1, 1.5)),
+        ),
+    )
+    found = solve_design(problem)
+    assert found.evaluation.is_feasible
+    assert found.design[3] > 0.01
