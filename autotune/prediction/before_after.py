@@ -92,10 +92,12 @@ class ReplayedSurface:
         ends = predicted.interval.sensor
         upper = "and more" if ends[1] is None else f"{ends[1]:.{digits}f}"
         count = "1 contact" if len(self.touches) == 1 else f"{len(self.touches)} contacts"
+        force = predicted.contact.driving_force_n
+        pressed = f", pressed on with {force:.3g} {unit} as in the log" if force > 0.0 else ""
         return (
             f"in your log {range_text(low, high)} {unit} ({count} on {predicted.surface}, "
             f"{span_text(speeds, unit)}); with {self.law} {where} "
-            f"{predicted.peak_sensor_force:.{digits}f} {unit} [{ends[0]:.{digits}f}, {upper}]"
+            f"{predicted.peak_sensor_force:.{digits}f} {unit} [{ends[0]:.{digits}f}, {upper}]{pressed}"
         )
 
 
@@ -184,7 +186,8 @@ class BeforeAndAfter(Shown):
             return NO_GAINS_BEFORE if has_contacts else ""
         if abs(change) < _SAME_SHARE:
             return "free motion as before"
-        return f"free motion {100.0 * abs(change):.0f} % {'lighter' if change < 0.0 else 'heavier'}"
+        moved = f"free motion {100.0 * abs(change):.0f} % {'lighter' if change < 0.0 else 'heavier'}"
+        return f"{moved} than with {self.label}" if self.label else moved
 
     def _headline(self) -> str:
         return f"before → after, axis {self.axis}: {self.sentence()}"

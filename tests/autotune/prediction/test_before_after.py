@@ -88,7 +88,7 @@ def test_the_sentence_says_both_peaks_and_by_how_much_free_motion_changes() -> N
     after = found.surfaces[0].after.predicted.peak_sensor_force
     assert found.sentence().startswith(f"in your log {0.97 * measured:.1f}–{measured:.1f} N (2 contacts on surface, ")
     assert f"with this controller at the same speed {after:.1f} N [" in found.sentence()
-    assert found.sentence().endswith(f"free motion {heavier:.0f} % heavier")
+    assert found.sentence().endswith(f"free motion {heavier:.0f} % heavier than with {found.label}")
 
 
 def as_target(made: Controller, *, peak: float = 56.9) -> Controller:
