@@ -71,6 +71,8 @@ class OtherFrequencies:
             compliance=1.0 / damping,
         )
 
+    # What is not bounded overflows, and compares as false.
+    @np.errstate(over="ignore", invalid="ignore")
     def leave(
         self,
         spring: FloatArray,
@@ -87,20 +89,6 @@ class OtherFrequencies:
         """
         if not math.isfinite(self.drives):
             return np.zeros(len(spring), dtype=bool)
-        # What is not bounded overflows, and compares as false.
-        with np.errstate(over="ignore", invalid="ignore"):
-            return self._leave(spring, velocity, driven, sensed, closed, moved, across)
-
-    def _leave(
-        self,
-        spring: FloatArray,
-        velocity: FloatArray,
-        driven: FloatArray,
-        sensed: FloatArray,
-        closed: FloatArray,
-        moved: FloatArray,
-        across: FloatArray,
-    ) -> NDArray[np.bool_]:
         drives = closed * self.drives
         room = 1.0 - drives * self.senses
         lost = (driven * self.senses + sensed * drives) ** 2 * _OUT
