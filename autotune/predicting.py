@@ -17,7 +17,7 @@ from autotune.prediction.against_touches import Running, TouchComparison, compar
 from autotune.prediction.as_run_by import running_law
 from autotune.prediction.certified import outside_domain
 from autotune.prediction.contact import TargetLaw, check_approach
-from autotune.prediction.law import law_of_gains
+from autotune.prediction.law import law_notes, law_of_gains
 from autotune.prediction.plants import Surface, build_plants, find_axis
 from autotune.prediction.result import PredictedContact, predict_contact
 from autotune.prediction.said_gains import parse_number, parse_pairs
@@ -122,7 +122,8 @@ def predict_any(source: object, gains: Gains, asked: ContactRequest) -> Predicte
     law = running_law(controller, axis) if controller is not None else law_of_gains(_mapping(gains))
     found = predict_contact(plants, law, approach)
     outside = () if controller is None else outside_domain(controller.certificate.domain[axis], found)
-    return replace(found, outside=outside, neglected=(*notes, *found.neglected))
+    said = () if isinstance(law, TargetLaw) else tuple(law_notes(law, axis, controller))
+    return replace(found, outside=outside, law_notes=said, neglected=(*notes, *found.neglected))
 
 
 def _check_of_design(gains: Gains, asked: ContactRequest) -> None:

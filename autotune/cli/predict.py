@@ -37,7 +37,11 @@ _SOURCE = FilePath(*SETTINGS, kinds=(*PLANTS, "controller"))
 
 @click.command("predict", cls=GroupedCommand, groups=_GROUPS, epilog=_EPILOG)
 @click.argument("identified", type=_SOURCE)
-@click.option("--gains", metavar="NAME=VALUE,...", help="Gains: mass, damping, lead, feedback_damping, deadband.")
+@click.option(
+    "--gains",
+    metavar="NAME=VALUE,...",
+    help="Gains: mass, damping; lead, feedback_damping, deadband, each 0 unless said.",
+)
 @click.option("--controller", type=FilePath(*SETTINGS, kinds=("controller",)), help="Controller file with the gains.")
 @click.option("--surface", metavar="NAME|STIFFNESS", help="Surface of the plant, or a stiffness such as 20N/mm.")
 @click.option(

@@ -18,6 +18,7 @@ from problems.contact.transient import Approach
 from problems.errors import AutotuneError
 
 from .contact import AnyLaw, TargetLaw
+from .law import deadband_text
 from .plants import PlantEnsemble, Surface, build_plants
 from .result import PredictedContact, interval_notes, interval_text, predict_contact
 
@@ -141,6 +142,7 @@ class TouchComparison(Shown):
                 "the log does not hold the gains that ran: where they were others than those predicted with, the "
                 "differences are what the gains change, and no error of the model"
             )
+        notes += self._deadband_notes()
         least = min(each.shares[1] for each in self.contacts)
         if least < 1.0 - _SHOWN_SHARE:
             notes.append(
@@ -151,6 +153,18 @@ class TouchComparison(Shown):
             said = each.predicted
             notes += [*said.neglected, *interval_notes(said.interval, said.model_error)]
         return (*self.other_surfaces, *dict.fromkeys(notes), *self.passed_over)
+
+    def _deadband_notes(self) -> Iterator[str]:
+        for axis, deadband in {each.touch.axis: each.predicted.deadband for each in self.contacts}.items():
+            if deadband is None:
+                continue
+            if deadband.width_n:
+                yield f"simulated on axis {axis} with the {deadband_text(deadband, axis)}"
+            else:
+                yield (
+                    f"simulated on axis {axis} without a deadband, as a log does not hold it: where one ran, say it in "
+                    "--gains (deadband=5,deadband_type=threshold) or name its file with --controller"
+                )
 
     def chart(self) -> Chart:
         """Return the picture: measured and predicted peaks with their intervals, contact by contact."""

@@ -16,6 +16,7 @@ from problems.model.robot import has_damping_ratio
 
 from .as_run_by import as_run_by, running_law
 from .contact import NO_DEADBAND, TargetLaw, check_approach
+from .law import law_notes
 from .plants import PlantEnsemble, Surface, range_plants
 from .result import PredictedContact, predict_contact
 
@@ -105,7 +106,9 @@ def predict_certified(
         ),
         key=lambda each: each.contact.peak_contact_force_n,
     )
-    found = replace(found, outside=outside_domain(domain, found), neglected=(*notes, *found.neglected))
+    said = () if isinstance(law, TargetLaw) else tuple(law_notes(law, axis, controller))
+    outside = outside_domain(domain, found)
+    found = replace(found, outside=outside, law_notes=said, neglected=(*notes, *found.neglected))
     if found.outside or approach != domain.approach:
         return found
     target = as_run_by(controller, axis)

@@ -1,6 +1,6 @@
 """The admittance law of a controller file or of gains that a person says."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,7 +9,7 @@ from autotune.formats.canonical import short
 from autotune.formats.cell import CellFile
 from autotune.formats.controller import ControllerFile
 from autotune.formats.controller_record import Controller, admittance_controller, file_deadband
-from autotune.formats.units import AXES
+from autotune.formats.units import AXES, axis_units
 from identification.result import Identified
 from problems.contact.nonlinearities import Deadband, DeadbandType
 from problems.errors import ParameterError
@@ -56,6 +56,43 @@ def law_of_gains(gains: Mapping[str, float | str]) -> Law:
         named = {field: name for name, field in GAINS.items()} | {"width_n": "deadband"}
         raise ParameterError(f"The gain {named.get(error.name, error.name)}", error.value, error.must) from error
     return Law(controller=controller, deadband=deadband)
+
+
+_ACTS = {
+    DeadbandType.THRESHOLD: "threshold: a force beyond it acts whole",
+    DeadbandType.SUBTRACTIVE: "subtractive: only what exceeds it acts",
+}
+
+
+def deadband_text(deadband: Deadband, axis: str) -> str:
+    """Return a deadband in words, as `deadband of 5 N (threshold: a force beyond it acts whole)`."""
+    return f"deadband of {deadband.width_n:g} {axis_units(axis).force} ({_ACTS[deadband.kind]})"
+
+
+def law_notes(law: Law, axis: str, controller: Controller | None = None) -> Iterator[str]:
+    """Yield what a prediction simulates: gains and deadband; and what of a controller file it leaves out."""
+    units, of = axis_units(axis), law.controller
+    text = f"simulated with M_a {of.mass_kg:.6g} {units.mass}, B_a {of.damping_n_s_per_m:.6g} {units.damping}"
+    text += f", K_l {1e3 * of.lead_s:.6g} ms, B_fb {1e3 * of.feedback_damping_s:.6g} ms"
+    if controller is None:
+        said = f"a {deadband_text(law.deadband, axis)}, as the gains say"
+        none = "no deadband, as the gains name none (they may: deadband=5,deadband_type=threshold)"
+        yield f"{text} and {said if law.deadband.width_n else none}"
+        return
+    own = file_deadband(controller.axes[axis])
+    if not own.width_n:
+        yield f"{text} and no deadband, as the controller file has none"
+    elif law.deadband == own:
+        yield f"{text} and the {deadband_text(own, axis)} of the controller file"
+    else:
+        yield f"{text} and without the {deadband_text(own, axis)} of the controller file, as its certified peaks are"
+    left_out = []
+    if controller.collision.threshold_n is not None:
+        left_out.append(f"the {controller.collision.response} on a collision of {controller.collision.threshold_n:g} N")
+    if axis in (controller.variable_damping or {}):
+        left_out.append("variable damping")
+    if left_out:
+        yield f"not simulated: {' and '.join(left_out)} of the controller file (`autotune validate` does)"
 
 
 def _number(name: str, value: float | str) -> float:

@@ -10,6 +10,7 @@ from autotune.charts.chart import Band, Chart, Line, Panel, Points, Scale
 from autotune.formats.units import axis_units
 from autotune.shown import ResultTable, Shown, data_frame, plain_tree
 from autotune.text import stiffness_text
+from problems.contact.nonlinearities import Deadband
 from problems.contact.transient import Approach, ContactTransient
 from problems.model.axis_kind import AxisKind
 from problems.model.controller import AdmittanceController
@@ -69,6 +70,10 @@ class PredictedContact(Shown):
         What of the plant lies outside of the ranges for which the certificate of the controller holds, one text each.
     run_by
         The export target whose law it is, "" for our own.
+    deadband
+        The deadband that was simulated before our own law; None for that of an export target.
+    law_notes
+        Which law was simulated and where it is from, and what of a controller file was not, a sentence each.
 
     """
 
@@ -87,6 +92,8 @@ class PredictedContact(Shown):
     certified_peak: float | None = None
     outside: tuple[str, ...] = ()
     run_by: str = ""
+    deadband: Deadband | None = None
+    law_notes: tuple[str, ...] = ()
 
     @property
     def first_blow(self) -> float:
@@ -162,7 +169,12 @@ class PredictedContact(Shown):
         return "still rises" if self._still_rises(time_s) else f"{1e3 * time_s:.1f}"
 
     def _notes(self) -> Sequence[str]:
-        return (*self._certificate_notes(), *self.neglected, *interval_notes(self.interval, self.model_error))
+        return (
+            *self._certificate_notes(),
+            *self.law_notes,
+            *self.neglected,
+            *interval_notes(self.interval, self.model_error),
+        )
 
     def _certificate_notes(self) -> Iterator[str]:
         if self.outside:
@@ -186,6 +198,8 @@ class PredictedContact(Shown):
             "outside": list(self.outside),
             "law": plain_tree(self.law),
             "run_by": self.run_by or None,
+            "deadband": plain_tree(self.deadband),
+            "law_notes": list(self.law_notes),
             "plant": None if self.plant is None else {**_plant_tree(self.plant), "has_payload": self.has_payload},
             "contact": plain_tree(self.contact),
             "peak_force": self.peak_force,
@@ -278,6 +292,7 @@ def predict_contact(plants: PlantEnsemble, law: AnyLaw, approach: Approach) -> P
         surface=plants.surface,
         law=law.controller,
         run_by=law.target if isinstance(law, TargetLaw) else "",
+        deadband=None if isinstance(law, TargetLaw) else law.deadband,
         plant=plants.nominal,
         contact=contact,
         interval=peak_interval(plants, contact, runs),

@@ -1,5 +1,6 @@
 """`autotune predict` through its real entry point."""
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -8,9 +9,12 @@ import pytest
 from autotune.cli.main import main
 from autotune.errors import UsageError
 from autotune.formats.controller import write_controller
+from autotune.formats.controller_record import CollisionSettings
+from autotune.formats.limits import CollisionResponse
 from autotune.formats.quantity import Uncertain
 from autotune.predicting import parse_approach, parse_surface
 from autotune.prediction.said_gains import parse_gains
+from problems.contact.nonlinearities import DeadbandType
 from tests.autotune.cli.test_next import PLANT_TEXT
 from tests.autotune.formats.samples import make_identified
 from tests.autotune.tuning.cases import fast_optimized
@@ -72,6 +76,7 @@ def test_contacts_of_a_log_are_predicted_with_the_gains_that_ran(
     assert main([*asked, "--log", str(good_log)]) == 0
     said = capsys.readouterr()
     assert "the log does not hold the gains that ran" in " ".join(said.out.split())
+    assert "simulated on axis x without a deadband, as a log does not hold it" in " ".join(said.out.split())
 
 
 @pytest.mark.parametrize(
@@ -110,6 +115,37 @@ def test_gains_surface_and_approach_are_read_with_units() -> None:
             parse_gains(text, None)
     with pytest.raises(UsageError, match="holds"):
         parse_surface("x99", result)
+
+
+def test_a_prediction_says_with_which_deadband_it_was_simulated(
+    plant: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, controller = tmp_path / "controller.yaml", fast_optimized().controller
+    gains, reset = controller.axes["x"], CollisionSettings(response=CollisionResponse.RESET, threshold_n=60.0)
+    of_file = dataclasses.replace(gains, deadband=5.0, deadband_type=DeadbandType.SUBTRACTIVE)
+    write_controller(path, dataclasses.replace(controller, axes={"x": of_file}, collision=reset))
+    numbers = f"mass={gains.mass!r},damping={gains.damping!r},lead={gains.lead_s!r}"
+    numbers += f",feedback_damping={gains.feedback_damping_s!r}"
+    asked = ("predict", str(plant), "--surface", "20N/mm", "--approach", "force=30")
+
+    def found(*law: str) -> tuple[float, str]:
+        assert main([*asked, *law, "--json"]) == 0
+        peak = json.loads(capsys.readouterr().out)["peak_force"]
+        assert main([*asked, *law]) == 0
+        return peak, " ".join(capsys.readouterr().out.split())
+
+    peak, said = found("--controller", str(path))
+    assert "and the deadband of 5 N (subtractive: only what exceeds it acts) of the controller file" in said
+    assert "not simulated: the reset on a collision of 60 N of the controller file" in said
+    same, said = found("--gains", f"{numbers},deadband=5")
+    assert same == pytest.approx(peak, rel=1e-6)
+    assert "and a deadband of 5 N (subtractive: only what exceeds it acts), as the gains say" in said
+    other, said = found("--gains", numbers)
+    assert other < 0.95 * peak
+    assert "and no deadband, as the gains name none" in said
+    assert main(["predict", str(path), "--surface", "20N/mm"]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "and without the deadband of 5 N (subtractive: only what exceeds it acts) of the controller file" in said
 
 
 def test_a_controller_file_is_predicted_with_its_own_gains_and_plants(
