@@ -31,6 +31,8 @@ _TRUST = 0.3
 # solver leaves open, which is taken off.
 _INPUTS_A_ROUND, _ROUNDS, _VIOLATED, _GAP = 4, 12, 1.002, 1e-5
 _SCALE_M_PER_N = 1e-6
+# Of the solver: a tenth of what is taken off the bound, and the reserve is larger by far.
+_TOLERANCES = {"tol_gap_rel": 1e-6, "tol_gap_abs": 1e-6, "tol_feas": 1e-7}
 
 
 class NoSolutionError(AutotuneError):
@@ -251,7 +253,7 @@ def solve_quietly(problem: "cp.Problem") -> None:
         # What is nearly optimal is a design all the same, and is looked at by other code.
         warnings.simplefilter("ignore")
         try:
-            problem.solve(solver=cp.CLARABEL)
+            problem.solve(solver=cp.CLARABEL, **_TOLERANCES)
         except cp.SolverError as error:
             raise NoSolutionError(f"The convex program was not solved: {error}") from error
     if problem.status not in {cp.OPTIMAL, cp.OPTIMAL_INACCURATE}:

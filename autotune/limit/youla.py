@@ -2,11 +2,12 @@
 
 Every controller C that is stable in contact with a stable plant −N has one stable Q = C/(1 + N C), and every stable Q
 has one C = Q/(1 − N Q) (Youla, Jabr and Bongiorno 1976; Boyd and Barratt 1991): all that the loop does in contact is
-affine in Q. Q is a sum of delayed pulses (a finite impulse response), of a few real exponentials, and of what a given
-design has.
+affine in Q. Q is a finite impulse response (straight between knots that lie further apart later on), a few real
+exponentials, and what a given design has.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -17,6 +18,8 @@ from problems.model.sampled import SampledLoop
 
 from .signals import OpenPlant
 
+# Ticks up to which the knots of the finite response are so many ticks apart, and beyond.
+_SPACING, _LAST_SPACING = ((40, 1), (90, 2)), 4
 # Commands are micrometres per newton: coefficients near 1.
 _SCALE_M_PER_N = 1e-6
 
@@ -25,8 +28,8 @@ _SCALE_M_PER_N = 1e-6
 class YoulaBasis:
     """Q = Σ_j θ_j Q_j, each a state-space system of one input, the force signal, and one output, the command.
 
-    `taps` delayed pulses come first, then the exponentials with `decays` (e^(−h/τ) each), then the design's own Q, the
-    `loop` from F^d to x^d in contact.
+    A finite response of `taps` ticks comes first, by its values at the knots, then the exponentials with `decays`
+    (e^(−h/τ) each), then the design's own Q, the `loop` from F^d to x^d in contact.
     """
 
     taps: int
@@ -36,7 +39,18 @@ class YoulaBasis:
     @property
     def count(self) -> int:
         """The number of coefficients θ."""
-        return self.taps + len(self.decays) + 1
+        return self._knots.shape[1] + len(self.decays) + 1
+
+    @cached_property
+    def _knots(self) -> FloatArray:
+        """What one at each knot, and zero at the others, is at the ticks (taps, knots)."""
+        knots, tick = list[int](), 0
+        while tick < self.taps - 1:
+            knots.append(tick)
+            tick += next((step for end, step in _SPACING if tick < end), _LAST_SPACING)
+        knots.append(self.taps - 1)
+        ticks = np.arange(self.taps)
+        return np.column_stack([np.interp(ticks, knots, row) for row in np.eye(len(knots))])
 
     @property
     def _own_scale(self) -> float:
@@ -58,18 +72,17 @@ class YoulaBasis:
 
     def pulses(self, ticks: int) -> FloatArray:
         """Return the impulse responses [m/N] of every Q_j (ticks, count)."""
-        out, k = np.zeros((ticks, self.count)), np.arange(ticks)
-        same = min(ticks, self.taps)
-        out[:same, :same] = np.eye(same)
-        out[:, self.taps : -1] = self.decays[None, :] ** k[:, None]
+        out, k, n = np.zeros((ticks, self.count)), np.arange(ticks), self._knots.shape[1]
+        out[: self.taps, :n] = self._knots[:ticks]
+        out[:, n:-1] = self.decays[None, :] ** k[:, None]
         out[:, -1] = self._own_pulse(ticks) / self._own_scale
         return _SCALE_M_PER_N * out
 
     def response(self, z: ComplexArray) -> ComplexArray:
         """Return every Q_j [m/N] at the points `z` (k,): (k, count)."""
-        out = np.empty((len(z), self.count), dtype=np.complex128)
-        out[:, : self.taps] = z[:, None] ** -np.arange(self.taps)
-        out[:, self.taps : -1] = 1.0 / (1.0 - self.decays[None, :] / z[:, None])
+        out, n = np.empty((len(z), self.count), dtype=np.complex128), self._knots.shape[1]
+        out[:, :n] = z[:, None] ** -np.arange(self.taps) @ self._knots
+        out[:, n:-1] = 1.0 / (1.0 - self.decays[None, :] / z[:, None])
         loop = self.loop
         states = np.linalg.solve(z[:, None, None] * np.eye(len(loop.a)) - loop.a, loop.b[:, None])[..., 0]
         out[:, -1] = (states @ loop.c_command + loop.d_command) / self._own_scale
@@ -77,15 +90,16 @@ class YoulaBasis:
 
     def at_rest(self) -> tuple[FloatArray, FloatArray]:
         """Return Q_j(1) and dQ_j/dz at z = 1, each (count,)."""
-        loop, taps = self.loop, np.arange(self.taps)
+        loop = self.loop
         away = np.eye(len(loop.a)) - loop.a
         once = np.linalg.solve(away, loop.b)
         twice = np.linalg.solve(away, once)
         share = 1.0 / (1.0 - self.decays)
         value = np.concatenate(
-            [np.ones(self.taps), share, [(loop.c_command @ once + loop.d_command) / self._own_scale]]
+            [np.sum(self._knots, axis=0), share, [(loop.c_command @ once + loop.d_command) / self._own_scale]]
         )
-        slope = np.concatenate([-taps, -self.decays * share**2, [-(loop.c_command @ twice) / self._own_scale]])
+        pulses = -np.arange(self.taps) @ self._knots
+        slope = np.concatenate([pulses, -self.decays * share**2, [-(loop.c_command @ twice) / self._own_scale]])
         return _SCALE_M_PER_N * value, _SCALE_M_PER_N * slope
 
     def controller(self, theta: FloatArray, plant: OpenPlant, sample_time_s: float) -> LinearController:
@@ -120,7 +134,8 @@ class YoulaBasis:
     def _states(self, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, float]:
         """Return Q as one system (a, b, c, d) from the force signal to the command."""
         scaled, loop, ones = _SCALE_M_PER_N * theta, self.loop, np.ones(len(self.decays))
-        pulses, slow, own = scaled[: self.taps], scaled[self.taps : -1], scaled[-1] / self._own_scale
+        n = self._knots.shape[1]
+        pulses, slow, own = self._knots @ scaled[:n], scaled[n:-1], scaled[-1] / self._own_scale
         first = np.zeros(self.taps - 1)
         first[0] = 1.0
         a = block_diag(np.eye(self.taps - 1, k=-1), np.diag(self.decays), loop.a)

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import schur
 
 from .._checks import positive
 from ..arrays import ComplexArray, FloatArray
@@ -61,6 +62,12 @@ class LinearController:
         direct = np.broadcast_to(m[r, r:].astype(np.complex128), (len(z), 2))
         if r == 0:
             return direct[:, 0].copy(), -direct[:, 1]
-        states = np.linalg.solve(z[:, None, None] * np.eye(r) - m[:r, :r], np.broadcast_to(m[:r, r:], (len(z), r, 2)))
-        both = np.einsum("i,nij->nj", m[r, :r], states) + direct
+        # (z − T) x = Uᴴ B over all points at once, T = Uᴴ A U upper triangular.
+        triangle, turned = schur(m[:r, :r].astype(np.complex128), output="complex")
+        driven, seen = turned.conj().T @ m[:r, r:], m[r, :r] @ turned
+        states = np.empty((r, len(z), 2), dtype=np.complex128)
+        for i in reversed(range(r)):
+            later = np.tensordot(triangle[i, i + 1 :], states[i + 1 :], axes=1)
+            states[i] = (driven[i] + later) / (z - triangle[i, i])[:, None]
+        both = np.tensordot(seen, states, axes=1) + direct
         return np.asarray(both[:, 0]), np.asarray(-both[:, 1])
