@@ -163,7 +163,8 @@ def identify_log(
         from autotune.prediction.left_out_logs import with_left_out_logs  # noqa: PLC0415 - compiles
 
         result = with_left_out_logs(result, parts, partial(combine_identified, given=given))
-    result = replace(result, findings=(*result.findings, *advise(result)))
+    payload = replace(result.payload, contact_points_m=cell.payload.contact_points_m)
+    result = replace(result, payload=payload, findings=(*result.findings, *advise(result)))
     found = Identification(
         result=result,
         provenance=_provenance([run.source for run in done], options),

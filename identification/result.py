@@ -208,11 +208,15 @@ class InertiaEstimate:
 
 @dataclass(frozen=True, kw_only=True)
 class PayloadEstimate:
-    """Mass, centre of mass (sensor frame S) and, where the tool was turned fast enough, the inertia tensor."""
+    """Mass, centre of mass (sensor frame S) and, where the tool was turned fast enough, the inertia tensor.
+
+    `contact_points_m` are where it may touch, as declared of the cell (sensor frame); () where nothing is declared.
+    """
 
     mass_kg: _Above0
     com_m: _Three
     inertia_kg_m2: InertiaEstimate | None = None
+    contact_points_m: tuple[tuple[float, float, float], ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -89,7 +89,7 @@ class ProblemSpec:
     Names in `bounds` and `uncertain` are those of problem.yaml, or of gains and of `Plant`, as `lead` and `drag`.
     `uncertain` maps further parameters of the plant to a range, to "identified" (the confidence set of the identified
     file) or to "nominal" (as if it were known). `limits` are those that the runtime enforces.
-    `contact_points_m` are where the payload may touch, in the sensor frame; () is the box that has its inertia.
+    `contact_points_m` are where the payload may touch, in the sensor frame; () those of the cell.
     `options` holds those ranges that were said outside of the file (`with_options`), `with_unit` names those whose unit
     was typed.
     """

@@ -71,6 +71,8 @@ def coupled_body(
 ) -> CoupledBody | None:
     """Return the payload as a rigid body and the axes that are known beside the tuned ones; None without its centre.
 
+    Points of contact that are not given are those that were declared of the cell.
+
     Of a tuned axis the moment of inertia is that of its own loop. A product of inertia that no motion shows is that of
     a body without any about its centre of mass, and named as missing.
     """
@@ -104,7 +106,7 @@ def coupled_body(
         com_m=payload.com_m,
         inertia_kg_m2=inertia,
         held=held,
-        contact_points_m=tuple(contact_points_m),
+        contact_points_m=tuple(contact_points_m) or identified.payload.contact_points_m,
         missing=tuple(missing),
     )
 

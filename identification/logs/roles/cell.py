@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
@@ -17,20 +17,8 @@ from problems.frozen import NO_ENTRY, Rule, freeze
 from ...signals.recording import AXES
 from ..tables.layout import TableLayout
 from .orientation import NORM_TOLERANCE, ROW_MAJOR, is_rotation, orientation_width
+from .units import ANGLE_RAD, FORCE_N, LENGTH_M, TORQUE_N_M, check_unit
 
-FORCE_N: Mapping[str, float] = {"N": 1.0, "kN": 1e3, "lbf": 4.4482216152605, "kgf": 9.80665}
-TORQUE_N_M: Mapping[str, float] = {
-    "N·m": 1.0,
-    "Nm": 1.0,
-    "N·mm": 1e-3,
-    "Nmm": 1e-3,
-    "kN·m": 1e3,
-    "kNm": 1e3,
-    "lbf·in": 4.4482216152605 * 0.0254,
-    "lbf·ft": 4.4482216152605 * 0.3048,
-}
-LENGTH_M: Mapping[str, float] = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254}
-ANGLE_RAD: Mapping[str, float] = {"rad": 1.0, "deg": 0.017453292519943295}
 _SLICE = re.compile(r"(.*)\[(\d{1,4}):(\d{1,4})\]")
 _Text = Annotated[str, Rule(minLength=1)]
 _A_PATH = Rule(description="a path such as effort[0], or null for an axis that is not logged", minLength=1)
@@ -45,12 +33,7 @@ _Force = Annotated[str, Rule(enum=[*FORCE_N])]
 _Torque = Annotated[str, Rule(enum=[*TORQUE_N_M])]
 _Length = Annotated[str, Rule(enum=[*LENGTH_M])]
 _Angle = Annotated[str, Rule(enum=[*ANGLE_RAD])]
-
-
-def check_unit(name: str, unit: str, known: Collection[str]) -> None:
-    """Raise ParameterError for a unit that is not known."""
-    if unit not in known:
-        raise ParameterError(name, unit, f"one of {', '.join(known)}")
+_Coordinate = Annotated[float, Rule(minimum=-5, maximum=5)]
 
 
 class _Units:
@@ -371,6 +354,13 @@ class Mounting:
 
 
 @dataclass(frozen=True, kw_only=True)
+class DeclaredPayload:
+    """Where the payload may touch: points [m] in the sensor frame; () for the box that has its inertia."""
+
+    contact_points_m: Annotated[tuple[tuple[_Coordinate, _Coordinate, _Coordinate], ...], Rule(maxItems=64)] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
 class Cell:
     """Everything that may be declared of a cell's logs; every entry may be left out.
 
@@ -383,6 +373,7 @@ class Cell:
     gravity_direction: tuple[float, float, float] = (0.0, 0.0, -1.0)
     sample_time_s: _Above0 | None = None
     sensor: Mounting = field(default_factory=Mounting)
+    payload: DeclaredPayload = field(default_factory=DeclaredPayload)
     wrench: WrenchSource | None = None
     pose: PoseSource | None = None
     displacement: PoseSource | None = None

@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 
 from autotune.cli._proved import coupled_lines
-from autotune.errors import InfeasibleError
+from autotune.errors import InfeasibleError, UsageError
+from autotune.formats.cell import read_cell
 from autotune.formats.controller import read_controller, write_controller
 from autotune.formats.controller_record import Controller
 from autotune.formats.coupled_record import CoupledCertificate
+from autotune.formats.identified import read_identified, write_identified
 from autotune.formats.problem import read_problem
 from autotune.tuning.coupled import check_together, coupled_body
 from autotune.validation.axis_proof import ProofOptions, Prover
@@ -203,6 +205,23 @@ def test_contact_points_are_those_that_are_given(tmp_path: Path) -> None:
     assert spec.contact_points_m == (point,)
     found = certificate(check_together(tuned(), two_axes(), spec.contact_points_m).controller)
     assert [each.point_m for each in found.points["x"]] == [point]
+
+
+def test_contact_points_of_the_cell_are_taken_where_the_problem_names_none(tmp_path: Path) -> None:
+    path = tmp_path / "cell.yaml"
+    path.write_text("format: autotune/cell\nversion: 1\npayload: {contact_points_m: [[0.1, 0, 0.4]]}\n", "utf-8")
+    points = read_cell(path).cell.payload.contact_points_m
+    cell_of = two_axes()
+    declared = replace(cell_of, payload=replace(cell_of.payload, contact_points_m=points))
+    of_cell, of_problem = coupled_body(tuned(), declared), coupled_body(tuned(), declared, [(0.0, 0.2, 0.3)])
+    assert of_cell is not None
+    assert of_problem is not None
+    assert (of_cell.contact_points_m, of_problem.contact_points_m) == (((0.1, 0.0, 0.4),), ((0.0, 0.2, 0.3),))
+    write_identified(tmp_path / "identified.yaml", declared, {})
+    assert read_identified(tmp_path / "identified.yaml").result.payload.contact_points_m == points
+    path.write_text("format: autotune/cell\nversion: 1\npayload: {contact_points_m: [[0.1, 9, 0.4]]}\n", "utf-8")
+    with pytest.raises(UsageError, match=r"contact_points_m"):
+        read_cell(path)
 
 
 def test_the_box_has_the_inertia_of_the_payload() -> None:

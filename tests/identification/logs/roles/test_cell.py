@@ -7,8 +7,6 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from identification.logs.roles.cell import (
-    FORCE_N,
-    TORQUE_N_M,
     Cell,
     Mounting,
     PoseFields,
@@ -18,6 +16,7 @@ from identification.logs.roles.cell import (
     WrenchUnits,
 )
 from identification.logs.roles.orientation import is_rotation, orientation_width
+from identification.logs.roles.units import FORCE_N, TORQUE_N_M
 from problems.errors import ParameterError
 
 
