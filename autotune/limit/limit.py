@@ -35,7 +35,7 @@ from .programs import ConvexStep, EqualDemands, LowerBound, NoSolutionError, low
 from .signals import ContactSignals, contact_signals
 from .youla import YoulaBasis
 
-# Delayed pulses, and time constants of the exponentials in samples.
+# Ticks of the finite response, and time constants of the exponentials in samples.
 _TAPS, _TIME_CONSTANTS = 150, (12.0, 40.0, 120.0, 400.0)
 _MOST_STEPS, _SETTLED = 8, 1e-3
 _SHORTEST, _LONGEST, _PEAK_TIMES = 250, 900, 8

@@ -19,7 +19,7 @@ from problems.model.sampled import SampledLoop
 from .signals import OpenPlant
 
 # Ticks up to which the knots of the finite response are so many ticks apart, and beyond.
-_SPACING, _LAST_SPACING = ((40, 1), (90, 2)), 4
+_SPACING, _LAST_SPACING = ((24, 1), (60, 2)), 4
 # Commands are micrometres per newton: coefficients near 1.
 _SCALE_M_PER_N = 1e-6
 
@@ -39,7 +39,7 @@ class YoulaBasis:
     @property
     def count(self) -> int:
         """The number of coefficients θ."""
-        return self._knots.shape[1] + len(self.decays) + 1
+        return int(self._knots.shape[1]) + len(self.decays) + 1
 
     @cached_property
     def _knots(self) -> FloatArray:
