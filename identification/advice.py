@@ -13,7 +13,7 @@ from .experiment_design.values import values_of
 from .joint_fit.estimates import COARSE_COMMAND
 from .payload.gravity_verdicts import WITHOUT_TORQUE
 from .result import AxisEstimate, EnvironmentEstimate, Estimate, Finding, Identified, Status, VectorEstimate
-from .robot.logged_command import UNKNOWN_PERIOD
+from .robot.logged_command import SECOND_POLE, UNKNOWN_PERIOD
 
 _POSES = (
     "Record 6 to 12 rests of 1 s, the tool tilted by 30 degrees or more in different directions, with nothing touching "
@@ -49,6 +49,10 @@ _BESIDE_PAYLOAD = (
 _PERIOD = (
     "Give the control period: half of it is in the delay that this log shows. The log suggests `--given "
     "sample_time_s={period:g}`, its own period; take it where the controller runs at that rate."
+)
+_SECOND_POLE = (
+    "A second pole of the robot would explain the log as well, with less delay: command quicker motion, or measure the "
+    "pose with less noise. "
 )
 _CONTACTS = "Record 3 or more contacts on the same spot: 1 to 3 cm/s, 20 to 50 N, hold for 1 s, back off."
 _IMPACTS = "Record 3 or more contacts at 3 to 5 cm/s, as far as the predicted peak force allows."
@@ -149,7 +153,8 @@ def _axis_lacks(result: Identified, name: str) -> Iterator[_Lack]:
     coupling, robot = axis.coupling, axis.robot
     by_sweep = _about_coupling(axis, sweep)
     by_command, by_period = _about_robot(result, name, by_sweep), _about_delay(axis, period_s)
-    delay = _Lack(name="T_d", estimate=robot.delay_s, advice=by_period or by_command, needed=True)
+    by_pole = _SECOND_POLE + sweep if SECOND_POLE in robot.delay_s.note else ""
+    delay = _Lack(name="T_d", estimate=robot.delay_s, advice=by_pole or by_period or by_command, needed=True)
     # A number that the user has comes before another recording.
     yield from [delay] if by_period else []
     yield _Lack(name="K_s", estimate=coupling.stiffness_n_per_m, advice=by_sweep, needed=True)

@@ -4,6 +4,8 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+
 from problems.arrays import FloatArray
 from problems.progress import ProgressSlice
 
@@ -73,8 +75,8 @@ class AxisKnowledge:
 class CommandedFit:
     """The data of an axis under the command that took part, if one did, and their fit.
 
-    What the robot behind that command leaves open, its joints' friction and how long each command was held, moves
-    r(s), T_d by `robot_shift` (p,) and the delay by `longer_s` (mean, standard deviation).
+    What the robot behind that command leaves open moves r(s), T_d by `robot_shift` (p,), its joints' friction, and the
+    delay by `longer_s` (mean, standard deviation), how long each command was held and a second pole.
     """
 
     data: JointData
@@ -133,6 +135,7 @@ class _Axis:
         longer_s, shift = (0.0, 0.0), None
         if robot is not None and robot_fit is not None:
             longer_s = robot.longer_than_samples_s if is_smooth else robot.longer_s
+            longer_s = (longer_s[0], float(np.hypot(longer_s[1], robot_fit.second_pole_std_s)))
             shift = robot_fit.friction_shift
         return CommandedFit(data=data, fit=identify_joint(data, self.progress), robot_shift=shift, longer_s=longer_s)
 

@@ -139,7 +139,7 @@ def fit_axis(
     # With a robot but without a held command, what is logged is smooth between its samples.
     is_logged = cell.recording.command is not None and robot.denominator.value is not None
     why = COARSE_COMMAND if is_logged else NO_COMMAND
-    note = "" if behind is None else behind.note
+    note = "" if behind is None else behind.delay_note
     of = partial(
         JointEstimates,
         name=axis.name,
@@ -276,9 +276,9 @@ def _logged_robot(found: LoggedRobot, period_s: float) -> RobotEstimate:
             fit.model.delay_s,
             fit.delay_std_s,
             method=method,
-            note=found.note,
+            note=found.delay_note,
             identified=np.inf if found.is_held and fit.delay_std_s < 0.2 * period_s else IDENTIFIED_SHARE,
-            weak=WEAK_SHARE if found.is_held else LOOSEST_DELAY,
+            weak=LOOSEST_DELAY if found.delay_note else WEAK_SHARE,
         ),
         bandwidth_hz=judged(fit.bandwidth_hz, bandwidth_std, method=method),
     )

@@ -19,6 +19,8 @@ _SPLINE_SHARE, _SPLINE_DELAY_SHARE = 0.01, 0.01
 
 # In the note of a delay with half a control period in it that nobody gave.
 UNKNOWN_PERIOD = "give `sample_time_s`"
+# In the note of a delay that may be a second pole of the robot in part.
+SECOND_POLE = "the log does not exclude a second pole"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,7 +32,7 @@ class LoggedRobot:
     delay is longer than that of `behind_hold` by `longer_s` (mean, standard deviation), since a log shows the delay and
     half a hold together. `behind_samples` is the robot behind a command that is smooth between its samples, with half
     the controller's own hold in its delay, None where each command was held until the next; the delay is longer than
-    that by `longer_than_samples_s`, less than 0. `note` says what of the delay the log leaves open.
+    that by `longer_than_samples_s`, less than 0. `note` says what a hold leaves open of the delay.
     """
 
     fit: RobotFit
@@ -44,6 +46,16 @@ class LoggedRobot:
     def is_held(self) -> bool:
         """Whether each command is known to act until the next one that was logged."""
         return self.behind_hold is self.fit
+
+    @property
+    def delay_note(self) -> str:
+        """What of the delay the log leaves open: the controller's hold, and a second pole in the place of delay."""
+        second_s, delay_s = self.fit.second_pole_s, self.fit.model.delay_s
+        second = (
+            f"{SECOND_POLE} of {1e3 * second_s:.2g} ms or less, which would leave {1e3 * (delay_s - second_s):.2g} ms "
+            f"of the {1e3 * delay_s:.2g} ms"
+        )
+        return "; ".join(filter(None, (self.note, second if second_s else "")))
 
 
 def identify_logged_robot(

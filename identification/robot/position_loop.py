@@ -25,7 +25,10 @@ _SMALLEST_TRAVEL_M = 5e-4
 _POOR_FIT = 0.1
 _STEPS, _STEPS_NEAR = 60, 12
 _FINER = 4
-_HARDLY_BETTER = 1.03
+_HARDLY_BETTER, _NEAR_SAMPLE = 1.03, 0.5
+# A second pole beyond 106 Hz acts as a delay does.
+_LIKE_DELAY_S = 1.5e-3
+_ONE_SIDED, _TWO_SIDED = 1.645, 1.96
 _TELLING_S, _TELLING_SHARE = 20.0, 0.125
 # Below this speed dry friction takes whatever value holds the robot.
 _SLIDING_M_PER_S = 1e-4
@@ -48,6 +51,12 @@ class RobotFit:
     fit_error: float
     effective_samples: float
     friction_shift: FloatArray
+    second_pole_s: float = 0.0
+
+    @property
+    def second_pole_std_s(self) -> float:
+        """The part of the delay's deviation that a second pole makes [s]."""
+        return self.second_pole_s / _TWO_SIDED
 
 
 def identify_robot(command_m: FloatArray, position_m: FloatArray, period_s: float, *, is_held: bool = True) -> RobotFit:
@@ -69,7 +78,12 @@ def identify_robot(command_m: FloatArray, position_m: FloatArray, period_s: floa
     answer = partial(robot_response, command=command, period_s=period_s) if is_held else _smooth(command, period_s)
     informative = _informative_part(command, period_s)
     fits = [_fit(answer, position, period_s, order, longest_s, informative) for order in (1, 2)]
-    if not is_held and fits[0].residual_rms < _HARDLY_BETTER * fits[1].residual_rms:
+    near_s = fits[0].delay_s - fits[1].delay_s
+    if (
+        not is_held
+        and fits[0].residual_rms < _HARDLY_BETTER * fits[1].residual_rms
+        and near_s < _NEAR_SAMPLE * period_s
+    ):
         # What a spline through the samples leaves out looks like a second pole near the log's rate: it is delay.
         fits = fits[:1]
     # One count of independent samples for all: criteria of different counts cannot be compared.
@@ -105,6 +119,7 @@ class _Fit:
     residual_rms: float
     effective_samples: float
     moved: FloatArray
+    second_pole_s: float
 
     @property
     def delay_s(self) -> float:
@@ -224,7 +239,12 @@ def _fit(
     factor = _correlation_factor(found.fun)
     variance = float(2.0 * found.cost) / (n - count) * factor
     model = _model(order, found.x, period_s)
-    moved = _moved_by_friction(answer(model), model, period_s, found.jac, found.fun)
+    path = answer(model)
+    slid = _slid_by_friction(path, model, period_s)
+    moved = _moved_beside(found.jac, found.fun, slid)[0][:-1]
+    second_s = (
+        _slowest_second_pole(path, period_s, np.column_stack([found.jac, slid]), found.fun) if order == 1 else 0.0
+    )
     return _Fit(
         order=order,
         parameters=found.x,
@@ -233,6 +253,7 @@ def _fit(
         residual_rms=float(np.sqrt(2.0 * found.cost / n)),
         effective_samples=n / factor,
         moved=moved,
+        second_pole_s=min(second_s, float(found.x[-1] - 1.0) * period_s),
     )
 
 
@@ -261,19 +282,39 @@ def _correlation_factor(residual: FloatArray) -> float:
     return max(1.0, 1.0 + 2.0 * float(np.sum(correlation[1:cutoff])))
 
 
-def _moved_by_friction(
-    answer: FloatArray, model: RobotModel, period_s: float, jacobian: FloatArray, residual: FloatArray
-) -> FloatArray:
-    """Return by how much the parameters (p,) move where dry friction of the joints may explain a part of the residual.
+def _slid_by_friction(path: FloatArray, model: RobotModel, period_s: float) -> FloatArray:
+    """Return what dry friction f of the joints may add to a path (n,), per f over the robot's stiffness k.
 
-    Friction f against the motion moves a robot of stiffness k by −(f/k) r(s) sign(v). A sweep of one speed shows it as
-    more damping, the same in all its parts, so that no part of the log contradicts another.
+    Friction against the motion moves the robot by −(f/k) r(s) sign(v). A sweep of one speed shows it as more damping,
+    the same in all its parts, so that no part of the log contradicts another.
     """
-    direction = np.tanh(np.gradient(answer, period_s) / _SLIDING_M_PER_S)
-    slid = robot_response(replace(model, delay_s=0.0), direction, period_s)
-    rows = np.column_stack([jacobian, slid - np.mean(slid)])
+    direction = np.tanh(np.gradient(path, period_s) / _SLIDING_M_PER_S)
+    return robot_response(replace(model, delay_s=0.0), direction, period_s)
+
+
+def _moved_beside(jacobian: FloatArray, residual: FloatArray, effect: FloatArray) -> tuple[FloatArray, float]:
+    """Return by how much parameters (p,) move beside an effect (n,), with its size (p + 1,), and the size's deviation.
+
+    The deviation counts a coloured residual.
+    """
+    rows = np.column_stack([jacobian, effect - np.mean(effect)])
     size = np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
-    return np.asarray((np.linalg.lstsq(rows / size, -residual, rcond=None)[0] / size)[:-1])
+    moved = np.linalg.lstsq(rows / size, -residual, rcond=None)[0]
+    left = residual + (rows / size) @ moved
+    variance = float(left @ left) / len(left) * _correlation_factor(left)
+    inverse = np.linalg.pinv((rows / size).T @ (rows / size))
+    return moved / size, float(np.sqrt(variance * inverse[-1, -1]) / size[-1])
+
+
+def _slowest_second_pole(path: FloatArray, period_s: float, jacobian: FloatArray, residual: FloatArray) -> float:
+    """Return the time constant τ [s] that a second pole beside one may have with 95 %; 0 where it acts as a delay.
+
+    1/(1 + τs) is e^(−τs) (1 + τ²s²/2 − …): what a shorter delay does not make good is τ²/2 times the acceleration.
+    """
+    bent = np.gradient(np.gradient(path, period_s), period_s)
+    moved, deviation = _moved_beside(jacobian, residual, bent)
+    slowest = float(np.sqrt(2.0 * (max(float(moved[-1]), 0.0) + _ONE_SIDED * deviation)))
+    return slowest if slowest > _LIKE_DELAY_S else 0.0
 
 
 def _described(fit: _Fit, error: float, effective_samples: float) -> RobotFit:
@@ -293,12 +334,13 @@ def _described(fit: _Fit, error: float, effective_samples: float) -> RobotFit:
         model=model,
         numerator_std=denominator_std[-1:],
         denominator_std=denominator_std,
-        delay_std_s=float(np.sqrt(fit.covariance[-1, -1])) * fit.period_s,
+        delay_std_s=float(np.hypot(np.sqrt(fit.covariance[-1, -1]) * fit.period_s, fit.second_pole_s / _TWO_SIDED)),
         bandwidth_hz=bandwidth,
         bandwidth_std_hz=float(np.sqrt(bandwidth_jacobian @ fit.covariance @ bandwidth_jacobian)),
         fit_error=error,
         effective_samples=effective_samples,
         friction_shift=fit.moved * np.array([np.exp(fit.parameters[0]), *[1.0] * (fit.order - 1), fit.period_s]),
+        second_pole_s=fit.second_pole_s,
     )
 
 

@@ -38,6 +38,7 @@ def test_one_pole_and_a_fractional_delay_are_found(samples: float) -> None:
     np.testing.assert_allclose(fit.model.denominator, ONE_POLE[1], rtol=2e-3)
     assert fit.model.delay_s / H_S == pytest.approx(samples, abs=0.02)
     assert abs(fit.model.denominator[1] - 20.0) < 5.0 * fit.denominator_std[1]
+    assert fit.second_pole_s == 0.0
     assert fit.bandwidth_hz == pytest.approx(20.0 / (2.0 * np.pi), rel=2e-3)
 
 
@@ -52,6 +53,32 @@ def test_two_poles_are_reported_from_one(samples: float) -> None:
     inner = 1.0 - 2.0 * 0.7**2
     expected = 40.0 * np.sqrt(inner + np.sqrt(inner**2 + 1.0)) / (2.0 * np.pi)
     assert fit.bandwidth_hz == pytest.approx(expected, rel=5e-3)
+
+
+def led_by_hand(duration_s: float, rng: np.random.Generator) -> FloatArray:
+    """Return the command (n,) of an admittance of 10 kg and 200 N·s/m under pushes of 0.3 to 1.5 s."""
+    force = np.zeros(round(duration_s / H_S))
+    begin = 500
+    while begin < len(force) - 2000:
+        count = int(rng.uniform(300, 1500))
+        push = np.sin(np.pi * np.arange(count) / count) ** 2
+        force[begin : begin + count] = rng.choice([-1.0, 1.0]) * rng.uniform(5.0, 25.0) * push
+        begin += count + int(rng.uniform(0, 1000))
+    return np.asarray(np.cumsum(lfilter([H_S / 10.0], [1.0, 20.0 * H_S - 1.0], force)) * H_S)
+
+
+@pytest.mark.parametrize("noise_m", [1e-5, 4e-5])
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_second_pole_that_slow_motion_hides_is_held_by_the_delay(noise_m: float, seed: int) -> None:
+    """Poles of 38 and 262 rad/s: the second one looks like 3.8 ms of delay more, known to hundredths."""
+    rng = np.random.default_rng(seed)
+    command = led_by_hand(30.0, rng)
+    robot = (np.array([1e4]), np.array([1.0, 300.0, 1e4]))
+    position = followed(robot, round(3.0 * PARTS), command)
+    fit = identify_robot(command, position + noise_m * rng.standard_normal(len(position)), H_S)
+    assert abs(fit.model.delay_s - 3e-3) < 2.0 * fit.delay_std_s
+    if fit.model.order == 1:
+        assert 3.3e-3 < fit.second_pole_s <= fit.model.delay_s
 
 
 def test_a_long_log_is_fitted_to_its_end() -> None:
