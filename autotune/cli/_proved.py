@@ -51,7 +51,7 @@ def led_lines(controller: "Controller", limit: tuple[float, str] | None = None) 
     from autotune.formats.units import ROTATIONAL_AXES
     from autotune.prediction.as_run_by import designed_for, led_speed_text, peak_per_speed
     from autotune.validation.certified_requirements import asked_of
-    from problems.design.requirements import BODY_REGIONS, HANDS, ContactAtSpeed
+    from problems.design.requirements import BODY_REGIONS, ContactAtSpeed
 
     target = designed_for(controller)
     runs = f" as {target} runs it" if target else ""
@@ -61,13 +61,15 @@ def led_lines(controller: "Controller", limit: tuple[float, str] | None = None) 
             continue
         said = (asked.max_force_n, "contact_at_speed") if isinstance(asked, ContactAtSpeed) else None
         force, label = limit or said or (BODY_REGIONS["hand"], "ISO/TS 15066, clamped hand")
-        pushing, released = (led_speed_text(controller, name, force, hand) for hand in HANDS)
-        capped = " (* the limit of the command)" if "*" in pushing + released else ""
-        yield (
-            f"axis {name}, led by hand{runs}: {per_speed.pushes_on:.4g} N per m/s while the hand pushes on, "
-            f"{per_speed.lets_go:.4g} when it lets go; at most {force:g} N ({label}) up to {pushing} and "
-            f"{released} m/s{capped}"
-        )
+        does = {"pushes_on": "while the hand pushes on", "lets_go": "when it lets go"}
+        if per_speed.hand_mass_kg is not None:
+            does["holds"] = f"where {per_speed.hand_mass_kg:g} kg of it move with the payload"
+        hands = [hand for hand in ("pushes_on", "holds", "lets_go") if hand in does]
+        *others, last = (led_speed_text(controller, name, force, hand) for hand in hands)
+        speeds = f"{', '.join(others)} and {last} m/s"
+        peaks = ", ".join(f"{getattr(per_speed, hand):.4g} N per m/s {does[hand]}" for hand in hands)
+        capped = " (* the limit of the command)" if "*" in speeds else ""
+        yield f"axis {name}, led by hand{runs}: {peaks}; at most {force:g} N ({label}) up to {speeds}{capped}"
 
 
 def held_lines(controller: "Controller") -> Iterator[str]:

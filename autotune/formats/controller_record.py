@@ -7,7 +7,7 @@ from enum import StrEnum
 from typing import Annotated, Any, Literal
 
 from problems.contact.nonlinearities import Deadband, DeadbandType
-from problems.design.requirements import Hand
+from problems.design.requirements import HANDS, Hand
 from problems.design.uncertainty import Scenario
 from problems.errors import ParameterError
 from problems.frozen import Rule, Text, freeze
@@ -183,16 +183,26 @@ class PeakPerSpeed:
     """The largest peak contact force per speed of the touch (N·s/m) over the certified plants, the same at any speed.
 
     A contact is linear while it lasts and one-sided, so that its forces scale with the speed. Under `pushes_on` what
-    drives the payload, a hand or F^d, goes on after the impact; under `lets_go` the hand that led it does not.
+    drives the payload, a hand or F^d, goes on after the impact; under `lets_go` the hand that led it does not; one that
+    `holds` pushes on with up to `hand_mass_kg` that moves with the payload (both None in files of an earlier release).
     """
 
     pushes_on: Annotated[float, Rule(exclusiveMinimum=0)]
     lets_go: Annotated[float, Rule(exclusiveMinimum=0)]
+    holds: Annotated[float | None, Rule(exclusiveMinimum=0)] = None
+    hand_mass_kg: Annotated[float | None, Rule(minimum=0)] = None
 
     def __post_init__(self) -> None:
-        for name in ("pushes_on", "lets_go"):
+        for name in self.hands:
             if not 0.0 < getattr(self, name) < math.inf:
                 raise ParameterError(f"peak_per_speed.{name}", getattr(self, name), "greater than 0")
+        if (self.holds is None) != (self.hand_mass_kg is None):
+            raise ParameterError("peak_per_speed.hand_mass_kg", self.hand_mass_kg, "given with holds, and only then")
+
+    @property
+    def hands(self) -> tuple[Hand, ...]:
+        """What the hands may do of which there are numbers."""
+        return tuple(hand for hand in HANDS if getattr(self, hand) is not None)
 
     def largest_speed(self, force: float, hand: Hand) -> float:
         """Return the speed of the touch (m/s) up to which no contact exceeds `force` (N)."""

@@ -2,13 +2,13 @@
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from autotune.formats.controller_record import Controller, PeakPerSpeed
 from autotune.formats.units import axis_units
 from autotune.shown import plain_tree
-from problems.design.requirements import HANDS, Hand
+from problems.design.requirements import Hand
 from problems.model.linear_controllers import LinearController
 
 from .contact import AnyLaw, TargetLaw
@@ -66,7 +66,7 @@ def with_target(
             "least_admittance": each["least_admittance"],
             "margins": dict(each["margins"]),
             "law": {key: law[key] for key in (*_ARRAYS, *_FLAGS)},
-            "peak_per_speed": {hand: getattr(led[name], hand) for hand in HANDS},
+            "peak_per_speed": asdict(led[name]),
         }
     return replace(controller, provenance={**controller.provenance, _KEY: {"target": target, "axes": axes}})
 

@@ -14,7 +14,7 @@ from autotune.plugins import find_requirement
 from autotune.prediction.as_run_by import as_run_by, designed_for, led_speed_text, peak_per_speed
 from autotune.prediction.law import PresentGains
 from autotune.text import compliance_remark, gain_rows, scenario_text, stiffness_text, value_text
-from problems.design.requirements import BODY_REGIONS, HANDS, MARGINS, AdmittanceRequirement, Margin, PeakForceLimit
+from problems.design.requirements import BODY_REGIONS, MARGINS, AdmittanceRequirement, Margin, PeakForceLimit
 from problems.design.uncertainty import SYMBOLS, UNCERTAIN
 from problems.model.axis_kind import AxisKind
 from problems.model.controller import AdmittanceController
@@ -106,7 +106,8 @@ def target_facts(controller: Controller) -> Iterator[Facts | Table]:
 def led_table(controller: Controller, designs: Sequence[AxisDesign]) -> Table | None:
     """Return up to which speed of a payload led by hand no certified contact exceeds a limit of ISO/TS 15066."""
     straight = (each.name for each in designs if each.name not in ROTATIONAL_AXES)
-    columns = [(name, hand) for name in straight if peak_per_speed(controller, name) is not None for hand in HANDS]
+    led = ((name, peak_per_speed(controller, name)) for name in straight)
+    columns = [(name, hand) for name, found in led if found is not None for hand in found.hands]
     if not columns:
         return None
     runs = f", as {target} runs it" if (target := designed_for(controller)) else ""

@@ -1,5 +1,6 @@
 """Write a search result down as a controller with everything that the certificate claims."""
 
+import itertools
 from collections.abc import Mapping, Sequence
 from operator import attrgetter
 from typing import Any
@@ -36,7 +37,7 @@ from problems.contact.nonlinearities import DeadbandType
 from problems.contact.transient import transient_from
 from problems.design.evaluation import PlantMargins, build_scenarios
 from problems.design.problem import DesignProblem, Requirements
-from problems.design.requirements import HANDS, hand_approach, smallest_admittance
+from problems.design.requirements import HANDS, hand_approach, led_contacts, led_mass_kg, smallest_admittance
 from problems.design.uncertainty import Scenario
 from problems.model.controller import AdmittanceController
 from problems.model.response import hand_force_per_speed
@@ -197,21 +198,23 @@ def _prediction(name: str, result: SearchResult, controller: AdmittanceControlle
             min_m_s_per_n=smallest_admittance(prepared.free[0], controller, band),
             hand_force_n_per_m_s=hand_force_per_speed(problem.plants.nominal, controller),
         ),
-        peak_per_speed=_peak_per_speed(result, [peak.scenario for peak in peaks], controller),
+        peak_per_speed=_peak_per_speed(name, result, [peak.scenario for peak in peaks], controller),
     )
 
 
 def _peak_per_speed(
-    result: SearchResult, scenarios: Sequence[Scenario], controller: AdmittanceController
+    name: str, result: SearchResult, scenarios: Sequence[Scenario], controller: AdmittanceController
 ) -> PeakPerSpeed:
     """Return the worst peaks of a payload led by hand, over these contacts and those that the search ended with."""
     found = (peak.scenario for peak in result.evaluation.peaks)
     pairs = build_scenarios(result.problem, tuple(dict.fromkeys((*scenarios, *found)))).pairs
-    worst = {
-        hand: max(transient_from(pair, controller, approach).peak_contact_force_n for pair in pairs) / _LED_M_S
-        for hand, approach in ((hand, hand_approach(_LED_M_S, hand)) for hand in HANDS)
-    }
-    return PeakPerSpeed(**worst)
+    mass = led_mass_kg(result.problem.requirements.asked(), LEVER_M if name in ROTATIONAL_AXES else 1.0)
+    worst = dict.fromkeys(HANDS, 0.0)
+    for hand, pair in itertools.product(HANDS, pairs):
+        for led in led_contacts(pair, hand, mass):
+            run = transient_from(led, controller, hand_approach(_LED_M_S, hand))
+            worst[hand] = max(worst[hand], run.peak_contact_force_n / _LED_M_S)
+    return PeakPerSpeed(**worst, hand_mass_kg=mass)
 
 
 def build_domain(problem: DesignProblem) -> AxisDomain:

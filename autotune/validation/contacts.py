@@ -7,7 +7,7 @@ from autotune.formats.controller_record import Controller, ScenarioPrediction
 from autotune.formats.limits import CollisionResponse
 from autotune.formats.units import ROTATIONAL_AXES, axis_units
 from problems.contact.nonlinear_simulation import needed_substeps, simulate_nonlinear
-from problems.design.requirements import HANDS, Hand, hand_approach
+from problems.design.requirements import Hand, hand_approach, led_plants
 from problems.design.uncertainty import Scenario
 from problems.model.axis_kind import AxisKind
 from problems.model.controller import AdmittanceController
@@ -276,18 +276,22 @@ def verify_led(
     listed = (each.scenario() for each in controller.predicted[name].scenarios)
     scenarios = tuple(dict.fromkeys((*listed, *_corners(domain), *others.replayed)))
     plants = [each.plant(domain.plants.nominal) for each in scenarios]
-    h, units = controller.sample_time_s, axis_units(name)
-    found = {hand: max(_led_peak(plant, law, hand, h) for plant in plants) for hand in HANDS}
+    h, units, mass = controller.sample_time_s, axis_units(name), stated.hand_mass_kg or 0.0
+    found = {
+        hand: max(_led_peak(led, law, hand, h) for plant in plants for led in led_plants(plant, hand, mass)[-1:])
+        for hand in stated.hands
+    }
     wrong = [
         f"the peak per speed of a hand that {hand.replace('_', ' ')} is stated as {getattr(stated, hand):.4g} "
         f"{units.damping}, found {largest:.4g}"
         for hand, largest in found.items()
         if largest > getattr(stated, hand) * (1.0 + _SAME_PEAK)
     ]
-    pushing, released = (f"{_LED_M_S * getattr(stated, hand):.4g} {units.force}" for hand in HANDS)
+    at_most = {hand: f"{_LED_M_S * getattr(stated, hand):.4g} {units.force}" for hand in stated.hands}
+    held = f", {at_most['holds']} with {mass:g} {units.mass} of it on the payload" if "holds" in at_most else ""
     return (
-        f"{len(scenarios)} contacts at {_LED_M_S:g} {units.speed} peak at most {pushing} while the hand pushes on, "
-        f"{released} when it lets go"
+        f"{len(scenarios)} contacts at {_LED_M_S:g} {units.speed} peak at most {at_most['pushes_on']} while the hand "
+        f"pushes on{held}, {at_most['lets_go']} when it lets go"
     ), wrong
 
 
@@ -301,5 +305,5 @@ def _led_peak(plant: Plant, law: AdmittanceController, hand: Hand, h: float) -> 
         duration_s=h * settling_samples(plant, law, h, SHORTEST_AFTER_S),
         substeps=needed_substeps(plant, h),
     )
-    rest = run.driving_force_n if hand == "pushes_on" else 0.0
+    rest = 0.0 if hand == "lets_go" else run.driving_force_n
     return max(run.peak_contact_force_n, rest) / _LED_M_S

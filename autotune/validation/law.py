@@ -24,6 +24,7 @@ from autotune.formats.controller_record import (
 from autotune.formats.units import ROTATIONAL_AXES, axis_units
 from autotune.plugins import find_requirement
 from autotune.prediction.as_run_by import as_run_by, designed_for
+from identification.axes.turning import LEVER_M
 from problems.contact.linear_controller_contact import (
     force_per_speed,
     simulate_linear_contact,
@@ -41,6 +42,8 @@ from problems.design.requirements import (
     PeakForceLimit,
     Requirement,
     hand_approach,
+    led_contacts,
+    led_mass_kg,
 )
 from problems.design.uncertainty import PlantSet, Scenario
 from problems.model.linear_controllers import LinearController
@@ -160,13 +163,12 @@ def check_targets(controller: Controller) -> Iterator[Check]:
         wrong = list(found.missed)
         if found.worst is not None and abs(found.worst.peak_contact_force_n / stated.peak - 1.0) > _SAME_NUMBER:
             wrong.append(f"its largest peak is {found.worst.peak_contact_force_n:.4g} {unit}, not {stated.peak:.4g}")
-        led = led_by_hand(axis_task(controller, axis), stated.law)
+        led, said = led_by_hand(axis_task(controller, axis), stated.law), stated.peak_per_speed
         wrong += [
             f"its peak per speed of a hand that {hand.replace('_', ' ')} is {getattr(led, hand):.4g}, not "
-            f"{getattr(stated.peak_per_speed, hand):.4g}"
-            for hand in HANDS
-            if stated.peak_per_speed is not None
-            and abs(getattr(led, hand) / getattr(stated.peak_per_speed, hand) - 1.0) > _SAME_NUMBER
+            f"{getattr(said, hand):.4g}"
+            for hand in (() if said is None else said.hands)
+            if abs(getattr(led, hand) / getattr(said, hand) - 1.0) > _SAME_NUMBER
         ]
         good = f"stable, all that was asked is met, at most {stated.peak:.1f} {unit} at the contact, as stated"
         yield Check(axis=axis, name=f"as {stated.target} runs it", passed=not wrong, message="; ".join(wrong) or good)
@@ -253,13 +255,15 @@ def led_by_hand(task: AxisTask, law: LinearController) -> PeakPerSpeed:
     A hand that pushes on acts as the F^d of that speed; one that lets go leaves what the coupling and the law hold.
     """
     nominal, worst = task.domain.plants.nominal, dict.fromkeys(HANDS, 0.0)
+    mass = led_mass_kg(task.asked, LEVER_M if task.axis in ROTATIONAL_AXES else 1.0)
     for scenario in task.contacts():
         pair = build_sampled_contact(build_sampled_plant(scenario.plant(nominal), law.sample_time_s))
         for hand in HANDS:
-            approach = Approach(speed_m_s=_LED_M_S) if hand == "pushes_on" else hand_approach(_LED_M_S, hand)
-            peak = trace_linear_contact(pair, law, approach).peak_contact_force_n
-            worst[hand] = max(worst[hand], peak / _LED_M_S)
-    return PeakPerSpeed(**worst)
+            approach = hand_approach(_LED_M_S, hand) if hand == "lets_go" else Approach(speed_m_s=_LED_M_S)
+            for led in led_contacts(pair, hand, mass):
+                peak = trace_linear_contact(led, law, approach).peak_contact_force_n
+                worst[hand] = max(worst[hand], peak / _LED_M_S)
+    return PeakPerSpeed(**worst, hand_mass_kg=mass)
 
 
 def worst_contact(task: AxisTask, law: LinearController) -> ScenarioPrediction:

@@ -3,7 +3,16 @@
 from .admittance import AdmittanceRequirement, AdmittanceTarget, band_frequencies, smallest_admittance, target_response
 from .base import LoopRequirement, Requirement
 from .command_noise import NoiseLimit, NoiseRequirement
-from .contact_at_speed import BODY_REGIONS, HANDS, ContactAtSpeed, Hand, hand_approach
+from .contact_at_speed import (
+    BODY_REGIONS,
+    HANDS,
+    ContactAtSpeed,
+    Hand,
+    hand_approach,
+    led_contacts,
+    led_mass_kg,
+    led_plants,
+)
 from .held_by_hand import HeldByHand
 from .margins import DecayRate, Margin
 from .multiplicative_error import ErrorRequirement, MultiplicativeError
@@ -40,6 +49,9 @@ __all__ = [
     "Requirements",
     "band_frequencies",
     "hand_approach",
+    "led_contacts",
+    "led_mass_kg",
+    "led_plants",
     "smallest_admittance",
     "target_response",
 ]

@@ -1,18 +1,22 @@
-"""The peak of a contact that is touched at a given speed, by a hand that pushes on or lets go."""
+"""The peak of a contact that is touched at a given speed, by a hand that pushes on, holds on or lets go."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Literal, get_args
 
-from ..._checks import positive
-from ...contact.transient import Approach, transient_from
+from ..._checks import non_negative, positive
+from ...contact.transient import Approach, SampledContact, build_sampled_contact, transient_from
 from ...errors import ParameterError
 from ...frozen import FrozenDict
+from ...model.plant import Plant
+from ...model.plant_parameters import PARAMETERS, with_values
+from ...model.sampled import build_sampled_plant
+from ..hand import HandImpedance
 from ..stable_design import PreparedPlants, StableDesign
-from ..uncertainty import Scenario
+from ..uncertainty import MASS, Scenario
 from .base import Requirement
 
-Hand = Literal["pushes_on", "lets_go"]
+Hand = Literal["pushes_on", "lets_go", "holds"]
 HANDS: tuple[Hand, ...] = get_args(Hand)
 
 BODY_REGIONS: Mapping[str, float] = FrozenDict(
@@ -39,13 +43,16 @@ class ContactAtSpeed:
     """At most `max_force_n` [N] on whatever of the certified surfaces is touched at `speed_m_s`.
 
     What drives the payload goes on after the impact, as a hand that `pushes_on` or F^d does, or the hand `lets_go` at
-    the impact. A `body_region` (`BODY_REGIONS`) gives its force; exactly one of both is given.
+    the impact, or it `holds`: pushes on with up to `hand_mass_kg` that moves with the payload. A `body_region`
+    (`BODY_REGIONS`) gives its force; exactly one of both is given.
     """
 
     speed_m_s: float
     max_force_n: float = 0.0
     body_region: str | None = None
     hand: Hand = "pushes_on"
+    # Made, not plain, so that a file keeps what it was designed for.
+    hand_mass_kg: float = field(default_factory=lambda: HandImpedance().mass_kg)
 
     def __post_init__(self) -> None:
         if self.body_region is not None and self.body_region not in BODY_REGIONS:
@@ -54,11 +61,13 @@ class ContactAtSpeed:
             said = self.max_force_n if self.body_region is None else self.body_region
             raise ParameterError("contact_at_speed", said, "given exactly one of max_force_n and body_region")
         if self.hand not in HANDS:
-            raise ParameterError("contact_at_speed.hand", self.hand, "pushes_on or lets_go")
+            raise ParameterError("contact_at_speed.hand", self.hand, "pushes_on, lets_go or holds")
         force = self.max_force_n if self.body_region is None else BODY_REGIONS[self.body_region]
         object.__setattr__(self, "max_force_n", positive("contact_at_speed.max_force_n", force))
         object.__setattr__(self, "body_region", None)
         object.__setattr__(self, "speed_m_s", positive("contact_at_speed.speed_m_s", self.speed_m_s))
+        mass = non_negative("contact_at_speed.hand_mass_kg", self.hand_mass_kg)
+        object.__setattr__(self, "hand_mass_kg", mass)
 
     @property
     def approach(self) -> Approach:
@@ -69,6 +78,32 @@ class ContactAtSpeed:
 def hand_approach(speed_m_s: float, hand: Hand) -> Approach:
     """Return the approach of a payload that a hand leads at a steady speed [m/s] until it touches."""
     return Approach(speed_m_s=speed_m_s, driven_by="hand", after_impact_n=0.0 if hand == "lets_go" else None)
+
+
+def led_plants(plant: Plant, hand: Hand, hand_mass_kg: float) -> tuple[Plant, ...]:
+    """Return a plant as a hand leads it: alone, and with the mass of one that `holds` it on its payload.
+
+    The damper and the spring of such a hand, whose aim rests from the impact on, only take from the force that it
+    pushed with before.
+    """
+    if hand != "holds" or hand_mass_kg == 0.0:
+        return (plant,)
+    return plant, with_values(plant, {MASS: PARAMETERS[MASS].value(plant) + hand_mass_kg})
+
+
+def led_contacts(pair: SampledContact, hand: Hand, hand_mass_kg: float) -> tuple[SampledContact, ...]:
+    """Return the sampled contacts of `led_plants`, the given one first."""
+    plant, h = pair.contact.plant, pair.contact.sample_time_s
+    others = led_plants(plant, hand, hand_mass_kg)[1:]
+    return pair, *(build_sampled_contact(build_sampled_plant(each, h)) for each in others)
+
+
+def led_mass_kg(asked: Mapping[str, Any], lever_m: float = 1.0) -> float:
+    """Return the mass of the hand that is certified: the one that is asked, else the default at a lever [m]."""
+    limit = asked.get("contact_at_speed")
+    if isinstance(limit, ContactAtSpeed):
+        return limit.hand_mass_kg
+    return HandImpedance().turned(lever_m).mass_kg
 
 
 class ContactAtSpeedLimit(Requirement[ContactAtSpeed]):
@@ -91,7 +126,8 @@ class ContactAtSpeedLimit(Requirement[ContactAtSpeed]):
 
     def turned(self, asked: ContactAtSpeed, lever: float) -> ContactAtSpeed:
         """Return the torque and the rotational speed at a lever in metres."""
-        return replace(super().turned(asked, lever), speed_m_s=float(f"{asked.speed_m_s / lever:.9g}"))
+        speed, mass = (float(f"{number:.9g}") for number in (asked.speed_m_s / lever, asked.hand_mass_kg * lever**2))
+        return replace(super().turned(asked, lever), speed_m_s=speed, hand_mass_kg=mass)
 
     def read(self, entry: Mapping[str, Any]) -> ContactAtSpeed:
         """Return what plain data asks."""
@@ -115,7 +151,9 @@ class ContactAtSpeedLimit(Requirement[ContactAtSpeed]):
 
     def achieved(self, asked: ContactAtSpeed, design: StableDesign, row: int) -> float:
         """Return the peak force on the environment in one scenario [N]."""
-        return transient_from(design.prepared.pairs[row], design.controller, asked.approach).peak_contact_force_n
+        pair, key = design.prepared.pairs[row], (self.name, row, asked.hand, asked.hand_mass_kg)
+        led = design.prepared.once(key, lambda: led_contacts(pair, asked.hand, asked.hand_mass_kg))
+        return max(transient_from(each, design.controller, asked.approach).peak_contact_force_n for each in led)
 
     def scenario(self, prepared: PreparedPlants, row: int) -> Scenario:
         """Return the scenario."""

@@ -76,8 +76,9 @@ def test_a_limit_of_the_force_says_which_speed_is_safe(run_cli: RunCli, good: Pa
     per_speed = small_controller().predicted["x"].peak_per_speed
     assert per_speed is not None
     line = run_cli("validate", str(good), "--force-limit", "65", *FEW).stdout.splitlines()[0]
-    slow, fast = 65.0 / per_speed.pushes_on, 65.0 / per_speed.lets_go
-    assert line.endswith(f"at most 65 N (--force-limit) up to {slow:.2g} and {fast:.2g} m/s")
+    assert per_speed.holds is not None
+    slow, held, fast = (65.0 / each for each in (per_speed.pushes_on, per_speed.holds, per_speed.lets_go))
+    assert line.endswith(f"at most 65 N (--force-limit) up to {slow:.2g}, {held:.2g} and {fast:.2g} m/s")
     refused = run_cli("validate", str(good), "--force-limit", "nose")
     assert refused.returncode == 2
     assert "Or name one of skull, face" in refused.stderr

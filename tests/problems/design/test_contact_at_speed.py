@@ -2,10 +2,12 @@
 
 from typing import Any
 
+import numpy as np
 import pytest
 
+from problems.contact.nonlinear_simulation import Operator, simulate_operator
 from problems.contact.transient import Approach, build_sampled_contact, simulate_contact
-from problems.design.requirements import BODY_REGIONS, ContactAtSpeed, Hand, hand_approach
+from problems.design.requirements import BODY_REGIONS, HANDS, ContactAtSpeed, Hand, hand_approach, led_contacts
 from problems.design.requirements.contact_at_speed import ContactAtSpeedLimit
 from problems.errors import ParameterError
 from problems.model.controller import AdmittanceController
@@ -27,7 +29,7 @@ def peak(approach: Approach) -> float:
     return simulate_contact(pair, LAW, approach).peak_contact_force_n
 
 
-@pytest.mark.parametrize("hand", ["pushes_on", "lets_go"])
+@pytest.mark.parametrize("hand", HANDS)
 def test_the_force_of_a_contact_scales_with_its_speed(hand: Hand) -> None:
     assert peak(hand_approach(0.1, hand)) == pytest.approx(5.0 * peak(hand_approach(0.02, hand)), rel=1e-6)
 
@@ -43,6 +45,33 @@ def test_a_hand_that_lets_go_presses_less_and_at_least_what_stops_the_payload() 
     assert 0.0 < released < peak(hand_approach(0.03, "pushes_on"))
 
 
+def held_peak(stiffness: float, damping: float, spring: float, mass: float, speed: float) -> float:
+    """Return the peak of a payload that an arm leads at a steady speed to the wall, where its aim stops."""
+    plant, h = PLANT.in_contact_with(Environment(stiffness_n_per_m=stiffness)), 8e-4
+    steady = (LAW.damping_n_s_per_m + PLANT.payload.drag_n_s_per_m) * speed
+    # The aim is ahead by what the spring needs for that force, and the payload touches when it has come to rest.
+    path = np.minimum(speed * (np.arange(7501) * h - 5.0), 0.0) + steady / spring
+    arm = Operator(mass_kg=mass, damping_n_s_per_m=damping, stiffness_n_per_m=spring, path_m=path)
+    run = simulate_operator(plant, LAW, arm, sample_time_s=h)
+    assert run.impact_speed_m_s == pytest.approx(speed, rel=0.02)
+    return run.peak_contact_force_n
+
+
+@pytest.mark.parametrize("stiffness", [2e4, 1.5e5, 5e5])
+def test_a_hand_that_holds_on_bounds_what_an_arm_does(stiffness: float) -> None:
+    """An arm as mass, spring and damper, by Runge-Kutta steps from rest; the mass alone makes the bound, nearly met."""
+    speed, plant = 0.05, PLANT.in_contact_with(Environment(stiffness_n_per_m=stiffness))
+    pair = build_sampled_contact(build_sampled_plant(plant, 8e-4))
+    alone, heavy = (
+        simulate_contact(each, LAW, hand_approach(speed, "holds")).peak_contact_force_n
+        for each in led_contacts(pair, "holds", 5.0)
+    )
+    stiff, soft = (held_peak(stiffness, 0.0, spring, 5.0, speed) for spring in (6000.0, 3000.0))
+    damped = held_peak(stiffness, 50.0, 3000.0, 5.0, speed)
+    assert heavy > alone
+    assert max(stiff, damped) < soft < 1.002 * heavy
+
+
 def test_a_part_of_the_body_stands_for_its_force() -> None:
     asked = ContactAtSpeed(speed_m_s=0.1, body_region="chest")
     assert asked == ContactAtSpeed(speed_m_s=0.1, max_force_n=140.0)
@@ -51,7 +80,7 @@ def test_a_part_of_the_body_stands_for_its_force() -> None:
 
 def test_about_a_turning_axis_force_and_speed_are_those_at_the_lever() -> None:
     turned = ContactAtSpeedLimit().turned(ContactAtSpeed(speed_m_s=0.1, max_force_n=140.0, hand="lets_go"), 0.2)
-    assert turned == ContactAtSpeed(speed_m_s=0.5, max_force_n=28.0, hand="lets_go")
+    assert turned == ContactAtSpeed(speed_m_s=0.5, max_force_n=28.0, hand="lets_go", hand_mass_kg=0.2)
 
 
 @pytest.mark.parametrize(
@@ -62,7 +91,8 @@ def test_about_a_turning_axis_force_and_speed_are_those_at_the_lever() -> None:
         ({"speed_m_s": 0.1, "body_region": "nose"}, "one of skull, face"),
         ({"speed_m_s": 0.0, "max_force_n": 140.0}, "speed_m_s"),
         ({"speed_m_s": 0.1, "max_force_n": -1.0}, "max_force_n"),
-        ({"speed_m_s": 0.1, "max_force_n": 140.0, "hand": "waves"}, "pushes_on or lets_go"),
+        ({"speed_m_s": 0.1, "max_force_n": 140.0, "hand_mass_kg": -1.0}, "hand_mass_kg"),
+        ({"speed_m_s": 0.1, "max_force_n": 140.0, "hand": "waves"}, "pushes_on, lets_go or holds"),
     ],
 )
 def test_what_cannot_be_asked_is_refused(said: dict[str, Any], message: str) -> None:
