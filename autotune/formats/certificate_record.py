@@ -309,7 +309,8 @@ Requirement = Annotated[
         "damping_n_s_per_m, stiffness_n_per_m}",
         turning=Rule(
             description="a number, true or false, {min_rad_s_per_n_m, band_hz}, {max_speed_rms_rad_s, "
-            "torque_noise_rms_n_m}, {passive_below_hz}, {min_modulus, points}, {max_torque_n_m, speed_rad_s, hand, hand_inertia_kg_m2} or "
+            "torque_noise_rms_n_m}, {passive_below_hz}, {min_modulus, points}, {max_torque_n_m, speed_rad_s, hand, "
+            "hand_inertia_kg_m2} or "
             "{min_modulus, inertia_kg_m2, damping_n_m_s_per_rad, stiffness_n_m_per_rad}"
         ),
     ),
