@@ -27,7 +27,7 @@ from problems.frozen import freeze
 from problems.progress import no_progress
 
 _READING_SHARE = 0.25
-_ONLY_WHERE_GIVEN = ("urdf", "tip", "start", "stop")
+_ONLY_WHERE_GIVEN = ("urdf", "tip", "start", "stop", "gains")
 """Options that a file without them was identified without."""
 
 
@@ -53,6 +53,8 @@ class IdentifyOptions:
         The part of the log that is read (`LogSpan`); None for its beginning and end.
     given
         What is known from elsewhere, by name as in `mass_kg` or `x.delay_s` [SI].
+    gains
+        The gains that ran, in the place of numbers in `cell.yaml`: `mass`, `damping` and `lead` [SI].
 
     """
 
@@ -67,9 +69,12 @@ class IdentifyOptions:
     start: Instant | None = None
     stop: Instant | None = None
     given: Mapping[str, Given] = field(default_factory=dict)
+    gains: Mapping[str, float] | None = None
 
     def __post_init__(self) -> None:
         freeze(self, "given")
+        if self.gains is not None:
+            freeze(self, "gains")
 
     @property
     def span(self) -> LogSpan:
@@ -80,6 +85,8 @@ class IdentifyOptions:
         """Return what is declared of the cell, with the channels that were named."""
         cell = Cell() if self.cell is None else self.cell.cell
         cell = cell.with_topics(wrench=self.wrench_topic, pose=self.pose_topic, command=self.command_topic)
+        if self.gains is not None:
+            cell = cell.with_gains(self.gains)
         return cell.with_urdf(self.urdf, self.tip)
 
     def tree(self) -> dict[str, Any]:
@@ -87,6 +94,7 @@ class IdentifyOptions:
         given = {name: [prior.value, prior.std] for name, prior in self.given.items()}
         own = {each.name: getattr(self, each.name) for each in fields(self) if each.name not in ("cell", "given")}
         own = {name: value for name, value in own.items() if value is not None or name not in _ONLY_WHERE_GIVEN}
+        own |= {} if self.gains is None else {"gains": dict(self.gains)}
         return {**own, **({"given": given} if given else {})}
 
     @classmethod

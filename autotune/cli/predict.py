@@ -212,6 +212,7 @@ def _compared(output: Output, identified: Path, options: dict[str, Any]) -> "Tou
     from autotune.formats.cell import read_cell
     from autotune.formats.controller import read_controller
     from autotune.formats.plant_file import read_plant
+    from autotune.formats.units import ROTATIONAL_AXES
     from autotune.pipeline import IdentifyOptions, identify_log
     from autotune.predicting import compare_with_touches
     from autotune.prediction.said_gains import parse_gains
@@ -225,7 +226,11 @@ def _compared(output: Output, identified: Path, options: dict[str, Any]) -> "Tou
     logs = options["logs"]
     with output.progress(f"comparing with {', '.join(log.name for log in logs)}", 2.0) as advance:
         reading = {name: options[name] for name in ("urdf", "tip", "start", "stop")}
-        declared = IdentifyOptions(cell=None if cell is None else read_cell(cell), allow_partial=True, **reading)
+        # What was touched, a wall or a hand, is told by the speed that the gains make of F^d.
+        said = () if options["axis"] in ROTATIONAL_AXES else ("mass", "damping", "lead")
+        ran = {name: float(gains[name]) for name in said if name in gains} or None
+        of_cell = None if cell is None else read_cell(cell)
+        declared = IdentifyOptions(cell=of_cell, allow_partial=True, gains=ran, **reading)
         found = identify_log(logs, declared, progress=advance)
         name = ", ".join(log.name for log in logs)
         return compare_with_touches(file, [(name, found.result)], gains, law, asked, advance)

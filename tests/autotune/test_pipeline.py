@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from autotune.formats.cell import CellFile
 from autotune.formats.identified import read_identified, write_identified
 from autotune.pipeline import IdentifyOptions, identify_log
 from autotune.results import Identification
@@ -14,6 +15,7 @@ from autotune.simulation.truth import SimulatedCell
 from autotune.simulation.write import write_mcap
 from identification.errors import EstimateError, LogError
 from identification.given import Given
+from identification.logs.roles.cell import Cell, GainsSource
 from tests.autotune.simulation.runs import SHORT
 from tests.identification.merging.test_axis import check_one_record
 
@@ -67,11 +69,23 @@ def test_a_part_may_be_named_of_several_recordings(two_logs: list[Path]) -> None
 def test_options_come_back_from_the_provenance_and_an_older_file_has_defaults() -> None:
     given = {"mass_kg": Given(value=16.2, std=0.1)}
     asked = IdentifyOptions(wrench_topic="/ft", pose_topic="/pose", salvage=True, allow_partial=True, given=given)
+    asked = replace(asked, gains={"mass": 10.0, "damping": 500.0})
     assert IdentifyOptions.from_tree(asked.tree(), None) == asked
     assert IdentifyOptions.from_tree({"salvage": True, "of_a_newer_version": 1}, None) == IdentifyOptions(salvage=True)
     wrench = asked.declared().wrench
     assert wrench is not None
     assert wrench.topic == "/ft"
+
+
+def test_the_gains_that_ran_take_the_place_of_those_in_the_cell() -> None:
+    own = GainsSource(mass=(20.0,) * 6, damping=(2e3,) * 6, lead=(0.01,) * 6)
+    cell = CellFile(cell=Cell(gains=own), path=Path("cell.yaml"), sha256="")
+    both = IdentifyOptions(cell=cell, gains={"mass": 10.0, "damping": 500.0}).declared().gains
+    assert both == GainsSource(mass=(10.0,) * 6, damping=(500.0,) * 6, lead=(0.01,) * 6)
+    assert IdentifyOptions(cell=cell, gains={"damping": 500.0}).declared().gains == replace(own, damping=(500.0,) * 6)
+    assert IdentifyOptions(gains={"damping": 500.0}).declared().gains is None
+    logged = Cell(gains=GainsSource(topic="/gains"))
+    assert logged.with_gains({"mass": 10.0, "damping": 500.0}) == logged
 
 
 def test_what_is_written_of_two_recordings_can_be_read_again(in_one_process: Identification, tmp_path: Path) -> None:

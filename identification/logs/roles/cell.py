@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, ClassVar, get_args, get_type_hints
+from typing import Annotated, Any, ClassVar, get_args, get_type_hints
 
 import numpy as np
 
@@ -420,6 +420,13 @@ class Cell:
         elif pose is not None:
             cell = replace(cell, pose=replace(cell.pose or PoseSource(), topic=pose))
         return cell
+
+    def with_gains(self, said: Mapping[str, float]) -> "Cell":
+        """Return the cell with these gains on every axis in the place of its own numbers; those of a log stay."""
+        if self.gains is None or not self.gains.is_known:
+            return self
+        values: dict[str, Any] = {name: (value,) * 6 for name, value in said.items()}
+        return replace(self, gains=replace(self.gains, **values))
 
     def with_urdf(self, urdf: Path | str | None, tip: str | None) -> "Cell":
         """Return the cell with joints that are read through this URDF up to this link.

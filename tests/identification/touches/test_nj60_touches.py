@@ -8,7 +8,7 @@ import pytest
 
 from autotune.formats.cell import read_cell
 from identification.logs.read import read_recording
-from identification.logs.roles.cell import Cell
+from identification.logs.roles.cell import Cell, GainsSource
 from identification.result import PhaseKind, TouchCause
 from identification.signals.recording import Recording
 from identification.touches.surfaces import Touched, identify_touches
@@ -160,6 +160,17 @@ def test_the_time_line_has_no_gaps_and_holds_the_touches(touched: dict[str, Touc
     walls = [touch for touch in line.touches if touch.cause is WALL]
     phases = [phase.contact for phase in line.phases if phase.contact is not None]
     assert {touch.peak_s for touch in walls} <= {contact.peak_s for contact in phases}
+
+
+def test_a_wall_is_told_by_the_gains_that_are_said(repository: Path, shared_data: Path) -> None:
+    """15 N over 500 N·s/m is the speed of the approach, whatever gains cell.yaml holds; over 2000 N·s/m it is not."""
+    cell = read_cell(repository / "examples" / "nj60" / "cell.yaml").cell
+    wrong = replace(cell, gains=GainsSource(mass=(10.0,) * 6, damping=(2e3,) * 6))
+    right = wrong.with_gains({"damping": 500.0})
+    found = [identify_touches(read_recording(shared_data / "nj60" / "hard_low_1.bag", of)) for of in (wrong, right)]
+    causes = [[touch.cause for touch in each.timeline.touches] for each in found]
+    assert WALL not in causes[0]
+    assert WALL in causes[1]
 
 
 def test_an_approach_under_a_desired_force_is_no_hand(touched: dict[str, Touched]) -> None:
