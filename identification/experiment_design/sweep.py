@@ -203,7 +203,7 @@ def unseen_part(values: PlanValues, sweep: Sweep) -> FloatArray:
     rows = columns / np.sqrt(_force_spread(values, sweep, impedance * flange))[:, None]
     known = np.diag([0.0, 0.0, 0.0, 0.0, _LATENCY_SAMPLES**-2.0])
     covariance = covariance_of(np.real(np.conj(rows).T @ rows) / len(s) + known)
-    worst, of_damping = np.zeros(4), list[float]()
+    worst = np.zeros(4)
     if not np.all(np.isfinite(covariance)):
         return worst
     own_hz = min(values.payload_frequency_hz, HIGHEST_PART_HZ)
@@ -214,9 +214,6 @@ def unseen_part(values: PlanValues, sweep: Sweep) -> FloatArray:
         left = float(np.real(np.conj(column) @ (column + rows @ follows))) / len(s)
         move = follows[:4] * (max(left, 0.0) + UNSEEN_SHARE**-2.0) ** -0.5
         worst = move if abs(move[0]) > abs(worst[0]) else worst
-        of_damping.append(abs(float(move[1])))
-    # As identification states it: that of B_s is the one that two thirds of the frequencies stay below.
-    worst[1] = float(np.copysign(sorted(of_damping)[2 * len(of_damping) // 3], worst[1]))
     return worst
 
 

@@ -166,11 +166,7 @@ def _unseen(of: ExtendedProblem, at: PayloadFit, looks: list[tuple[Score, float]
         beforehand = 1.0 / (1.0 + (score.std * _NUDGE / UNSEEN_SHARE) ** 2)
         mean, std = score.way * beforehand, score.std * beforehand**0.5
         moves.append(float(np.hypot(mean, std)) * score.follows[: of.shared] * units)
-    worst = max(moves, key=lambda move: abs(float(move[0])))
-    # B_s hangs on the part's own damping and frequency far more: its move is what two thirds of them stay below.
-    sizes = sorted(abs(float(move[1])) for move in moves)
-    worst[1] = float(np.copysign(sizes[2 * len(sizes) // 3], worst[1]))
-    return worst
+    return max(moves, key=lambda move: abs(float(move[0])))
 
 
 def _part(
@@ -287,8 +283,8 @@ def _latency(of: ExtendedProblem, here: PayloadFit, before: WrenchLatency) -> Wr
 def with_extension(fit: JointFit, found: Extended) -> JointFit:
     """Return the joint fit with what a wider payload changes.
 
-    The surfaces follow as the covariance says they go with coupling and robot; a part that the log cannot show looks
-    like a softer spring, beside which only their stiffness is another one.
+    The surfaces follow as the covariance says they go with coupling and robot, and hold what a part that the log cannot
+    show does in contact.
     """
     count = len(found.move)
     mine = fit.covariance[:count, :count]
@@ -303,8 +299,7 @@ def with_extension(fit: JointFit, found: Extended) -> JointFit:
         # The misfit of one mass on one spring, which made its deviations wider, is gone.
         covariance = covariance - follows @ mine @ follows.T
     beside = follows @ found.unseen
-    beside[[surface.first_parameter + i for surface in fit.surfaces for i in (1, 2)]] = 0.0
-    covariance = covariance + np.outer(beside, beside)
+    covariance = covariance + np.outer(beside, beside) + np.diag(_unseen_in_contact(fit, found.unseen) ** 2)
     stds = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     ci95 = {}
     for name, interval in fit.ci95.items():
@@ -329,6 +324,20 @@ def with_extension(fit: JointFit, found: Extended) -> JointFit:
         friction_n=None if is_unclear else found.friction_n,
         is_payload_unclear=is_unclear,
     )
+
+
+def _unseen_in_contact(fit: JointFit, unseen: FloatArray) -> FloatArray:
+    """Return by how much a part that the log cannot show may move each parameter (p,) in contact alone [SI].
+
+    What makes K_s softer by a share ε makes the payload heavier by ε (K_s + K_e)/K_s where it swings on both springs:
+    M_e takes that, or, from how fast the swing decays, the dampings do, of which contacts show B_e alone.
+    """
+    moved, share = np.zeros(len(fit.values)), abs(float(unseen[0] / fit.values[0]))
+    for at in (surface.first_parameter for surface in fit.surfaces):
+        heavier = share * float(1.0 + fit.values[at] / fit.values[0])
+        moved[at + 1] = heavier * float(fit.values[1] + fit.values[2] + fit.values[at + 1])
+        moved[at + 2] = heavier * float(fit.values[3])
+    return moved
 
 
 def _followed(surface: JointSurface, values: FloatArray, covariance: FloatArray) -> JointSurface:
