@@ -80,7 +80,7 @@ def extend_payload(
     may be anything. From 30 on, and where the part is none, the values stay, and hold the move in their deviations.
     What explains less than a quarter of the misfit beyond `quiet_rms_n` is no part. Where no command `is_held`, that,
     and what explains no more than the path within a sample may do, leaves the deviations, too: it is another misfit.
-    Where no part is reported, the deviations hold one that the log cannot show (`_unseen`).
+    Where no part is reported, the deviations hold one that the log cannot show (`unseen_by_log`).
     """
     period = problem.signals.period_s
     # What was taken for a latency may be the part's, or friction's.
@@ -100,7 +100,7 @@ def extend_payload(
         moves.append(_open_share(of, rubbing, begun, _MOVED_BY_FRICTION) * _moved(of, rubbing, begun))
         here = rubbing
     looks = _looks(of, here)
-    unseen = _unseen(of, here, looks)
+    unseen = unseen_by_log(of, here, looks)
     swinging, gain = _part(of, here, looks)
     if swinging is not None:
         is_part = gain >= _TOLD and not _is_at_bound(of, swinging) and explains_misfit(of, swinging, here)
@@ -152,7 +152,7 @@ def _begun(of: ExtendedProblem, at: PayloadFit, kind: PayloadKind, share: float,
     return with_more(of, at, kind, (share, float(np.log(frequency_hz)), _START_RATIO))
 
 
-def _unseen(of: ExtendedProblem, at: PayloadFit, looks: list[tuple[Score, float]]) -> FloatArray:
+def unseen_by_log(of: ExtendedProblem, at: PayloadFit, looks: list[tuple[Score, float]]) -> FloatArray:
     """Return by how much a part that the log cannot show may move the shared parameters (a,) [SI], one deviation.
 
     Below its own frequency ω_2 a share μ of the mass gives way as the spring does: K_s looks softer by μ ω_0²/ω_2². Of

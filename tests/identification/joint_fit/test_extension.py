@@ -10,16 +10,16 @@ import pytest
 
 from identification.axis_findings import latency_findings, payload_findings
 from identification.joint_fit.data import JointData, usual_coupling
-from identification.joint_fit.extended_fit import explains_misfit
+from identification.joint_fit.extended_fit import Score, explains_misfit
 from identification.joint_fit.extended_payload import Extension, extended_force
-from identification.joint_fit.extension import Extended, extend_payload, with_extension
+from identification.joint_fit.extension import Extended, extend_payload, unseen_by_log, with_extension
 from identification.joint_fit.fit import identify_joint
 from identification.joint_fit.free_motion import fit_free_motion, fit_robot
 from identification.joint_fit.latency import WrenchLatency
-from identification.joint_fit.model import COUPLING_NAMES, robot_model
+from identification.joint_fit.model import COUPLING_NAMES, SURFACE_NAMES, robot_model
 from identification.joint_fit.noise import Smoother
 from identification.joint_fit.path import measured_path
-from identification.joint_fit.result import JointFit, PayloadPart, with_robot_of_pose
+from identification.joint_fit.result import JointFit, JointSurface, PayloadPart, with_robot_of_pose
 from identification.signals.segments import Span
 from problems.arrays import FloatArray
 
@@ -111,6 +111,55 @@ def test_a_part_that_swings_is_reported_and_leaves_the_coupling_right() -> None:
     assert fit.values[0] == pytest.approx(STIFFNESS, rel=0.015)
     assert fit.std[0] < 0.05 * STIFFNESS
     assert np.all(np.abs(deviations(fit)) < 2.5)
+
+
+def test_all_that_an_unseen_part_moves_is_taken_at_the_frequency_that_moves_the_spring_most() -> None:
+    """Not that which moves B_s more and shows in the log, nor one below the payload's own frequency."""
+    coupling = np.array([8e4, 100.0, 60.0, 12.5])
+    of = SimpleNamespace(
+        values=lambda _: coupling, in_log=np.array([True, False, False, True]), sizes=coupling, shared=4
+    )
+
+    def look(frequency_hz: float, std: float, follows: list[float]) -> tuple[Score, float]:
+        return Score(fall=0.0, way=0.0, std=std / 0.001, follows=0.001 * np.array(follows)), frequency_hz
+
+    slow = look(10.0, 1e3, [9.0, 9.0, 0.0, 0.0])
+    seen, unknown = look(30.0, 0.05, [0.1, 2.0, 0.0, 0.0]), look(60.0, 1e3, [0.09, 0.4, -0.01, 0.02])
+    found = unseen_by_log(cast(Any, of), cast(Any, SimpleNamespace(theta=np.zeros(4))), [slow, seen, unknown])
+    np.testing.assert_allclose(found / coupling, 0.05 * np.array([0.09, 0.4, -0.01, 0.02]), rtol=1e-6, atol=1e-12)
+
+
+def test_a_part_that_the_log_cannot_show_is_in_the_damping_and_the_mass_of_a_surface() -> None:
+    """A payload that looks heavier by ε in contact: its decay is that of larger dampings, the mass may be M_e."""
+    fit = plain()
+    k_s, b_s, b_p, mass = fit.values.tolist()
+    k_e, b_e, size = 0.5 * k_s, 40.0, len(fit.values) + 3
+    touched = replace(
+        fit,
+        names=(*COUPLING_NAMES, *(f"environment1_{name}" for name in SURFACE_NAMES)),
+        values=np.array([*fit.values, k_e, b_e, 0.1]),
+        covariance=np.diag((1e-3 * np.array([*fit.values, k_e, b_e, 0.1])) ** 2),
+        surfaces=(
+            JointSurface(
+                sign=1,
+                first_parameter=len(fit.values),
+                secant_n_per_m=k_e / 1.5,
+                secant_std_n_per_m=1.0,
+                onsets=(0,),
+                peak_force_n=(40.0,),
+            ),
+        ),
+    )
+    found = Extended(
+        move=np.zeros(4),
+        covariance=np.zeros((4, 4)),
+        latency=fit.latency,
+        unseen=np.array([-0.01 * k_s, 0.0, 0.0, 0.0]),
+        is_wider=False,
+    )
+    gained = np.diag(with_extension(touched, found).covariance - touched.covariance)
+    expected = np.array([0.01 * k_s, *[0.0] * (size - 3), 0.015 * (b_s + b_p + b_e), 0.015 * mass])
+    np.testing.assert_allclose(gained, expected**2, atol=1e-12)
 
 
 def test_a_part_is_not_reported_beside_a_larger_misfit() -> None:
