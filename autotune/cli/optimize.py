@@ -1,8 +1,9 @@
 """`autotune optimize`: a validated controller from identified parameters."""
 
 import sys
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
     from autotune.export.target import ExportTarget, Rendered
     from autotune.formats.controller_record import ScenarioPrediction
     from autotune.formats.identified import IdentifiedFile
+    from autotune.formats.problem import ProblemSpec
     from autotune.prediction.law import PresentGains
     from autotune.report.page import Page
     from autotune.studies.front import FrontRequest
@@ -175,12 +177,13 @@ def command(
         )
         specs = specs_for(wanted, spec)
         with output.progress("searching", float(len(specs))) as advance:
-            found = first_feasible(specs, lambda each: optimize(
-                plant, each, seed=seed, problem_path=problem, present=present, proof=proof, replays=wanted is None,
+            search = partial(
+                optimize, plant, seed=seed, problem_path=problem, present=present, proof=proof, replays=wanted is None,
                 step=lambda doing: advance(0.0, f"searching {doing}".rstrip()), progress=advance,
-            ))  # fmt: skip
+            )  # fmt: skip
+            found = first_feasible(specs, search)
         if wanted is not None:
-            found, rendered = _certified_for(output, wanted, found, out, plant, present)
+            found, rendered = _designed_for(output, wanted, found, out, plant, present, spec, search)
         fronts.trace(output, found)
         with output.replacing(out, "controller"):
             checksum = write_controller(out, found.controller)
@@ -214,6 +217,33 @@ def _tree(
     return tree | ({"pareto": fronts.tree} if fronts.tree else {})
 
 
+def _designed_for(
+    output: Output,
+    target: "ExportTarget",
+    found: "Optimized",
+    out: Path,
+    plant: "IdentifiedFile",
+    present: "PresentGains | None",
+    spec: "ProblemSpec",
+    search: "Callable[[ProblemSpec], Optimized]",
+) -> "tuple[Optimized, Rendered]":
+    """Certify the design as the target runs it, that with the admittance that the target can have where it has one."""
+    from autotune.errors import CertificateError, InfeasibleError
+    from autotune.export.designing import first_feasible, raised_default, specs_for
+
+    with output.progress(f"what {target.name} can have", 1.0) as advance:
+        raised = raised_default(target, spec, found.controller, advance)
+    if raised is not None:
+        more, note = raised
+        try:
+            with output.progress("searching with that", 1.0):
+                again = first_feasible(specs_for(target, more), search)
+            return _certified_for(output, target, again, out, plant, present, note)
+        except (InfeasibleError, CertificateError):
+            pass
+    return _certified_for(output, target, found, out, plant, present)
+
+
 def _certified_for(
     output: Output,
     target: "ExportTarget",
@@ -221,6 +251,7 @@ def _certified_for(
     out: Path,
     plant: "IdentifiedFile",
     present: "PresentGains | None",
+    note: str = "",
 ) -> "tuple[Optimized, Rendered]":
     """Certify the design as the target runs it, note in its provenance what that is, and replay the log with it."""
     from autotune.export.designing import certify_for, lacking_gains
@@ -229,7 +260,7 @@ def _certified_for(
     from autotune.tuning.provenance import with_notes
     from autotune.validation.law import axis_task, led_by_hand
 
-    made, notes = found.controller, list(found.controller.provenance.get("notes", ()))
+    made, notes = found.controller, [*filter(None, [note]), *found.controller.provenance.get("notes", ())]
     options = {**made.provenance["options"], "for": target.name}
     noted = replace(made, provenance={**made.provenance, "options": options})
     if lacking := lacking_gains(target, made):

@@ -6,18 +6,23 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
-from autotune.errors import InfeasibleError, UsageError
+from autotune.errors import CertificateError, InfeasibleError, UsageError
 from autotune.formats.canonical import flow_text
 from autotune.formats.controller import ControllerFile, controller_tree
 from autotune.formats.controller_record import Controller
 from autotune.formats.identified import IdentifiedFile
 from autotune.formats.problem import ProblemSpec
+from autotune.formats.units import AXES
+from problems.design.requirements import AdmittanceTarget
 from problems.design.uncertainty import MASS, STIFFNESS
 
 from .ros_yaml import DOWNWARDS
 from .target import ExportRequest, ExportTarget, Rendered
 
 Found = TypeVar("Found")
+_ADMITTANCE = "free_space_admittance"
+# As `autotune.tuning.defaults`: the very most leaves one design and no choice of a gentle one.
+_SHARE_OF_REACH = 0.8
 DESIGNED = "for_target.yaml"
 """The controller file of the commands that are named."""
 _PROBLEM = "problem.yaml"
@@ -58,6 +63,43 @@ def lacking_gains(target: ExportTarget, controller: Controller) -> tuple[str, ..
     """Return the gains by name that the target lacks and that some axis of a controller has."""
     lacking = (name for name in _PINNED if name not in target.expresses)
     return tuple(name for name in lacking if any(getattr(each, name) for each in controller.axes.values()))
+
+
+def raised_default(
+    target: ExportTarget, spec: ProblemSpec, controller: Controller, progress: Callable[[float], None] | None = None
+) -> tuple[ProblemSpec, str] | None:
+    """Return the problem with the admittance that a target can have where nobody asked for one, and a note on it.
+
+    Our own law without the gains that the target lacks may have to do with less. None where it had not to, where the
+    target cannot have more either, and for axes that turn.
+    """
+    said = {axis: each for axis, each in controller.provenance.get("defaults", {}).items() if axis in AXES[:3]}
+    lowered = {axis: each[_ADMITTANCE] for axis, each in said.items() if each[_ADMITTANCE]["attainable"] is not None}
+    if not lowered:
+        return None
+    of = next(iter(lowered.values()))
+    usual, band, used = of["usual"]["min_m_s_per_n"], tuple(of["used"]["band_hz"]), of["used"]["min_m_s_per_n"]
+    asked = {**controller.certificate.requirements, _ADMITTANCE: AdmittanceTarget(min_m_s_per_n=usual, band_hz=band)}
+    hoped, reach = replace(controller, certificate=replace(controller.certificate, requirements=asked)), usual
+    try:
+        _rendered(target, hoped, Path(DESIGNED), progress)
+    except InfeasibleError as error:
+        if {name for name, _, _ in error.relaxations} != {_ADMITTANCE}:
+            return None
+        reach = min(possible for _, _, possible in error.relaxations)
+    except CertificateError:
+        return None
+    least = usual if reach >= usual else float(f"{_SHARE_OF_REACH * reach:.2g}")
+    if least <= used:
+        return None
+    wish = AdmittanceTarget(min_m_s_per_n=least, band_hz=band)
+    can = f"can have in this cell ({reach:.3g}); the usual {usual:g} cannot be had with it"
+    note = (
+        f"Axis {', '.join(lowered)}: nobody asked for a free-space admittance, so {least:g} m/s/N are asked from "
+        f"{band[0]:g} to {band[1]:g} Hz, "
+        + (f"as usual, which {target.name} can have" if least == usual else f"four fifths of what {target.name} {can}")
+    )
+    return replace(spec, requirements=replace(spec.requirements, free_space_admittance=wish)), f"{note}."
 
 
 def plant_for(target: ExportTarget | None, plant: IdentifiedFile) -> IdentifiedFile:
@@ -107,12 +149,8 @@ def certify_for(
     Raises InfeasibleError, with the easing that is enough, where the target has nothing that meets the requirements,
     and what else the target's `render` raises.
     """
-    source = ControllerFile(
-        controller=controller, checksum=str(controller_tree(controller)["checksum"]), path=out, sha256=""
-    )
-    request = ExportRequest(source=source, out=out, options=dict(target.design_options), progress=progress)
     try:
-        return target.render(request)
+        return _rendered(target, controller, out, progress)
     except InfeasibleError as error:
         if not error.suggestion:
             raise
@@ -122,6 +160,15 @@ def certify_for(
             error.relaxations,
             suggestion=error.suggestion,
         ) from error
+
+
+def _rendered(
+    target: ExportTarget, controller: Controller, out: Path, progress: Callable[[float], None] | None
+) -> Rendered:
+    source = ControllerFile(
+        controller=controller, checksum=str(controller_tree(controller)["checksum"]), path=out, sha256=""
+    )
+    return target.render(ExportRequest(source=source, out=out, options=dict(target.design_options), progress=progress))
 
 
 def lines_for(controller: Controller) -> str:

@@ -2,17 +2,19 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from autotune.errors import InfeasibleError, UsageError
-from autotune.export.designing import certify_for, plant_for, specs_for
+from autotune.export.designing import certify_for, plant_for, raised_default, specs_for
 from autotune.export.easing import find_easing, heavier_hand, merged
 from autotune.export.export import export_controller
 from autotune.export.fzi_cartesian import FZI_CARTESIAN
 from autotune.export.retune import retune
 from autotune.export.ros2_axis import Ros2Axis
 from autotune.export.ros2_control import ROS2_CONTROL
+from autotune.export.target import ExportRequest, Rendered
 from autotune.export.urscript import URSCRIPT
 from autotune.formats.canonical import flow_text
 from autotune.formats.controller import write_controller
@@ -109,3 +111,40 @@ def test_what_is_certified_for_a_target_needs_no_names_of_an_installation(tmp_pa
     assert found.tree["axes"]["x"]["peak_contact_force"] > 0.0
     with pytest.raises(InfeasibleError, match=r"With ros2_control: .* Put into problem.*: req.* run autotune optimize"):
         certify_for(ROS2_CONTROL, peer_controller({"x": LEAD}, HARD), tmp_path / "controller.yaml")
+
+
+def test_a_default_is_four_fifths_of_what_the_target_can_have() -> None:
+    """Our own law without a lead can have 4e-4, of which 3.2e-4 were taken; the target has up to 5.3e-4."""
+    band = {"band_hz": [0.1, 1.0]}
+    lowered = {
+        "used": {"min_m_s_per_n": 3.2e-4, **band},
+        "usual": {"min_m_s_per_n": 7e-4, **band},
+        "attainable": {"min_m_s_per_n": 4e-4},
+    }
+    usual = {**lowered, "attainable": None}
+    plain = peer_controller({"x": PLAIN}, EASY)
+
+    def raised(default: dict[str, Any], *relaxations: tuple[str, float, float]) -> tuple[ProblemSpec, str] | None:
+        def render(request: ExportRequest) -> Rendered:
+            asked = request.source.controller.certificate.requirements["free_space_admittance"]
+            assert asked == AdmittanceTarget(min_m_s_per_n=7e-4, band_hz=(0.1, 1.0))
+            if relaxations:
+                raise InfeasibleError("That controller cannot do what was asked.", relaxations)
+            return Rendered(texts=("",))
+
+        made = replace(plain, provenance={"defaults": {"x": {"free_space_admittance": default}}})
+        return raised_default(replace(ROS2_CONTROL, render=render), ProblemSpec(), made)
+
+    found = raised(lowered, ("free_space_admittance", 7e-4, 5.3e-4))
+    assert found is not None
+    spec, note = found
+    assert spec.requirements.free_space_admittance == AdmittanceTarget(min_m_s_per_n=4.2e-4, band_hz=(0.1, 1.0))
+    assert "so 0.00042 m/s/N are asked" in note
+    assert "four fifths of what ros2_control can have in this cell (0.00053); the usual 0.0007 cannot" in note
+    found = raised(lowered)
+    assert found is not None
+    assert "so 0.0007 m/s/N are asked from 0.1 to 1 Hz, as usual, which ros2_control can have." in found[1]
+    # No more than our own law has, more than the admittance is in the way, and nothing was lowered.
+    assert raised(lowered, ("free_space_admittance", 7e-4, 3.9e-4)) is None
+    assert raised(lowered, ("free_space_admittance", 7e-4, 6e-4), ("modulus_margin", 0.5, 0.4)) is None
+    assert raised(usual) is None
