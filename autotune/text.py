@@ -17,9 +17,10 @@ from identification.result import (
     WrenchFilterEstimate,
 )
 from problems.design.uncertainty import Scenario
-from problems.model.axis_kind import AxisKind
+from problems.model.axis_kind import AxisKind, for_people
 from problems.model.controller import AdmittanceController
 from problems.model.plant_parameters import PARAMETERS
+from problems.text import significant
 
 COMPARE_EXAMPLE = "--compare mass=10,damping=1500"
 NOTHING_BEFORE = (
@@ -38,7 +39,7 @@ def held_out_lines(name: str, axis: AxisEstimate) -> Iterator[str]:
             rms = math.sqrt(sum(error**2 for error in errors) / len(errors))
             yield (
                 f"axis {name}: {len(errors)} {'peak' if len(errors) == 1 else 'peaks'} predicted {what}, RMS error "
-                f"{100.0 * rms:.2g} %, largest {100.0 * max(map(abs, errors)):.2g} %"
+                f"{significant(100.0 * rms)} %, largest {significant(100.0 * max(map(abs, errors)))} %"
             )
 
 
@@ -369,6 +370,34 @@ def gain_rows(units: AxisKind, *laws: AdmittanceController) -> Iterator[tuple[st
         ("B_fb [ms]", "feedback_damping_s", 1e3),
     ):
         yield symbol, *(f"{scale * getattr(each, name):.6g}" for each in laws)
+
+
+_GAIN_SYMBOLS = {
+    "mass": "M_a",
+    "damping": "B_a",
+    "lead_s": "K_l",
+    "feedback_damping_s": "B_fb",
+    "velocity_filter_rad_per_s": "ω_v",
+    "acceleration_filter_rad_per_s": "ω_a",
+    "compensation_mass_kg": "P̂",
+}
+
+
+def bound_text(name: str, bounds: Mapping[str, tuple[float, float]] | None, units: AxisKind) -> str:
+    """Return an active bound, as `upper bound of lead_s`, in words: `upper bound of K_l, 30 ms`.
+
+    Without bounds it has no number; another name is returned as it is.
+    """
+    side, _, variable = name.partition(" bound of ")
+    if not variable:
+        return name
+    text = f"{side} bound of {_GAIN_SYMBOLS.get(variable, variable)}"
+    if bounds is None:
+        return text
+    of = {"lead_s": "s", "feedback_damping_s": "s", "damping": units.damping}
+    is_mass = variable in {"mass", "compensation_mass_kg"}
+    scale, unit = for_people(units.mass if is_mass else of.get(variable, "rad/s"))
+    return f"{text}, {scale * bounds[variable][0 if side == 'lower' else 1]:g} {unit}"
 
 
 def range_text(low: float, high: float) -> str:

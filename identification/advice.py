@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from problems.model.axis_kind import STRAIGHT, TURNING, AxisKind, QuantityKind
+from problems.text import significant
 
 from .axes.straight import AXIS_NAMES
 from .experiment_design.sweep import SweepLimits, fastest_sweep
@@ -141,7 +142,7 @@ def _text(lack: _Lack, units: AxisKind) -> str:
         return lack.name
     if estimate.std > abs(estimate.value):
         # A share of a number that may as well be 0 says nothing.
-        return f"{lack.name} (± {factor * estimate.std:.2g} {unit})"
+        return f"{lack.name} (± {significant(factor * estimate.std)} {unit})"
     share = 100.0 * estimate.std / abs(estimate.value) if estimate.value else 0.0
     # What is known sharply and weak all the same has its reason in the note.
     why = f"± {share:.0f} %" if share >= _SHARP_PERCENT or not estimate.note else estimate.note

@@ -8,6 +8,7 @@ import numpy as np
 
 from problems.arrays import FloatArray
 from problems.progress import ProgressSlice
+from problems.text import significant
 
 from .axes.straight import AXIS_NAMES, AxisMotion, free_motions, unguided_spans
 from .axes.turning import rests_after
@@ -267,7 +268,7 @@ def identify_axis_robot(cell: CellSignals, axis: AxisMotion) -> AxisResult:
 def _logged_robot(found: LoggedRobot, period_s: float) -> RobotEstimate:
     """Return the verdicts on what the command shows of the robot alone."""
     fit, between = found.fit, "behind a hold" if found.is_held else "behind a command that is smooth between samples"
-    method = f"output error of r(s) {between}, residual {100.0 * fit.fit_error:.2g} % of the motion"
+    method = f"output error of r(s) {between}, residual {significant(100.0 * fit.fit_error)} % of the motion"
     bandwidth_std = float(np.hypot(fit.bandwidth_std_hz, _MODEL_STD_SHARE * fit.bandwidth_hz))
     return RobotEstimate(
         numerator=vector(fit.model.numerator, fit.numerator_std, method=method),

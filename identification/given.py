@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 from problems.frozen import FrozenDict
 from problems.model.axis_kind import rotational_name
+from problems.text import significant
 
 from .errors import EstimateError
 from .result import AxisEstimate, Estimate, Finding, Identified, Status
@@ -122,18 +123,19 @@ def _posterior(name: str, estimate: Estimate, fitted: Estimate | None, prior: Gi
         precision = estimate.std**-2.0 + prior.std**-2.0
         value = (estimate.value / estimate.std**2 + prior.value / prior.std**2) / precision
         std = precision**-0.5
-    note = f"given {prior.value:.6g} ± {prior.std:.2g}, the log shows {estimate.value:.6g} ± {estimate.std:.2g}"
+    shown = f"{estimate.value:.6g} ± {significant(estimate.std)}"
+    note = f"given {prior.value:.6g} ± {significant(prior.std)}, the log shows {shown}"
     status = Status.GIVEN if prior.std <= estimate.std else estimate.status
-    apart, alone = abs(estimate.value - prior.value), f"{estimate.value:.5g} ± {estimate.std:.2g}"
+    apart, alone = abs(estimate.value - prior.value), f"{estimate.value:.5g} ± {significant(estimate.std)}"
     if apart > _CONTRADICTION_STDS * math.hypot(estimate.std, prior.std) + _ROUNDING_SHARE * abs(prior.value):
         about = Finding(
             code="given-contradicts",
             severity="error",
-            message=f"The log shows {name} as {alone}, given is {prior.value:.5g} ± {prior.std:.2g}.",
+            message=f"The log shows {name} as {alone}, given is {prior.value:.5g} ± {significant(prior.std)}.",
             advice="Check the given value and its unit, and that the log is of this cell and payload.",
         )
     else:
-        stated = f"{value:.5g} ± {std:.2g}" if std else f"{value:.5g}"
+        stated = f"{value:.5g} ± {significant(std)}" if std else f"{value:.5g}"
         about = _used(f"{name}: given is {_number(prior)}, the log alone shows {alone}; {stated} was taken.")
     return Estimate(value=value, std=std, status=status, method=estimate.method, note=note), [about]
 
@@ -156,7 +158,7 @@ def _without_log(name: str, fitted: Estimate | None, prior: Given) -> tuple[Esti
 
 
 def _number(prior: Given) -> str:
-    return f"{prior.value:.5g} ± {prior.std:.2g}" if prior.std else f"{prior.value:.5g}, taken as exact"
+    return f"{prior.value:.5g} ± {significant(prior.std)}" if prior.std else f"{prior.value:.5g}, taken as exact"
 
 
 def _used(message: str) -> Finding:

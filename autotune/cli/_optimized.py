@@ -5,6 +5,8 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from problems.text import significant
+
 from ._terminal import painted, print_message, print_table, printable, table_lines
 
 if TYPE_CHECKING:
@@ -45,17 +47,12 @@ def active_tree(found: "Optimized") -> dict[str, Any]:
 
 def active_lines(found: "Optimized", name: str) -> list[str]:
     """Say in words what holds the peak of one axis up, or another objective back, and how near it is to the best."""
-    from autotune.formats.units import ROTATIONAL_AXES, axis_units
+    from autotune.formats.units import axis_units
     from problems.design.objectives import PeakObjective
 
-    report, problem, is_rotational = (
-        found.optimality_reports[name],
-        found.searches[name].problem,
-        name in ROTATIONAL_AXES,
-    )
+    report, problem, units = found.optimality_reports[name], found.searches[name].problem, axis_units(name)
     if not isinstance(problem.objective, PeakObjective):
-        return [*_objective_lines(report, problem, turning=is_rotational)]
-    units = axis_units(name)
+        return [*_objective_lines(report, problem, units)]
     lines = [_active_line(entry, problem, units) for entry in report.active]
     if not report.active:
         lines.append(f"no requirement is active: the peak is the approach {units.force_name} itself")
@@ -71,17 +68,18 @@ def default_lines(found: "Optimized", name: str) -> Iterator[str]:
         yield default_message(name, default, found.searches[name].problem)
 
 
-def _objective_lines(report: "OptimalityReport", problem: "DesignProblem", *, turning: bool) -> Iterator[str]:
+def _objective_lines(report: "OptimalityReport", problem: "DesignProblem", units: "AxisKind") -> Iterator[str]:
     """Yield the value of an objective that is no peak force, what holds it back, and how near it is to the best."""
+    from autotune.text import bound_text
+
     objective = problem.objective
-    unit = objective.unit_on(turning=turning)
+    unit = objective.unit_on(turning=units.force != "N")
     verb = "larger" if objective.direction == "maximize" else "smaller"
     yield f"objective {objective.name}: {objective.title} {report.shown(report.cost, 4):g} {unit}".rstrip()
     for entry in report.active:
-        moved = f"{entry.price:.2g} {unit}".rstrip()
-        side, _, variable = entry.name.partition(" bound of ")
-        limit = f", {problem.bounds[variable][0 if side == 'lower' else 1]:g}," if variable else ""
-        yield f"{entry.name}{limit} is active: easing it by 1 % makes the objective {moved} {verb}"
+        moved = f"{significant(entry.price)} {unit}".rstrip()
+        text = bound_text(entry.name, problem.bounds, units)
+        yield f"{text}{',' * (text != entry.name)} is active: easing it by 1 % makes the objective {moved} {verb}"
     if not report.active:
         yield "no requirement and no bound is active"
     yield from _optimality_lines(report, unit, (".4g", ".2g"), has_soft=False)
@@ -93,15 +91,17 @@ def _objective_lines(report: "OptimalityReport", problem: "DesignProblem", *, tu
 
 
 def _active_line(entry: "ActiveConstraint", problem: "DesignProblem", units: "AxisKind") -> str:
+    from autotune.text import bound_text
+
     decimals = _DECIMALS[units.force]
     saved, is_nothing = f"{entry.price:.{decimals}f} {units.force}", entry.price < 0.5 * 10.0**-decimals
     side, _, variable = entry.name.partition(" bound of ")
     if variable:
-        limit = problem.bounds[variable][0 if side == "lower" else 1]
-        if is_nothing or (side, limit) == ("lower", 0.0):
-            return f"the {entry.name}, {limit:g}, is active, and widening it saves nothing"
+        bound = f"the {bound_text(entry.name, problem.bounds, units)}"
+        if is_nothing or (side == "lower" and problem.bounds[variable][0] == 0.0):
+            return f"{bound}, is active, and widening it saves nothing"
         wider = _wider_bound(problem, variable, side, turning=units.force != "N")
-        return f"the {entry.name}, {limit:g}, is active: 1 % wider saves {saved}; {wider}"
+        return f"{bound}, is active: 1 % wider saves {saved}; {wider}"
     if is_nothing:
         return f"{entry.name} is active, easing it alone saves nothing"
     if entry.soft:

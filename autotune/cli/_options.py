@@ -1,5 +1,6 @@
 """Option types, completion of file names, and the layout of `--help`."""
 
+import shlex
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -136,6 +137,20 @@ class GroupedCommand(click.Command):
         if unknown:
             raise ValueError(f"The command {self.name} has no option {unknown[0]}.")
 
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Refuse an option that takes one value and is given two, of which the first would be dropped."""
+        if not ctx.resilient_parsing:
+            _, _, given = self.make_parser(ctx).parse_args(args=list(args))
+            for each in given:
+                takes_one = isinstance(each, click.Option) and not (each.multiple or each.is_flag or each.count)
+                if takes_one and given.count(each) > 1:
+                    raise click.UsageError(
+                        f"{each.opts[-1]} is given {given.count(each)} times and takes one value; leave one, or run "
+                        "the command once for each.",
+                        ctx,
+                    )
+        return super().parse_args(ctx, args)
+
     def invoke(self, ctx: click.Context) -> Any:
         """Check every file that is to be read, then run the command."""
         report = ctx.params.get("report") or (ctx.params.get("out") if ctx.info_name == "report" else None)
@@ -151,7 +166,13 @@ class GroupedCommand(click.Command):
             if delivery is not None and isinstance(report, Path) and report.is_file():
                 delivery.remark = page_stays(report)
             raise
-        return super().invoke(ctx)
+        try:
+            return super().invoke(ctx)
+        except LogError as error:
+            # A command that is named is one that can be pasted.
+            named = shlex.join(str(log) for log in ctx.params.get("logs") or ("LOG",))
+            error.args = (str(error).replace("inspect LOG ", f"inspect {named} "), *error.args[1:])
+            raise
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the groups, each in the order in which its options were declared."""

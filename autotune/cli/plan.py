@@ -1,6 +1,7 @@
 """`autotune plan`: what to record next."""
 
 import math
+import shlex
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -8,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from autotune.formats.kinds import PLANTS
+from problems.text import significant
 
 from ._common import Output, output_options
 from ._options import SETTINGS, FilePath, GroupedCommand, QuantityRange, output_option
@@ -137,7 +139,17 @@ def command(
     with output.replacing(out, "plan"):
         write_plan(out, plan, provenance)
     output.result(plan_tree(plan, provenance), lambda: print_plan(plan, out))
-    output.next_command(*(("demo",) if identified is None else ("report", identified)))
+    _name_next(output, out, identified)
+
+
+def _name_next(output: Output, out: Path, identified: Path | None) -> None:
+    """Name what reads the recording that is planned, beside the logs that the plant is from where they are there."""
+    from autotune.formats.identified import read_identified
+
+    made = {} if identified is None else read_identified(identified).provenance
+    before = [str(log["path"]) for log in made.get("logs", ()) if Path(str(log["path"])).exists()]
+    words = shlex.join(["autotune", "identify", *before, str(out.with_suffix(".mcap"))])
+    output.next_line(f"{words}  # once you have recorded what {out} asks for, in any format, under any name")
 
 
 def _from_file(output: Output, path: Path, axis: str | None, provenance: dict[str, object]) -> tuple[str, "PlanValues"]:
@@ -222,7 +234,7 @@ def _reference(plan: "ExperimentPlan") -> str:
     reference = f"the peak of {peak} (a contact with {effect.approach_force_n:g} N, B_a = {damping})"
     if entry.peak_now_n is None:
         return f"; the table counts in {reference}"
-    return f", which moves {reference} by {entry.peak_now_n:.2g} N"
+    return f", which moves {reference} by {significant(entry.peak_now_n)} N"
 
 
 def _settings(step: "Step", plan: "ExperimentPlan") -> list[str]:
@@ -245,8 +257,8 @@ def _poses(poses: "PosePlan") -> list[str]:
     return [
         f"{len(poses.tilt_deg)} rests of {poses.hold_s:g} s, turned from the present orientation about a horizontal",
         f"axis of the base, angle/azimuth of the axis [deg]: {turns}",
-        f"mass to ±{poses.mass_std_kg:.2g} kg, centre to ±{1e3 * poses.com_std_m:.2g} mm; as many in equal steps",
-        f"about two axes: ±{poses.naive_mass_std_kg:.2g} kg, ±{1e3 * poses.naive_com_std_m:.2g} mm",
+        f"mass to ±{significant(poses.mass_std_kg)} kg, centre to ±{significant(1e3 * poses.com_std_m)} mm; as many in",
+        f"equal steps about two axes: ±{poses.naive_mass_std_kg:.2g} kg, ±{1e3 * poses.naive_com_std_m:.2g} mm",
     ]
 
 
@@ -256,31 +268,34 @@ def _sweep(found: "SweepPlan", plan: "ExperimentPlan") -> list[str]:
     amplitude = speed / (2.0 * math.pi * sweep.frequency_hz())
     worst, repeat = found.worst, found.repeat
     peak, mass, stiffness = found.worst_peak_force_n, worst.mass_kg, 1e-3 * worst.stiffness_n_per_m
+    expected, ends = significant(found.peak_force_n), [significant(amplitude[at]) for at in (0, -1)]
     lines = [
         f"{sweep.low_hz:.2g} to {sweep.high_hz:.3g} Hz in {sweep.duration_s:g} s (logarithmic), in free space, command",
-        f"logged; its amplitude {amplitude[0]:.2g} to {amplitude[-1]:.2g} mm, {speed[0]:.3g} to {speed[-1]:.3g} mm/s,",
+        f"logged; its amplitude {ends[0]} to {ends[1]} mm, {speed[0]:.3g} to {speed[-1]:.3g} mm/s,",
         f"so that the flange keeps {1e3 * sweep.flange_speed_m_s:.3g} mm/s; it rises and falls over {found.fade_s:g} s",
-        f"peak force {found.peak_force_n:.2g} N expected, {peak:.3g} N at worst: at {worst.frequency_hz:.3g} Hz,",
+        f"peak force {expected} N expected, {peak:.3g} N at worst: at {worst.frequency_hz:.3g} Hz,",
         f"{mass:.4g} kg on K_s of {stiffness:.4g} N/mm with {100.0 * worst.damping_ratio:.2g} % of critical damping,",
         f"robot of {worst.bandwidth_hz:.3g} Hz; stop it above {found.abort_force_n:.3g} N (sensor, gravity taken off)",
         f"{found.bound_by} holds the amplitude down; the robot passes little above {found.robot_limit_hz:.0f} Hz",
     ]
     if repeat is not None:
         noise = plan.values.force_noise_rms_n.value
-        largest, expected = f"{repeat.largest_factor:.0f}", f"{repeat.expected_factor:.2g}"
+        largest, expected = f"{repeat.largest_factor:.0f}", significant(repeat.expected_factor)
         lines += [
             f"then once more with all amplitudes times {repeat.aim_force_n:.3g} N / (largest force that the first",
             f"showed), at most times {largest}; expected is {expected}, which the table counts on",
         ]
         if found.peak_force_n < _NOISES * noise:
-            lines.append(f"the first one hardly exceeds the sensor's noise of {noise:.2g} N: repeat it more than once")
+            lines.append(
+                f"the first one hardly exceeds the sensor's noise of {significant(noise)} N: repeat it more than once"
+            )
     return lines
 
 
 def _taps(taps: "TapPlan") -> list[str]:
     return [
         f"{taps.count} taps along the axis with a soft hammer, {taps.spacing_s:g} s apart, the robot holding still:",
-        f"about {taps.impulse_n_s:.2g} N·s, {taps.peak_force_n:.0f} N at the sensor",
+        f"about {significant(taps.impulse_n_s)} N·s, {taps.peak_force_n:.0f} N at the sensor",
     ]
 
 

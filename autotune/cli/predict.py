@@ -113,7 +113,11 @@ def _name_next(
     from autotune.prediction.result import PredictedContact
 
     contact = found if isinstance(found, PredictedContact) else found.contacts[0].predicted
-    if kind_of_file(identified) == "controller":
+    if not isinstance(found, PredictedContact) and not any(each.is_inside for each in found.contacts):
+        # Another plant, surface or law than that of the log: what it shows itself says which.
+        cell = () if options["cell_path"] is None else ("--cell", options["cell_path"])
+        output.next_command("identify", *options["logs"], *cell, "--allow-partial", "-o", "of_this_log.yaml")
+    elif kind_of_file(identified) == "controller":
         output.next_command("explore", identified)
     elif not contact.has_payload:
         output.next_command("plan", identified)

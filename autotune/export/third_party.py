@@ -22,6 +22,7 @@ from problems.design.requirements import AdmittanceTarget
 from problems.errors import ParameterError
 from problems.model.linear_controllers import LinearController
 from problems.model.third_party_controllers import alternates
+from problems.text import significant
 
 from .easing import easing_message, find_easing, heavier_hand, merged
 from .retune import ControllerStructure, Values, retune
@@ -309,7 +310,7 @@ def _certificate(each: TranslatedAxis) -> Iterator[str]:
         )
     spring = ""
     if found.spring_share is not None:
-        spring = f", where the return spring takes {100.0 * max(found.spring_share, 0.0):.2g} % of its room"
+        spring = f", where the return spring takes {significant(100.0 * max(found.spring_share, 0.0))} % of its room"
     yield (
         f"axis {each.axis}: certified for what runs: stable in contact ({_cells(found.stability.contact)}) "
         f"and in free space ({_cells(found.stability.free_space)}{spring}); "

@@ -9,6 +9,7 @@ import numpy as np
 from problems.errors import ParameterError
 from problems.frozen import AboveZero, FrozenDict, NotNegative, Rule, Text, freeze
 from problems.model.coupled import RigidPayload
+from problems.text import significant
 
 from .units import AXES, Axis
 
@@ -152,7 +153,9 @@ class CoupledCertificate:
         for name, points in self.points.items():
             worst, left = max(points, key=lambda each: each.largest_ratio), max(points, key=lambda each: each.leaves)
             share = 100.0 * (worst.largest_ratio - 1.0)
-            harder = f"up to {share:.2g} % harder" if share > 0.0 else f"at least {-share:.2g} % gentler"
+            harder = (
+                f"up to {significant(share)} % harder" if share > 0.0 else f"at least {significant(-share)} % gentler"
+            )
             at = ", ".join(f"{each:.2g}" for each in worst.point_m)
             bounces = "" if left.leaves == 0.0 else f"; the payload leaves the surface up to {left.leaves:g} times"
             yield (

@@ -16,6 +16,7 @@ from problems.model.axis_kind import AxisKind
 from problems.model.controller import AdmittanceController
 from problems.model.linear_controllers import LinearController
 from problems.model.plant import Plant
+from problems.text import significant
 
 from .contact import (
     AnyLaw,
@@ -249,7 +250,7 @@ def interval_notes(interval: PeakInterval, error: ModelError | None) -> Iterator
     if interval.level is None:
         of_ranges = "the corners of the ranges and plants drawn from within"
         if interval.unstable_share > 0.0:
-            share = f"{100.0 * interval.unstable_share:.2g} %"
+            share = f"{significant(100.0 * interval.unstable_share)} %"
             yield (
                 f"on {share} of {of_ranges} the loop is unstable, so that the interval has no upper end; it holds the "
                 "others, and nothing of the model's own error"
@@ -259,8 +260,8 @@ def interval_notes(interval: PeakInterval, error: ModelError | None) -> Iterator
         return
     if interval.unstable_share > 0.0:
         yield (
-            f"on {100.0 * interval.unstable_share:.2g} % of the plants inside the uncertainty the loop is unstable, "
-            "and its peak is no number"
+            f"on {significant(100.0 * interval.unstable_share)} % of the plants inside the uncertainty the loop is "
+            "unstable, and its peak is no number"
         )
     level = f"{100.0 * interval.level:g} % interval"
     if error is None:

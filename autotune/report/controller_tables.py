@@ -13,10 +13,10 @@ from autotune.formats.units import ROTATIONAL_AXES, axis_units
 from autotune.plugins import find_requirement
 from autotune.prediction.as_run_by import as_run_by, designed_for, led_speed_text, peak_per_speed
 from autotune.prediction.law import PresentGains
-from autotune.text import compliance_remark, gain_rows, scenario_text, stiffness_text, value_text
+from autotune.text import bound_text, compliance_remark, gain_rows, scenario_text, stiffness_text, value_text
 from problems.design.requirements import BODY_REGIONS, MARGINS, AdmittanceRequirement, Margin, PeakForceLimit
 from problems.design.uncertainty import SYMBOLS, UNCERTAIN
-from problems.model.axis_kind import AxisKind
+from problems.model.axis_kind import STRAIGHT, AxisKind
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Plant
 from problems.model.plant_parameters import PARAMETERS, PlantParameter
@@ -198,6 +198,12 @@ def prices_of(optimality: Mapping[str, Any] | None) -> dict[str, float] | None:
     }
 
 
+def constraint_title(name: str) -> str:
+    """Return a requirement or a bound by its name in the optimality report in words."""
+    requirement = find_requirement(name)
+    return bound_text(name, None, STRAIGHT) if requirement is None else requirement.title
+
+
 def requirement_table(design: AxisDesign, active: Mapping[str, float] | None) -> Table:
     """Return what was required beside what is reached, with the price of the active ones, if it is known."""
     soft = {name: claim.asked for name, claim in design.soft.items()}
@@ -209,7 +215,7 @@ def requirement_table(design: AxisDesign, active: Mapping[str, float] | None) ->
         used = TableCell(text="" if share is None else f"{100.0 * share:.1f} %", tone=tone)
         price = _price(prices.pop(name, None), design.units)
         rows.append((f"{title} (soft)" if name in soft else title, want, got, used, price))
-    rows += [(name.replace("_", " "), "", "", "", _price(price, design.units)) for name, price in prices.items()]
+    rows += [(constraint_title(name), "", "", "", _price(price, design.units)) for name, price in prices.items()]
     heads: tuple[str, ...] = ("requirement", "asked", "reached", "used", "1 % less would save")
     caption = "What was asked, and what it costs"
     if active is None:

@@ -17,6 +17,7 @@ from autotune.text import NOTHING_BEFORE
 from autotune.validation.false_triggers import describe_false_triggers
 from problems.arrays import FloatArray
 from problems.model.axis_kind import AxisKind
+from problems.text import significant
 
 from .axis_design import AxisDesign, axis_designs
 from .controller_charts import admittance_chart, contact_chart, map_chart, nyquist_chart, stiffness_chart
@@ -24,6 +25,7 @@ from .controller_tables import (
     checksum_fact,
     compared_blocks,
     compliance_tables,
+    constraint_title,
     design_facts,
     domain_table,
     gains_table,
@@ -196,7 +198,7 @@ def active_notes(controller: Controller) -> Iterator[Note]:
     for name in controller.axes:
         prices = prices_of(optimality_of(controller, name))
         if prices is not None:
-            active = ", ".join(each.replace("_", " ") for each, price in prices.items() if price > _LEAST_PRICE)
+            active = ", ".join(constraint_title(each) for each, price in prices.items() if price > _LEAST_PRICE)
             words, _, _ = _objective_of(optimality_of(controller, name), axis_units(name))
             verb = "holds the peak up" if words.startswith("peak") else f"holds the {words} back"
             text = f"what {verb} is {active}." if active else f"no requirement {verb}."
@@ -260,12 +262,15 @@ def _optimality_table(name: str, optimality: Mapping[str, Any]) -> Table:
     rows = [
         ("requirements", "all met" if optimality["feasible"] else "missed"),
         ("contacts that this was seen on", str(optimality["scenarios"])),
-        ("left over of the conditions of an optimum", f"at most {optimality['kkt_residual']:.2g} of the gradient"),
+        (
+            "left over of the conditions of an optimum",
+            f"at most {significant(optimality['kkt_residual'])} of the gradient",
+        ),
         (
             "unused slack is worth",
-            f"at most {100.0 * optimality['unused_slack']:.2g} % of the {words}",
+            f"at most {significant(100.0 * optimality['unused_slack'])} % of the {words}",
         ),
-        (f"gap to the {most} that was found", f"at most {100.0 * optimality['gap']:.2g} %"),
+        (f"gap to the {most} that was found", f"at most {significant(100.0 * optimality['gap'])} %"),
         (f"the {most}, over the hardest contacts alone", f"{best:.4g} {unit}".rstrip()),
         (
             f"by {against['descents']} descents from the best of {against['designs']} other designs",

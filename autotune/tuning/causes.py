@@ -14,6 +14,7 @@ from problems.design.problem import DesignProblem
 from problems.model.plant_parameters import with_values
 from problems.model.robot import bandwidth_hz
 from problems.progress import no_progress
+from problems.text import significant
 
 from .relax import ADMITTANCE, Relaxation, asked_of, can_meet, find_relaxations, is_feasible, relaxation_message
 from .search import SearchResult, solve_design
@@ -122,20 +123,20 @@ def _causes_message(name: str, problem: DesignProblem, causes: tuple[Cause, ...]
         return (
             f"No single number of the plant is in the way: {ends['drag_n_s_per_m']:.3g} {units.damping} of damping to "
             f"ground (B_p) would not be enough, nor surfaces up to {scale * ends['environment_stiffness_n_per_m']:.3g} "
-            f"{unit}, nor a robot that follows to {ends['robot_bandwidth_hz']:.2g} Hz."
+            f"{unit}, nor a robot that follows to {significant(ends['robot_bandwidth_hz'])} Hz."
         )
     said = []
     drag = found.get("drag_n_s_per_m")
     if drag is not None:
         said.append(
             f"this payload has {drag.value:.3g} {units.damping} of damping to ground (B_p), and about "
-            f"{drag.enough:.2g} would be enough"
+            f"{significant(drag.enough)} would be enough"
         )
     hardest = found.get("environment_stiffness_n_per_m")
     if hardest is not None:
         said.append(
             f"the surfaces are up to {scale * hardest.value:.3g} {unit} hard (K_e), and up to about "
-            f"{scale * hardest.enough:.2g} a controller could meet what is asked"
+            f"{significant(scale * hardest.enough)} a controller could meet what is asked"
         )
     robot = found.get("robot_bandwidth_hz")
     if robot is not None:

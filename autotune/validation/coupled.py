@@ -20,6 +20,7 @@ from problems.errors import ParameterError
 from problems.model.controller import AdmittanceController
 from problems.model.coupled import CoupledPlant, Law
 from problems.stability.coupled_margins import largest_gain
+from problems.text import significant
 
 from .coupled_cell import CoupledCell
 from .coupled_sweep import coupled_plants
@@ -62,14 +63,14 @@ def _wrong(stated: CoupledCertificate, radius: float, modulus: float, peaks: Seq
         return f"smallest singular value of I + L {modulus:.4g} by a second method, stated {stated.modulus:.4g}"
     worst = max(peaks, default=0.0)
     if worst > _SAME_PEAK:
-        return f"a contact at a point is {100.0 * worst:.2g} % harder by a second method than stated"
+        return f"a contact at a point is {significant(100.0 * worst)} % harder by a second method than stated"
     return ""
 
 
 def _message(stated: CoupledCertificate, modulus: float, count: int, peaks: Sequence[float]) -> str:
     if count == 0:
-        return f"coupling {stated.coupling:.2g}: no axes to be checked together"
-    contacts = f"; contacts at points within {100.0 * max(map(abs, peaks)):.2g} %" if peaks else ""
+        return f"coupling {significant(stated.coupling)}: no axes to be checked together"
+    contacts = f"; contacts at points within {significant(100.0 * max(map(abs, peaks)))} %" if peaks else ""
     return (
         f"stable on {count} plants by the eigenvalues of the whole step matrix, smallest singular value of I + L "
         f"{modulus:.4g} without a grid of frequencies (stated {stated.modulus:.4g}){contacts}; swept, not proved"

@@ -111,9 +111,11 @@ def _check_gains(recording: Recording, controller: Controller) -> None:
         ):
             usual = float(np.nanmedian(logged[:, column])) if np.any(np.isfinite(logged[:, column])) else stated
             if abs(usual / stated - 1.0) > _SAME_GAIN:
+                topic = recording.gains.topic
+                says = f"topic {topic}" if topic else "cell.yaml (`gains`)"
                 raise LogError(
-                    f"The log was recorded with another controller: topic {recording.gains.topic} says {symbol} = "
-                    f"{usual:.6g} on axis {name}, the file {stated:.6g}. Give the file that was running."
+                    f"The log was recorded with another controller: {says} says {symbol} = {usual:.6g} on axis {name}, "
+                    f"the file {stated:.6g}. Give the file that was running{'' if topic else ', or correct cell.yaml'}."
                 )
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 
 from problems.model.controller import AdmittanceController
+from problems.text import significant
 
 from ..errors import EstimateError
 from .contacts import ContactPlan, TapPlan, plan_contacts, plan_taps, through_coupling
@@ -173,7 +174,7 @@ def _poses(
     stated = "no tilt up to 90 degrees would" if least is None else f"it takes {least:.0f} degrees"
     raise EstimateError(
         f"No {limits.pose_count} poses tilted by at most {limits.max_tilt_deg:g} degrees determine the payload's mass "
-        f"to {allowed['mass_kg']:.2g} kg and its centre to {1e3 * allowed['com_m']:.2g} mm; {stated}. "
+        f"to {allowed['mass_kg']:.2g} kg and its centre to {significant(1e3 * allowed['com_m'])} mm; {stated}. "
         "Allow a larger tilt, change the number of poses, or leave them out (0) where mass and centre of mass are "
         "known from elsewhere."
     )
@@ -259,11 +260,10 @@ def _why(kind: str, worst: Prediction, needed: bool, waits: bool) -> str:
         sentence = f"{label} is not known yet"
     else:
         unit, scale = UNITS[worst.name]
-        sentence = (
-            f"{label} is known to ± {worst.std_now * scale:.2g} {unit}, {worst.urgency:.2g} times what is allowed"
-        )
+        known, times = significant(worst.std_now * scale), significant(worst.urgency)
+        sentence = f"{label} is known to ± {known} {unit}, {times} times what is allowed"
         if worst.peak_now_n is not None:
-            sentence += f", which moves the peak by {worst.peak_now_n:.2g} N"
+            sentence += f", which moves the peak by {significant(worst.peak_now_n)} N"
     if waits and kind == "sweep":
         return "most of what is not known of environment K_e comes from coupling K_s, which the sweep identifies"
     if waits and kind == "contacts":

@@ -13,6 +13,7 @@ from scipy.special import chdtrc
 
 from problems.arrays import FloatArray
 from problems.frozen import freeze
+from problems.text import significant
 
 from ..payload.gravity import LOCAL_GRAVITY_STD
 from ..result import Estimate, Finding, Status, VectorEstimate
@@ -309,7 +310,7 @@ class Merge:
     ) -> None:
         """Add the finding that logs disagree on a number, with what each says."""
         stated = ", ".join(
-            f"{value:.5g} ± {std:.2g} ({name})" for name, value, std in zip(names, values, stds, strict=True)
+            f"{value:.5g} ± {significant(std)} ({name})" for name, value, std in zip(names, values, stds, strict=True)
         )
         part = f", component {component + 1}" if of > 1 else ""
         self.findings.append(

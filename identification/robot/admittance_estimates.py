@@ -7,6 +7,7 @@ import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
 from problems.arrays import FloatArray
+from problems.text import significant
 
 from ..errors import EstimateError
 from ..result import Covariance, Estimate, Finding, RobotEstimate, Status
@@ -115,7 +116,8 @@ def _is_off(fit: AdmittanceRobotFit) -> bool:
 
 
 def _estimate(fit: AdmittanceRobotFit, motion: AdmittanceMotion) -> RobotEstimate:
-    method = f"output error behind the admittance of the known gains, residual {100.0 * fit.fit_error:.2g} % of speed"
+    residual = significant(100.0 * fit.fit_error)
+    method = f"output error behind the admittance of the known gains, residual {residual} % of speed"
     lag = f"lag at low frequency {1e3 * fit.lag_s:.0f} ± {1e3 * fit.lag_std_s:.0f} ms, poles and delay together"
     assumed = _ASSUMED if motion.lead_s is None else _ASSUMED_OF_KNOWN_LEAD
     traded = f"poles and delay trade against each other: {lag}"

@@ -7,6 +7,7 @@ import numpy as np
 
 from problems.arrays import FloatArray
 from problems.frozen import freeze
+from problems.text import significant
 
 from ..errors import EstimateError
 from ..result import EnvironmentEstimate, Estimate, Finding, LogPhase, Timeline, Touch, TouchCause
@@ -328,7 +329,7 @@ def _without_stiffness(surface: EnvironmentEstimate, contacts: Sequence[_Contact
     whys = [contact.refused for contact in contacts if contact.refused]
     if traces:
         value, std, _ = _loading_of(traces)
-        whys.insert(0, f"of {value:.2g} ± {std:.2g} N/m more than half is open")
+        whys.insert(0, f"of {significant(value)} ± {significant(std)} N/m more than half is open")
     return Finding.warning(
         "no-stiffness",
         f"Surface {surface.name}: its stiffness cannot be determined: {'; '.join(dict.fromkeys(whys))}.",

@@ -390,3 +390,27 @@ def test_a_warning_of_a_library_is_one_line_and_no_code(run_tiny: RunTiny, capsy
     assert printed.out == "done\n"
     (line,) = printed.err.splitlines()
     assert line.startswith("autotune: 2 warning(s) of the numerical libraries inside, the first RuntimeWarning: divide")
+
+
+@pytest.mark.parametrize(
+    ("words", "option"),
+    [
+        (("optimize", "a.yaml", "--compare", "mass=10,damping=1500", "--compare", "log"), "--compare is given 2 times"),
+        (("predict", "a.yaml", "--axis", "x", "--axis=y", "--axis", "z"), "--axis is given 3 times"),
+        (("export", "a.yaml", "-o", "b.c", "--output", "c.c"), "--output is given 2 times"),
+    ],
+)
+def test_an_option_of_one_value_that_is_given_two_is_refused(
+    words: tuple[str, ...], option: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(list(words)) == ExitCode.USAGE
+    assert f"{option} and takes one value; leave one, or run the command once for each" in capsys.readouterr().err
+
+
+def test_a_log_that_says_too_little_is_named_in_the_command_that_helps(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table = tmp_path / "my cell.csv"
+    table.write_text("a,b,c\n0,1,2\n0.01,2,3\n0.02,2,4\n", encoding="utf-8")
+    assert main(["identify", str(table)]) == ExitCode.LOG
+    assert f"`autotune inspect '{table}' --write-cell cell.yaml`" in capsys.readouterr().err

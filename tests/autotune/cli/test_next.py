@@ -72,6 +72,27 @@ def test_the_report_of_a_plant_that_lacks_something_names_the_plan(
     assert following(capsys, "report", "identified.yaml") == [named, "identified.yaml"]
 
 
+def test_a_plan_names_what_reads_the_recording_that_it_asks_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert following(capsys, "plan", "-o", "first plan.yaml")[:3] == ["identify", "first plan.mcap", "#"]
+    Path("run1.mcap").touch()
+    logs = [{"path": name, "sha256": "0"} for name in ("run1.mcap", "gone.mcap")]
+    write_identified(Path("identified.yaml"), identified_plant(), {"tool": "by hand", "logs": logs})
+    assert following(capsys, "plan", "identified.yaml")[:4] == ["identify", "run1.mcap", "plan.mcap", "#"]
+
+
+def test_a_log_that_no_prediction_meets_is_identified_next(
+    good_log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("plant.yaml").write_text(PLANT_TEXT, encoding="utf-8")
+    asked = ("--gains", "mass=10,damping=9000", "--surface", "40N/mm", "--approach", "force=30", "--log")
+    words = following(capsys, "predict", "plant.yaml", *asked, str(good_log))
+    assert words == ["identify", str(good_log), "--allow-partial", "-o", "of_this_log.yaml"]
+
+
 @pytest.mark.parametrize("option", ["--json", "--quiet"])
 def test_programs_are_reported_nothing(
     option: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

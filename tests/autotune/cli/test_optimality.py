@@ -25,13 +25,13 @@ def with_active(*active: ActiveConstraint) -> Optimized:
         (
             ActiveConstraint(name="upper bound of lead_s", price=0.25),
             (
-                "the upper bound of lead_s, 0.03, is active: 1 % wider saves 0.25 N; "
+                "the upper bound of K_l, 30 ms, is active: 1 % wider saves 0.25 N; "
                 "accept it, or widen it in problem.yaml: bounds: {lead_s: [0.01, 0.06]}"
             ),
         ),
         (
             ActiveConstraint(name="lower bound of damping", price=0.0),
-            "the lower bound of damping, 900, is active, and widening it saves nothing",
+            "the lower bound of B_a, 900 N·s/m, is active, and widening it saves nothing",
         ),
         (
             ActiveConstraint(name="gain_margin_db", price=0.0),
