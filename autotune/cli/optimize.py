@@ -175,13 +175,12 @@ def command(
         spec = asked.with_options(
             payload_mass=payload_mass, environment_stiffness=environment_stiffness, with_unit=fields_with_unit()
         )
-        specs = specs_for(wanted, spec)
-        with output.progress("searching", float(len(specs))) as advance:
+        with output.progress("searching", float(len(specs_for(wanted, spec)))) as advance:
             search = partial(
                 optimize, plant, seed=seed, problem_path=problem, present=present, proof=proof, replays=wanted is None,
                 step=lambda doing: advance(0.0, f"searching {doing}".rstrip()), progress=advance,
             )  # fmt: skip
-            found = first_feasible(specs, search)
+            found = first_feasible(specs_for(wanted, spec), search)
         if wanted is not None:
             found, rendered = _designed_for(output, wanted, found, out, plant, present, spec, search)
         fronts.trace(output, found)
