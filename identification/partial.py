@@ -36,8 +36,8 @@ from .verdicts import (
     without_coupling,
 )
 
-# A contact lasts a second or less.
-_SLOWEST_S = 0.5
+# A contact lasts a second or less, and no sensor of force shows more than 20,000 samples of it.
+_SLOWEST_S, _FASTEST_S = 0.5, 5e-5
 _REMOVED = "gravity was removed before recording"
 
 
@@ -49,7 +49,8 @@ def identify_partial(
     The robot follows from the command, else from the admittance's gains and the force; coupling and moving mass from
     pose and force. A trace is a displacement since contact with its force. `sample_time_s` is handed on. The centre of
     mass and the sensor's bias are unidentifiable; what else is missing has a finding of severity `error`. Raises
-    EstimateError when nothing is identified, LogError where half a second and more lies between forces.
+    EstimateError when nothing is identified, LogError where half a second and more lies between forces, or hardly
+    any time.
     """
     _check_rate(recording)
     recording = _with_orientation(recording)
@@ -98,7 +99,7 @@ def identify_partial(
 
 
 def _check_rate(recording: Recording) -> None:
-    """Raise LogError where forces are so far apart that no contact shows between them, as in a wrong unit of time."""
+    """Raise LogError where forces are farther apart than contacts last, or closer than sensors sample: a wrong unit."""
     wrench = recording.wrench
     apart_s = float(np.median(np.diff(wrench.stamp_ns))) * 1e-9 if len(wrench.stamp_ns) > 1 else 0.0
     if wrench.measured_axes and apart_s > _SLOWEST_S:
@@ -106,6 +107,12 @@ def _check_rate(recording: Recording) -> None:
             f"The wrench of topic {wrench.topic} must show contacts, found a sample every {apart_s:.3g} s; record at "
             f"100 Hz or more. If it was recorded {1e3 / apart_s:.4g} times a second, its times are in ms: say so "
             "(`table: {time_unit: ms}` in cell.yaml)."
+        )
+    if wrench.measured_axes and 0.0 < apart_s < _FASTEST_S:
+        raise LogError(
+            f"The wrench of topic {wrench.topic} must come as fast as sensors show it, found a sample every "
+            f"{1e6 * apart_s:.3g} µs; check the unit of its times (`table: {{time_unit: s}}` in cell.yaml, where they "
+            "are in seconds)."
         )
 
 

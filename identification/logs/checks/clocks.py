@@ -24,7 +24,7 @@ _JUMP_DEVIATIONS = 8.0
 _JUMP_ERROR_S = 0.01
 _JUMP_ERROR_PERIODS = 3.0
 _FAR_S = 1.0
-_OTHER_PACE_PPM = 2e5
+_OTHER_PACE_PPM, _OTHER_UNIT = 2e5, 100.0
 _DRIFT_PPM = 200.0
 _AGREE_DEVIATIONS = 4.0
 _AGREE_S = 5e-3
@@ -60,9 +60,12 @@ class ChannelClock:
 
 
 def measure_clock(topic: str, stamp_ns: StampArray, log_ns: StampArray) -> ChannelClock | None:
-    """Compare header stamps with the recording clock, (n,) each in order of recording; None for fewer than 8."""
+    """Compare header stamps with the recording clock, (n,) each in order of recording.
+
+    None for fewer than 8, and where they count in another unit, which other findings say.
+    """
     count = len(stamp_ns)
-    if count < 2 * _FEWEST_WINDOWS:
+    if count < 2 * _FEWEST_WINDOWS or _is_other_unit(stamp_ns, log_ns):
         return None
     base = int(log_ns[0]) - int(stamp_ns[0])
     late = ((log_ns - log_ns[0]) - (stamp_ns - stamp_ns[0])) * 1e-9
@@ -294,6 +297,12 @@ def check_clocks(recording: Recording, times: Sequence[ChannelTimes] = ()) -> Cl
         offset=offset,
         findings=tuple(findings),
     )
+
+
+def _is_other_unit(stamp_ns: StampArray, log_ns: StampArray) -> bool:
+    """Return whether stamps (n,) span a hundred times as much as the recording clock, or as little."""
+    spans = float(np.ptp(stamp_ns)), float(np.ptp(log_ns))
+    return not 1.0 / _OTHER_UNIT < spans[0] / max(spans[1], 1.0) < _OTHER_UNIT
 
 
 def compare_clocks(first: ChannelClock, second: ChannelClock) -> ClockDifference:

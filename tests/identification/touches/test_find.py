@@ -390,3 +390,9 @@ def test_times_in_milliseconds_that_are_read_as_seconds_are_refused() -> None:
         LogError, match=r"a sample every 5 s; record at .* recorded 200 times a second, its times are in ms"
     ):
         identify_partial(logged(3e-5 * time, np.zeros(80), 5.0, 0.0), unidentifiable())
+
+
+def test_times_in_seconds_that_are_read_as_milliseconds_are_refused() -> None:
+    time = 2e-6 * np.arange(2000)
+    with pytest.raises(LogError, match=r"a sample every 2 µs; check the unit of its times"):
+        identify_partial(logged(30.0 * time, np.zeros(2000), 2e-6, 0.0), unidentifiable())

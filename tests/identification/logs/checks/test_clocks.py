@@ -64,6 +64,12 @@ def test_a_log_that_was_written_anew_is_reported_from_a_clock_that_drifts() -> N
     assert "counts 60 s in a second of the recording clock" in anew.message
 
 
+@pytest.mark.parametrize("factor", [1e3, 1e-3])
+def test_a_mistaken_unit_is_no_log_that_was_written_anew(factor: float) -> None:
+    stamps, log = times(count=2000)
+    assert measure_clock("/ft", stamps[0] + ((stamps - stamps[0]) * factor).astype(np.int64), log) is None
+
+
 @pytest.mark.parametrize("ppm", [-300.0, -20.0, 0.0, 50.0])
 def test_drift_is_measured_within_its_deviation(ppm: float) -> None:
     clocks = [measured("/ft", times(seed=seed, ppm=ppm)) for seed in range(12)]
