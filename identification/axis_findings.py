@@ -134,12 +134,15 @@ def misfit_findings(axis: str, fit: JointFit) -> list[Finding]:
     result = [f"{ratio:.1f} times in {where}" for where, ratio in parts if ratio > _MORE_THAN_NOISE]
     if not result:
         return []
+    free, contact = fit.unexplained
+    weak = "K_s, B_s, B_p, K_e and B_e are" if free > 0.0 else "K_e and B_e are" if contact > 0.0 else ""
     return [
         Finding(
             code="model-misfit",
-            severity="info",
+            severity="warning" if weak else "info",
             message=f"Axis {axis}: what the fit leaves of the force is larger than the sensor's noise at rest, "
-            f"{' and '.join(result)}; the stated deviations are wider by what that costs.",
+            f"{' and '.join(result)}; the stated deviations are wider by what that costs."
+            + (f" Nothing explains it, so {weak} weak at best." if weak else ""),
             advice="The pose's noise, which K_s turns into force (2 µm on 200 N/mm are 0.4 N), and a log slower than "
             "the motion do this; so do a payload that is not one mass on one spring, friction, a hand, or clocks that "
             "drift.",

@@ -47,6 +47,7 @@ _SURFACE_SYMBOLS = ("K_e", "B_e", "M_e")
 
 
 NO_COMMAND = "no commanded pose took part"
+UNEXPLAINED = "nothing explains what the fit leaves of the force, {left:.1f} times its noise"
 COARSE_COMMAND = "the log does not show that each command was held until the next one, so the command took no part"
 
 
@@ -76,14 +77,14 @@ class JointEstimates:
     def coupling(self) -> CouplingEstimate:
         """Return K_s and B_s."""
         return CouplingEstimate(
-            stiffness_n_per_m=self._judged("stiffness_n_per_m"),
-            damping_n_s_per_m=self._judged_damping("damping_n_s_per_m", "stiffness_n_per_m"),
+            stiffness_n_per_m=self._explained(self._judged("stiffness_n_per_m")),
+            damping_n_s_per_m=self._explained(self._judged_damping("damping_n_s_per_m", "stiffness_n_per_m")),
         )
 
     @property
     def drag_n_s_per_m(self) -> Estimate:
         """Return B_p."""
-        return self._judged_damping("drag_n_s_per_m", "stiffness_n_per_m")
+        return self._explained(self._judged_damping("drag_n_s_per_m", "stiffness_n_per_m"))
 
     @property
     def mass_kg(self) -> Estimate:
@@ -144,6 +145,9 @@ class JointEstimates:
         mass_kg, _ = self.fit.value("mass_kg")
         damping = self._judged_damping(f"{prefix}damping_n_s_per_m", f"{prefix}stiffness_n_per_m")
         mass = self._judged(f"{prefix}mass_kg", floor=MASS_FLOOR * mass_kg)
+        stiffness, secant, damping, mass = (
+            self._explained(each, max(self.fit.unexplained)) for each in (stiffness, secant, damping, mass)
+        )
         if self.fit.robot is None:
             stiffness, secant, damping, mass = (
                 weak_at_best(each, self.without_command) for each in (stiffness, secant, damping, mass)
@@ -173,6 +177,11 @@ class JointEstimates:
             values=tuple(float(v) for v in self.fit.values),
             matrix=tuple(tuple(float(v) for v in row) for row in 0.5 * (self.fit.covariance + self.fit.covariance.T)),
         )
+
+    def _explained(self, estimate: Estimate, left: float | None = None) -> Estimate:
+        """Return the estimate, `weak` at best where free motion leaves, or contacts do, what nothing explains."""
+        left = self.fit.unexplained[0] if left is None else left
+        return weak_at_best(estimate, UNEXPLAINED.format(left=left)) if left > 0.0 else estimate
 
     def _judged(self, name: str, *, floor: float = 0.0) -> Estimate:
         value, std = self.fit.value(name)

@@ -58,12 +58,14 @@ class Extended:
     `move` is 0 where nothing is reported; `part` and `friction_n`, value and deviation, are what is, `latency` is the
     wrench's beside them. Where it `explains` the misfit, that covariance takes the place of the joint fit's. `is_wider`
     is False where one mass on one spring is enough. `unseen` (a,) is what a part may move that the log cannot show.
+    `left_n` is the RMS that free motion leaves of the force beside what is reported.
     """
 
     move: FloatArray
     covariance: FloatArray
     latency: WrenchLatency
     unseen: FloatArray
+    left_n: float
     is_wider: bool
     explains: bool = False
     part: PayloadPart | None = None
@@ -113,7 +115,8 @@ def extend_payload(
         moves.append(share * _moved(of, swinging, here))
         here = swinging if is_part else here
     unseen = np.zeros(of.shared) if here.kind.part else unseen
-    found = replace(_extended(of, here, moves, _latency(of, here, latency)), unseen=unseen, is_wider=bool(moves))
+    found = _extended(of, here, moves, _latency(of, here, latency))
+    found = replace(found, unseen=unseen, left_n=mean_square(of, here) ** 0.5, is_wider=bool(moves))
     # A filter that a driver computes leaves something, too, of which a part may explain most: none explains a filter.
     is_one = here.kind.part != here.kind.friction and (here.kind.friction or not latency.is_filter)
     return replace(found, explains=is_one and unexplained(of, here, begun) < _LEFT_OPEN)
@@ -220,7 +223,7 @@ def _extended(of: ExtendedProblem, here: PayloadFit, moves: list[FloatArray], la
     covariance = sum((np.outer(move, move) for move in moves), np.zeros((of.shared, of.shared)))
     if here.kind == PayloadKind():
         none = np.zeros(of.shared)
-        return Extended(move=none, covariance=covariance, latency=latency, unseen=none, is_wider=False)
+        return Extended(move=none, covariance=covariance, latency=latency, unseen=none, left_n=0.0, is_wider=False)
     spread = _spread(of, here)
     stds, first = np.sqrt(np.diag(spread)), of.shared + of.lags
     units = np.where(of.in_log, of.values(here.theta), of.sizes)
@@ -236,6 +239,7 @@ def _extended(of: ExtendedProblem, here: PayloadFit, moves: list[FloatArray], la
         covariance=covariance + spread[: of.shared, : of.shared] * np.outer(units, units) + np.diag(_least(of) ** 2),
         latency=latency,
         unseen=np.zeros(of.shared),
+        left_n=0.0,
         is_wider=True,
         part=part,
         friction_n=(found.friction_n, float(np.hypot(stds[-1], _FRICTION_KNOWN * found.friction_n)))

@@ -19,13 +19,14 @@ from .free_motion import (
     fit_free_motion,
     fit_ringing,
     fit_robot,
+    left_at_rest,
     quiet_rests,
     robot_of_pose,
     with_fitted_noise,
 )
 from .latency import compare_delay_hypotheses, filter_or_delay, fit_filter, fit_latency
 from .model import ParameterLayout
-from .result import JointFit, build_joint_fit, with_robot_of_pose
+from .result import JointFit, build_joint_fit, with_robot_of_pose, with_unexplained
 from .segments import ContactCandidate, FoundContact, group_contacts, start_contact
 from .solve import Point, Problem, linearise, minimise
 from .start import fit_alone, start_surface
@@ -102,7 +103,8 @@ def _identify(data: JointData, begin: _Beginning, progress: ProgressSlice) -> Jo
     _require_explained(fit)
     is_held = data.robot_order > 0 and not blurred and not problem.signals.is_smooth
     wider = extend_payload(problem, point, latency, quiet_rms_n=rest_rms_n, is_held=is_held)
-    fit = with_extension(fit, wider)
+    noise_n = float(np.std(np.concatenate(left_at_rest(problem, point, quiet_rests(data)))))
+    fit = with_unexplained(with_extension(fit, wider), wider.left_n, rest_rms_n, max(noise_n, rest_rms_n))
     is_vague = data.robot_order > 0 and not blurred and fit.value("delay_s")[1] > _VAGUE_SAMPLES * data.period_s
     if data.robot_order and (is_vague or wider.is_wider or fit.quality.noise_ratio_free > _MORE_THAN_NOISE):
         fit = with_robot_of_pose(fit, *robot_of_pose(data, base, start[problem.layout.robot]))

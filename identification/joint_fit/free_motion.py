@@ -104,13 +104,18 @@ def fit_robot(data: JointData) -> tuple[Problem, FloatArray]:
 
 def _noise_of_both(problem: Problem, point: Point, rests: Sequence[slice]) -> Whitener:
     """Return the noise of the force with what that of the pose makes of it through the coupling, both as at rest."""
+    both = fit_whitener(left_at_rest(problem, point, rests))
+    return both if both.rms > problem.free_noise.rms else problem.free_noise
+
+
+def left_at_rest(problem: Problem, point: Point, rests: Sequence[slice]) -> list[FloatArray]:
+    """Return what the fit leaves of the force [N] in rests: its noise, and what the coupling makes of the pose's."""
     path, left = problem.path(point.values), []
     for rest in rests:
         segment = Segment(start=rest.start, stop=rest.stop)
         felt = predict_force(point.values, np.zeros(3), segment, path, problem.layout, problem.signals.period_s)
         left.append(detrended(problem.signals.force_n[rest] - felt))
-    both = fit_whitener(left)
-    return both if both.rms > problem.free_noise.rms else problem.free_noise
+    return left
 
 
 def robot_of_pose(data: JointData, base: Problem, robot: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -22,6 +22,7 @@ _STEPS = 4
 _LARGEST_STEP = 3.0
 # A K_s beyond this share of the stiffest that a sampling rate can show is not identified (0.8 of half that rate).
 _FASTEST_SEEN = 0.64
+_WELL_ABOVE_NOISE = 3.0
 MECHANICAL_NAMES = ("stiffness_n_per_m", "damping_n_s_per_m", "drag_n_s_per_m", "mass_kg")
 
 
@@ -85,7 +86,8 @@ class JointFit:
     the wrench's against pose and command. `is_weighed` where ringing alone gave the coupling, with the mass from
     gravity. `spans` are what was fitted, span by span. `part` swings on the payload and `friction_n`, value and
     deviation, is in the coupling, where the log shows them; `is_payload_unclear` where it shows either without a value.
-    Spans and quality are those of one payload on one spring.
+    Spans and quality are those of one payload on one spring. `unexplained` is how many times the noise is left of the
+    force in free motion and in contact beside what is reported, 0 where that is not well above it.
     """
 
     names: tuple[str, ...]
@@ -102,6 +104,7 @@ class JointFit:
     part: PayloadPart | None = None
     friction_n: tuple[float, float] | None = None
     is_payload_unclear: bool = False
+    unexplained: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         freeze(self, "ci95")
@@ -339,6 +342,18 @@ def with_gain_error(fit: JointFit, share: float) -> JointFit:
         for surface in fit.surfaces
     )
     return replace(fit, covariance=fit.covariance + np.outer(common, common), surfaces=surfaces)
+
+
+def with_unexplained(fit: JointFit, left_n: float, rest_rms_n: float, noise_n: float) -> JointFit:
+    """Return the fit with what nothing explains: `left_n` in free motion, and what contacts leave.
+
+    `rest_rms_n` is the force's noise at rest, `noise_n` that with what the coupling makes of the pose's. A part or
+    friction that is reported is in contacts, too, whose residuals are those of one payload on one spring.
+    """
+    is_reported = fit.part is not None or fit.friction_n is not None or fit.is_payload_unclear
+    touching = 0.0 if is_reported else (fit.quality.noise_ratio_contact or 0.0) * rest_rms_n
+    free, contact = (left / noise_n if left > _WELL_ABOVE_NOISE * noise_n else 0.0 for left in (left_n, touching))
+    return replace(fit, unexplained=(free, contact))
 
 
 def with_robot_of_pose(fit: JointFit, robot: FloatArray, covariance: FloatArray) -> JointFit:

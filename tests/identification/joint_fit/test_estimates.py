@@ -1,12 +1,16 @@
-"""Stated 95 % intervals of a joint fit that is written down by hand."""
+"""Stated 95 % intervals, and verdicts, of a joint fit that is written down by hand."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from identification.joint_fit.estimates import JointEstimates
+from identification.axis_findings import misfit_findings
+from identification.joint_fit.estimates import UNEXPLAINED, JointEstimates
 from identification.joint_fit.latency import WrenchLatency
 from identification.joint_fit.model import ParameterLayout
-from identification.joint_fit.result import JointFit, JointSurface
+from identification.joint_fit.result import JointFit, JointSurface, with_unexplained
+from identification.result import Status
 from tests.autotune.formats.samples import FIT
 
 VALUES = np.array([3e5, 50.0, 600.0, 16.0, 1e5, 40.0, 1.5])
@@ -53,3 +57,38 @@ def test_an_interval_without_an_upper_end_is_not_stated() -> None:
     (surface,) = JointEstimates(name="x", fit=fit_with((0.0, np.inf)), period_s=1e-3).environments
     assert surface.mass_kg.value == MASS_KG
     assert surface.mass_kg.ci95 is None
+
+
+@pytest.mark.parametrize(
+    ("left_n", "touching", "friction_n", "coupling", "surface"),
+    [
+        (0.29, 2.9, None, None, None),
+        (2.08, 1.0, None, 20.8, 20.8),
+        (0.1, 4.0, None, None, 4.0),
+        (0.1, 4.0, (0.5, 0.1), None, None),
+        (2.08, 4.0, (0.5, 0.1), 20.8, 20.8),
+    ],
+)
+def test_what_nothing_explains_leaves_nothing_mechanical_more_than_weak(
+    left_n: float,
+    touching: float,
+    friction_n: tuple[float, float] | None,
+    coupling: float | None,
+    surface: float | None,
+) -> None:
+    """The noise is 0.1 N; what contacts leave may be friction's, where that is reported."""
+    fit = fit_with((1.3, 1.6))
+    quality = replace(fit.quality, noise_ratio_free=20.8, noise_ratio_contact=touching)
+    fit = with_unexplained(replace(fit, quality=quality, friction_n=friction_n), left_n, 0.1, 0.1)
+    found = JointEstimates(name="x", fit=fit, period_s=1e-3)
+    (touched,) = found.environments
+    notes = [None if left is None else UNEXPLAINED.format(left=left) for left in (coupling, surface)]
+    for each in (found.coupling.stiffness_n_per_m, found.coupling.damping_n_s_per_m, found.drag_n_s_per_m):
+        assert (each.status, each.note) == ((Status.WEAK, notes[0]) if notes[0] else (Status.IDENTIFIED, ""))
+    for each in (touched.stiffness_n_per_m, touched.damping_n_s_per_m):
+        assert each.status is Status.WEAK
+        assert each.note == (notes[1] or found.without_command)
+    (finding,) = misfit_findings("x", fit)
+    assert finding.severity == ("warning" if surface else "info")
+    weak = "K_s, B_s, B_p, K_e and B_e" if coupling else "K_e and B_e"
+    assert (f"Nothing explains it, so {weak} are weak at best." in finding.message) is (surface is not None)

@@ -155,6 +155,7 @@ def test_a_part_that_the_log_cannot_show_is_in_the_damping_and_the_mass_of_a_sur
         covariance=np.zeros((4, 4)),
         latency=fit.latency,
         unseen=np.array([-0.01 * k_s, 0.0, 0.0, 0.0]),
+        left_n=0.1,
         is_wider=False,
     )
     gained = np.diag(with_extension(touched, found).covariance - touched.covariance)
@@ -170,6 +171,7 @@ def test_a_part_is_not_reported_beside_a_larger_misfit() -> None:
     fit = identify_joint(replace(data, force_n=shaken))
     assert fit.part is None
     assert fit.friction_n is None
+    assert fit.unexplained[0] > 10.0
 
 
 def test_friction_in_the_coupling_is_reported_and_widens_what_it_moves() -> None:
@@ -186,6 +188,7 @@ def test_one_mass_on_one_spring_stays_as_it_is() -> None:
     assert fit.friction_n is None
     assert fit.std[0] < 0.01 * STIFFNESS
     assert np.all(np.abs(deviations(fit)) < 2.5)
+    assert fit.unexplained == (0.0, 0.0)
 
 
 def test_the_extended_force_is_that_of_fine_steps() -> None:
@@ -214,6 +217,7 @@ def test_friction_has_no_value_beside_a_part_or_a_coupling_without_one(both: boo
         part=part if both else None,
         friction_n=(0.23, 0.05),
         unseen=np.zeros(size),
+        left_n=0.1,
         is_wider=True,
     )
     reported = with_extension(fit, found)
@@ -266,6 +270,7 @@ def test_deviations_are_those_of_a_fit_that_explains_the_misfit_and_else_wider(e
         latency=fit.latency,
         explains=explains,
         unseen=np.zeros(size),
+        left_n=0.1,
         is_wider=True,
     )
     expected = found.covariance if explains else fit.covariance + found.covariance
