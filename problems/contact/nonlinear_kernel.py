@@ -1,6 +1,7 @@
 """Compiled stepping of the nonlinear simulation: the controller as it runs in the cell, and Runge–Kutta between ticks.
 
-No matrix exponential enters here, so that this is a second method to the exact transient of `contact.kernel`.
+No matrix exponential enters here, so that this is a second method to the exact transient of `contact.kernel`; but for
+many plants at once (`contact.many_contacts`), which cross by it the samples in which nothing happens.
 """
 
 from typing import NamedTuple
@@ -9,13 +10,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import FloatArray
-from ..compiled import compiled, equation
+from ..compiled import compiled, equation, inlined
 from ..model import difference
 from ..model.controller import controller_step, write_blocks
 from ..model.difference import DAMPING as PLACE_OF_DAMPING
 from ..model.difference import Entry
 from .events import spring_force
-from .kernel_types import CONTACT_PEAK, CONTACT_TIME, NEWEST, SENSOR_PEAK, SENSOR_TICK, Wall
+from .kernel_types import (
+    APART,
+    CONTACT_PEAK,
+    CONTACT_TIME,
+    IN_CONTACT,
+    NEWEST,
+    SENSOR_PEAK,
+    SENSOR_TICK,
+    Wall,
+)
 
 # What the collision response does; `Memory.phase` starts at WATCHING.
 REPORTING, RESETTING, STOPPING = 0, 1, 2
@@ -23,8 +33,6 @@ WATCHING, BRAKING, OVER, STOPPED = 0, 1, 2, 3
 # Bits of a tick's flags.
 TOUCHING, CLIPPED, DEAD, LIMITED = 1, 2, 4, 8
 
-_SCAN = 512
-_BISECTIONS = 60
 # An update falls on a tick that is this close to its time (in samples).
 _ON_TICK = 1e-9
 
@@ -112,10 +120,8 @@ def keep_within(law: NonlinearController, sent: float, last_step: float, command
 
 
 @compiled
-def update_damping(law: NonlinearController, blocks: FloatArray, memory: Memory, tick: int, position: float) -> Memory:
-    """Let B_a follow the speed when an update is due: `blocks` are rewritten, the command goes on where it was."""
-    if tick < memory.due - _ON_TICK:
-        return memory
+def update_damping(law: NonlinearController, blocks: FloatArray, memory: Memory, position: float) -> Memory:
+    """Let B_a follow the speed: `blocks` are rewritten, the command goes on where it was."""
     (_, _, before), (_, _, of_velocity, of_acceleration) = memory.recent, memory.control
     speed = (position - before) / law.h
     change = min(max(damping_at(law, speed) - memory.damping, -law.change), law.change)
@@ -177,38 +183,6 @@ def control_tick(
     return memory, seen, flags | limited
 
 
-@compiled
-def steady_speed(law: NonlinearController, force: float, drag: float, by_hand: bool) -> float:
-    """Return the lowest speed at which this force and the drag (F per speed) leave B_a(v) v to the admittance.
-
-    Where a deadband of the threshold kind switches there and back, it is the speed at which it does; 0 if the force
-    does not get through the deadband.
-    """
-    if _surplus(law, force, drag, by_hand, 0.0) <= 0.0:
-        return 0.0
-    top = force / (law.parameters[PLACE_OF_DAMPING] if np.isinf(law.period) else law.floor)
-    low = 0.0
-    for i in range(1, _SCAN + 1):
-        high = top * i / _SCAN
-        if _surplus(law, force, drag, by_hand, high) <= 0.0:
-            break
-        low = high
-    for _ in range(_BISECTIONS):
-        middle = 0.5 * (low + high)
-        if _surplus(law, force, drag, by_hand, middle) > 0.0:
-            low = middle
-        else:
-            high = middle
-    return 0.5 * (low + high)
-
-
-@compiled
-def _surplus(law: NonlinearController, force: float, drag: float, by_hand: bool, speed: float) -> float:
-    seen, _ = seen_force(law, (force if by_hand else 0.0) - drag * speed)
-    driving = seen if by_hand else force + seen
-    return float(driving - damping_at(law, speed) * speed)
-
-
 # Rows of `KernelOutputs.traces`: F, F as the controller sees it, F_e, x, v, x_p, v_p, x^d, B_a.
 FORCE, SEEN, CONTACT, FLANGE, FLANGE_SPEED, PAYLOAD, PAYLOAD_SPEED, COMMAND, DAMPING = 0, 1, 2, 3, 4, 5, 6, 7, 8
 TRACES = 9
@@ -230,7 +204,9 @@ class Motion(NamedTuple):
     """The continuous plant without environment over one period, its wall and its delay.
 
     `flow` (n, n + 2) is (rate, drive, push), `rows` (3, n + 1) are x, F and v h over (state, held command). `steps` are
-    those before and after the command changes in a sample.
+    those before and after the command changes in a sample. `leap` (2, 2, n, n + 2) is (phi, gamma, gamma_push) in
+    contact and apart, of the part of a sample before the command changes and of that behind it, or (0, 2, n, n + 2)
+    where every sample is crossed in steps.
     """
 
     flow: FloatArray
@@ -240,6 +216,7 @@ class Motion(NamedTuple):
     chain: int
     fraction: float
     steps: tuple[int, int]
+    leap: FloatArray
 
 
 class KernelOutputs(NamedTuple):
@@ -307,6 +284,73 @@ def cross_sample(
         start += duration
 
 
+@inlined
+def force_slope(motion: Motion, states: FloatArray, row: int, held: float, push: float, pressed: float) -> float:
+    """Return the rate of K_e x_p + B_e v_p per sample in a row of states, of which it is `pressed`.
+
+    The damper counts behind the surface only.
+    """
+    n, wall, flow = states.shape[1], motion.wall, motion.flow
+    slope = float(wall.stiffness * states[row, n - 1])
+    if wall.damping == 0.0 or states[row, n - 2] < 0.0:
+        return slope
+    change = flow[n - 1, n] * held + flow[n - 1, n + 1] * (push - max(0.0, pressed))
+    for j in range(n):
+        change += flow[n - 1, j] * states[row, j]
+    return float(slope + wall.damping * change)
+
+
+@inlined
+def leap_sample(
+    motion: Motion,
+    state: FloatArray,
+    commands: tuple[float, float],
+    push: float,
+    tick: int,
+    found: FloatArray,
+    work: FloatArray,
+) -> bool:
+    """Advance the plant over one sample by its exponentials; return False, nothing done, where something may happen.
+
+    That is where contact begins or ends, and where F_e turns inside a part of the sample so near to its largest value,
+    or to 0, that it may pass it. The plant's motion turns by less than half a radian in a sample. `work` is (3, n).
+    """
+    n, wall, leap, largest, moment = len(state), motion.wall, motion.leap, found[CONTACT_PEAK], -1.0
+    pressed, row = spring_force(wall, state[n - 2], state[n - 1]), 0
+    mode = IN_CONTACT if pressed > 0.0 else APART
+    for i in range(n):
+        work[row, i] = state[i]
+    for part in range(2):
+        duration = 1.0 - motion.fraction if part == 1 else motion.fraction
+        if duration == 0.0:
+            continue
+        held = commands[part]
+        before = force_slope(motion, work, row, held, push, pressed)
+        for i in range(n):
+            total = leap[mode, part, i, n] * held + leap[mode, part, i, n + 1] * push
+            for j in range(n):
+                total += leap[mode, part, i, j] * work[row, j]
+            work[row + 1, i] = total
+        row += 1
+        pressing = spring_force(wall, work[row, n - 2], work[row, n - 1])
+        if (pressing > 0.0) != (mode == IN_CONTACT):
+            return False
+        behind = force_slope(motion, work, row, held, push, pressing)
+        if before * behind <= 0.0:
+            reach = max(abs(before), abs(behind)) * duration
+            bar = largest if mode == IN_CONTACT else 0.0
+            if max(pressed, pressing) + reach > bar or (mode == IN_CONTACT and min(pressed, pressing) <= reach):
+                return False
+        if pressing > largest:
+            largest, moment = pressing, tick + (motion.fraction if part == 0 else 1.0)
+        pressed = pressing
+    for i in range(n):
+        state[i] = work[row, i]
+    if moment >= 0.0:
+        found[CONTACT_PEAK], found[CONTACT_TIME] = largest, moment
+    return True
+
+
 @compiled
 def run_nonlinear(
     motion: Motion,
@@ -343,7 +387,8 @@ def run_nonlinear(
             position += rows[_POSITION, i] * state[i]
             force += rows[_SENSED, i] * state[i]
             velocity += rows[_VELOCITY, i] * state[i]
-        memory = update_damping(law, blocks, memory, k, position)
+        if k >= memory.due - _ON_TICK:
+            memory = update_damping(law, blocks, memory, position)
         steering = desired.before if np.isnan(found[IMPACT_TIME]) else desired.after
         watching = memory.phase == WATCHING
         memory, seen, flags = control_tick(law, blocks, memory, (steering, force + noise[k], position))
@@ -357,13 +402,13 @@ def run_nonlinear(
         recording.flags[k] = flags | (TOUCHING if pressed > 0.0 else 0)
         if -force > found[SENSOR_PEAK]:
             found[SENSOR_PEAK], found[SENSOR_TICK] = -force, k
-        newer = memory.sent if motion.whole == 0 else past[(head + motion.whole - 1) % places]
-        if late[k]:
-            newer = acting
-        pull = BeforeAfter(pulls[k], pulls[k + 1])
-        cross_sample(
-            motion, state, (held if motion.chain > motion.whole else newer, newer), pushes, pull, k, found, work
-        )
+        arriving = memory.sent if motion.whole == 0 else past[(head + motion.whole - 1) % places]
+        newer = acting if late[k] else arriving
+        acts, pull = (held if motion.chain > motion.whole else newer, newer), BeforeAfter(pulls[k], pulls[k + 1])
+        push = pull.before + (pushes.before if np.isnan(found[IMPACT_TIME]) else pushes.after)
+        leaps = len(motion.leap) > 0 and pull.before == pull.after
+        if not (leaps and leap_sample(motion, state, acts, push, k, found, work)):
+            cross_sample(motion, state, acts, pushes, pull, k, found, work)
         acting = newer
         head = (head - 1) % places
         past[head] = memory.sent

@@ -5,6 +5,7 @@ One axis; rotational axes use the same equations, as in `plant`.
 
 import math
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,12 +13,10 @@ from .._checks import non_negative, positive
 from ..arrays import BoolArray, FloatArray
 from ..errors import ParameterError
 from ..model.controller import AdmittanceController
-from ..model.difference import DERIVATIVE_GAIN, FEEDBACK_DAMPING, IS_IDEAL, rest_states
+from ..model.difference import rest_states
 from ..model.plant import FREE_SPACE, Environment, Plant, build_plant_matrices
 from ..model.sampled import SampledPlant, build_loop, build_sampled_plant, spectral_radius
 from ..stability.margins import UnstableLoopError
-from .kernel import steady_start
-from .kernel_types import MOVING, PUSHED
 from .nonlinear_kernel import (
     CLIPPED,
     COLLISION_TICK,
@@ -40,18 +39,16 @@ from .nonlinear_kernel import (
     NonlinearController,
     blocks_at,
     damping_at,
-    resume,
     run_nonlinear,
-    seen_force,
-    steady_speed,
 )
 from .nonlinearities import NO_NONLINEARITIES, CommandLimits, Deadband, Nonlinearities, Response, VariableDamping
+from .steady_approach import CLIPPED_HAND, TOO_FAST, TOO_WEAK, Drive, begin_steadily, drag_of, find_drive
 from .transient import Approach, SampledContact, build_sampled_contact, contact_wall
 
 _RESPONSES: dict[Response, int] = {"none": REPORTING, "reset": RESETTING, "stop": STOPPING}
 # Far inside the stability of the method (2.78 rad), where its error falls with the fourth power of the step.
 _LARGEST_STEP_RAD = 1.0
-_FEWEST_SUBSTEPS = 10
+FEWEST_SUBSTEPS = 10
 # A duration this close to a whole number of samples is that number.
 _WHOLE = 1e-9
 
@@ -94,14 +91,11 @@ class NonlinearRun:
     time_of_peak_s: float
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Drive:
-    """Speed of the approach and the forces before and after the impact."""
+class DrawnNoise(NamedTuple):
+    """What disturbs a run: `force_n` (n,) is added to F, and where `late` (n,) a command arrives a period late."""
 
-    speed_m_s: float
-    force_n: float
-    desired_n: BeforeAfter
-    push_n: BeforeAfter
+    force_n: FloatArray
+    late: BoolArray
 
 
 def simulate_nonlinear(
@@ -114,7 +108,7 @@ def simulate_nonlinear(
     effects: Nonlinearities = NO_NONLINEARITIES,
     start_distance_m: float | None = None,
     substeps: int = 10,
-    noise: np.random.Generator | None = None,
+    noise: np.random.Generator | DrawnNoise | None = None,
     even_if_unstable: bool = False,
 ) -> NonlinearRun:
     """Simulate an approach and contact with everything in `effects`, by Runge–Kutta steps of order 4.
@@ -124,7 +118,7 @@ def simulate_nonlinear(
     is switched on. `substeps` per sample; those before and after the command changes inside a sample are counted
     apart. Without switching the error falls with the fourth power of the step; a kink of the contact force or a jump
     of it (B_e) inside a step costs the square, or the first power, of one step. `noise` draws the sensor noise
-    and the late commands.
+    and the late commands, or is what was drawn.
 
     Raises UnstableLoopError for a loop that is not stable in contact or in free space without the effects (at the
     ends of the variable damping), unless `even_if_unstable`; ParameterError for what this simulation cannot do.
@@ -135,15 +129,15 @@ def simulate_nonlinear(
     radius = _largest_radius(pair, controller, effects)
     if not (radius < 1.0 or even_if_unstable):
         raise UnstableLoopError(radius)
-    law, motion = _law(controller, effects, h), _motion(pair.contact, substeps)
-    drive = _drive(pair, law, approach, effects)
-    start = _steady(pair, law, drive, effects) if start_distance_m is None else _rest(pair.free, law, start_distance_m)
+    law, motion = build_controller(controller, effects, h), _motion(pair.contact, substeps)
+    drive = _drive(pair, law, approach)
+    start = _steady(pair, law, drive) if start_distance_m is None else _rest(pair.free, law, start_distance_m)
     count = math.ceil(positive("duration_s", duration_s) / h - _WHOLE)
     recording = _recording(count)
     if start_distance_m is None:
-        recording.found[IMPACT_TIME], recording.found[IMPACT_SPEED] = 0.0, drive.speed_m_s * h
-    drawn = _noise(effects, noise, count), _late(effects, noise, count)
-    run_nonlinear(motion, law, start, drive.desired_n, drive.push_n, *drawn, np.zeros(count + 1), recording)
+        recording.found[IMPACT_TIME], recording.found[IMPACT_SPEED] = 0.0, drive.speed * h
+    draws, pulls = _drawn(effects, noise, count), np.zeros(count + 1)
+    run_nonlinear(motion, law, start, drive.desired, drive.push, draws.force_n, draws.late, pulls, recording)
     return _run(recording, h, drive, is_stable=radius < 1.0)
 
 
@@ -193,12 +187,12 @@ def simulate_operator(
     radius = _largest_radius(pair, controller, effects)
     if not radius < 1.0:
         raise UnstableLoopError(radius)
-    law, count, nothing = _law(controller, effects, h), len(operator.path_m) - 1, BeforeAfter(0.0, 0.0)
+    law, count, nothing = build_controller(controller, effects, h), len(operator.path_m) - 1, BeforeAfter(0.0, 0.0)
     motion, recording = _motion(pair.contact, substeps, operator.held(plant)), _recording(count)
     start = _rest(pair.free, law, -float(operator.path_m[0]))
-    drawn = _noise(effects, None, count), _late(effects, None, count)
-    run_nonlinear(motion, law, start, nothing, nothing, *drawn, operator.pull(h), recording)
-    return _run(recording, h, _Drive(speed_m_s=0.0, force_n=0.0, desired_n=nothing, push_n=nothing), is_stable=True)
+    draws = _drawn(effects, None, count)
+    run_nonlinear(motion, law, start, nothing, nothing, draws.force_n, draws.late, operator.pull(h), recording)
+    return _run(recording, h, Drive(0.0, 0.0, nothing, nothing), is_stable=True)
 
 
 def _recording(count: int) -> KernelOutputs:
@@ -213,7 +207,7 @@ def needed_substeps(plant: Plant, sample_time_s: float) -> int:
     fastest = max(
         float(np.max(np.abs(np.linalg.eigvals(build_plant_matrices(side, sample_time_s).a)))) for side in sides
     )
-    return max(_FEWEST_SUBSTEPS, math.ceil(2.0 * fastest))
+    return max(FEWEST_SUBSTEPS, math.ceil(2.0 * fastest))
 
 
 def _check_plant(plant: Plant, h: float) -> None:
@@ -263,10 +257,12 @@ def _motion(contact: SampledPlant, substeps: int, held: Plant | None = None) -> 
         chain=contact.chain_length,
         fraction=contact.fraction,
         steps=steps,
+        leap=np.zeros((0, 2, len(m.a), len(m.a) + 2)),
     )
 
 
-def _law(controller: AdmittanceController, effects: Nonlinearities, h: float) -> NonlinearController:
+def build_controller(controller: AdmittanceController, effects: Nonlinearities, h: float) -> NonlinearController:
+    """Return a controller with its effects as the kernel takes them at h [s]."""
     deadband, limits = effects.deadband or Deadband(width_n=0.0), effects.limits or CommandLimits()
     collision, variable = effects.collision, effects.variable_damping or VariableDamping()
     if effects.variable_damping is not None and variable.update_period_s < h:
@@ -295,72 +291,32 @@ def _or_infinite(value: float | None) -> float:
     return math.inf if value is None else value
 
 
-def _drive(pair: SampledContact, law: NonlinearController, approach: Approach, effects: Nonlinearities) -> _Drive:
+def _drive(pair: SampledContact, law: NonlinearController, approach: Approach) -> Drive:
     """Find the steady speed of the approach's force, or the force of its speed, with the effects in the balance."""
-    h, by_hand = law.h, approach.driven_by == "hand"
-    # F per speed: B_p, but for the ripple of F between the ticks.
-    drag, fastest = -float(pair.ramp[MOVING, -1]) * h, law.longest_step / h
-    if approach.speed_m_s is not None:
-        speed = approach.speed_m_s
-        if speed > fastest:
-            raise ParameterError("approach.speed_m_s", speed, f"at most the limit on the command, {fastest:g} m/s")
-        force = _needed_force(law, speed, drag, effects.deadband, by_hand=by_hand)
-    else:
-        force = approach.force_n or 0.0
-        speed = min(steady_speed(law, force, drag, by_hand), fastest)
-        if not speed > 0.0:
-            raise ParameterError("approach.force_n", force, f"large enough to pass the deadband of {law.deadband:g} N")
-    after = force if approach.after_impact_n is None else approach.after_impact_n
-    return _Drive(
-        speed_m_s=speed,
-        force_n=force,
-        desired_n=BeforeAfter(0.0, 0.0) if by_hand else BeforeAfter(force, after),
-        push_n=BeforeAfter(force, after) if by_hand else BeforeAfter(0.0, 0.0),
-    )
-
-
-def _needed_force(
-    law: NonlinearController, speed: float, drag: float, deadband: Deadband | None, *, by_hand: bool
-) -> float:
-    needed = damping_at(law, speed) * speed
-    if not by_hand:
-        return float(needed - seen_force(law, -drag * speed)[0])
-    width = 0.0 if deadband is None else deadband.width_n
-    measured = needed + width if law.subtractive else max(needed, width)
-    if measured > law.force_limit:
+    drag = drag_of(pair.ramp, law.h)
+    drive, wrong = find_drive(law, drag, approach.numbers())
+    if wrong == TOO_FAST:
+        fastest = law.longest_step / law.h
+        raise ParameterError("approach.speed_m_s", drive.speed, f"at most the limit on the command, {fastest:g} m/s")
+    if wrong == CLIPPED_HAND:
+        measured = drive.force - drag * drive.speed
         raise ParameterError(
-            "approach.speed_m_s", speed, f"reachable by a hand: it needs {measured:g} N at the sensor, which is clipped"
+            "approach.speed_m_s",
+            drive.speed,
+            f"reachable by a hand: it needs {measured:g} N at the sensor, which is clipped",
         )
-    return float(measured + drag * speed)
+    if wrong == TOO_WEAK:
+        must = f"large enough to pass the deadband of {law.deadband:g} N"
+        raise ParameterError("approach.force_n", drive.force, must)
+    return drive
 
 
-def _steady(
-    pair: SampledContact, law: NonlinearController, drive: _Drive, effects: Nonlinearities
-) -> tuple[FloatArray, FloatArray, Memory]:
+def _steady(pair: SampledContact, law: NonlinearController, drive: Drive) -> tuple[FloatArray, FloatArray, Memory]:
     """Return the steady approach at the impact, as if the same had gone on for ever."""
-    free, h, speed, push = pair.free, law.h, drive.speed_m_s, drive.push_n.before
-    way, damping = speed * h, damping_at(law, speed)
-    blocks = blocks_at(law, damping)
-    sensed = float(pair.ramp[MOVING, -1] * way + pair.ramp[PUSHED, -1] * push)
-    seen, _ = seen_force(law, sensed)
-    # On average over the ticks, where a deadband switches there and back. Behind a speed limit more than that drives
-    # the admittance, which the first two ticks make up for while the limit holds.
-    used = damping * speed
-    if effects.collision is not None and -seen > effects.collision.threshold_n:
-        raise ParameterError(
-            "collision.threshold_n", effects.collision.threshold_n, f"above the drag of the approach, {-seen:.4g} N"
-        )
-    state, past, control = steady_start(pair.ramp, free.c_position, blocks, free.chain_length, h, speed, push, used)
-    n = len(state)
-    state[n - 2] = 0.0
-    command = float(pair.ramp[MOVING, n] * way + pair.ramp[PUSHED, n] * push)
-    position = float(free.c_position @ state)
-    # What the admittance itself puts out: C_fb and the derivative of the ideal compensation see a steady speed.
-    output = command + (blocks[FEEDBACK_DAMPING] - blocks[DERIVATIVE_GAIN] * blocks[IS_IDEAL]) * speed
-    recent = (output - way, used, position - way)
-    older = (output - 2.0 * way, used, position - 2.0 * way)
-    states = (*resume(blocks, recent, older), float(control[2]), float(control[3]))
-    return state, past, Memory(states, recent, older, command - way, way, damping, law.period, WATCHING)
+    start, seen = begin_steadily(law, drive, pair.ramp, pair.free.c_position, pair.free.chain_length)
+    if -seen > law.threshold:
+        raise ParameterError("collision.threshold_n", law.threshold, f"above the drag of the approach, {-seen:.4g} N")
+    return start
 
 
 def _rest(free: SampledPlant, law: NonlinearController, distance: float) -> tuple[FloatArray, FloatArray, Memory]:
@@ -377,23 +333,22 @@ def _rest(free: SampledPlant, law: NonlinearController, distance: float) -> tupl
     return state, past, Memory(states, entry, entry, place, 0.0, damping, law.period, WATCHING)
 
 
-def _noise(effects: Nonlinearities, noise: np.random.Generator | None, count: int) -> FloatArray:
-    if effects.force_noise_rms_n == 0.0:
-        return np.zeros(count)
-    if noise is None:
-        raise ParameterError("noise", noise, "a numpy Generator, for a force_noise_rms_n above 0")
-    return effects.force_noise_rms_n * noise.standard_normal(count)
+def _drawn(effects: Nonlinearities, noise: np.random.Generator | DrawnNoise | None, count: int) -> DrawnNoise:
+    """Return the noise of a run, and which of its commands are late."""
+    if isinstance(noise, DrawnNoise):
+        return noise
+    for name, value in (("force_noise_rms_n", effects.force_noise_rms_n), ("late_share", effects.late_share)):
+        if noise is None and value > 0.0:
+            raise ParameterError("noise", noise, f"a numpy Generator, for a {name} above 0")
+    draws = DrawnNoise(np.zeros(count), np.zeros(count, dtype=np.bool_))
+    if noise is not None and effects.force_noise_rms_n > 0.0:
+        draws.force_n[:] = effects.force_noise_rms_n * noise.standard_normal(count)
+    if noise is not None and effects.late_share > 0.0:
+        draws.late[:] = noise.random(count) < effects.late_share
+    return draws
 
 
-def _late(effects: Nonlinearities, noise: np.random.Generator | None, count: int) -> BoolArray:
-    if effects.late_share == 0.0:
-        return np.zeros(count, dtype=np.bool_)
-    if noise is None:
-        raise ParameterError("noise", noise, "a numpy Generator, for a late_share above 0")
-    return np.asarray(noise.random(count) < effects.late_share)
-
-
-def _run(recording: KernelOutputs, h: float, drive: _Drive, *, is_stable: bool) -> NonlinearRun:
+def _run(recording: KernelOutputs, h: float, drive: Drive, *, is_stable: bool) -> NonlinearRun:
     traces, flags, found = recording.traces, recording.flags, recording.found
     traces[:CONTACT] *= -1.0
     time = np.asarray(np.arange(len(flags)) * h, dtype=np.float64)
@@ -419,7 +374,7 @@ def _run(recording: KernelOutputs, h: float, drive: _Drive, *, is_stable: bool) 
         is_clipped=clipped,
         is_dead=dead,
         is_limited=limited,
-        driving_force_n=drive.force_n,
+        driving_force_n=drive.force,
         impact_time_s=float(found[IMPACT_TIME] * h) if touched else None,
         impact_speed_m_s=float(found[IMPACT_SPEED] / h) if touched else None,
         collision_time_s=float(found[COLLISION_TICK] * h) if detected else None,

@@ -2,12 +2,13 @@
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from .._checks import finite, positive
 from ..arrays import FloatArray
+from ..compiled import equation
 from ..errors import ParameterError
 from ..model.controller import AdmittanceController, controller_blocks
 from ..model.plant import FREE_SPACE
@@ -21,6 +22,7 @@ from .kernel_types import (
     FOUND,
     IMPULSE,
     MOVING,
+    PUSHED,
     SENSOR_PEAK,
     SENSOR_TICK,
     Contact,
@@ -35,6 +37,8 @@ LONGEST_TRANSIENT_S = 10.0
 # Faster contacts, in radians and e-foldings per sample, would take seconds to follow and say nothing about a robot.
 _FASTEST_SWING = 16.0
 _FASTEST_DECAY = 1000.0
+# The first state of the robot's chain, whose gain is 1 at rest.
+_FIRST = 0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -135,19 +139,35 @@ def contact_wall(contact: SampledPlant) -> Wall:
 
 
 def _ramp(free: SampledPlant) -> FloatArray:
-    """Solve for the plant state that repeats itself one step further on (or at rest), with x_p = 0."""
-    n, d = free.state_count, free.whole_delay
+    matrices = free.phi, free.gamma, free.gamma_old, free.gamma_push
+    ramp: FloatArray = steady_ramp(matrices, (free.whole_delay, free.chain_length), free.c_force, free.d_force)
+    return ramp
+
+
+@equation
+def steady_ramp(matrices: Any, delay: tuple[int, int], c_force: Any, d_force: float) -> Any:
+    """Solve for the plant state that repeats itself one step further on (or at rest), with x_p = 0.
+
+    Return what `SampledContact.ramp` is, of (phi, gamma, gamma_old, gamma_push) and the whole samples of delay and
+    length of the chain in free space.
+    """
+    (phi, gamma, gamma_old, gamma_push), (whole, chain) = matrices, delay
+    n = len(gamma)
     system, right = np.zeros((n + 1, n + 1)), np.zeros((n + 1, 2))
-    system[:n, :n] = free.phi - np.eye(n)
-    system[:n, n] = free.gamma + free.gamma_old
+    system[:n, :n] = phi - np.eye(n)
+    system[:n, n] = gamma + gamma_old
     system[n, n - 2] = 1.0
-    right[0, 0] = right[n - 2, 0] = 1.0
-    right[:n, 0] += free.gamma * d + free.gamma_old * (d + 1)
-    right[:n, 1] = -free.gamma_push
+    right[_FIRST, MOVING] = right[n - 2, MOVING] = 1.0
+    right[:n, MOVING] += gamma * whole + gamma_old * (whole + 1)
+    right[:n, PUSHED] = -gamma_push
     found = np.linalg.solve(system, right)
-    # What the hold shows at the tick: the command of `chain_length` ticks ago.
-    held = found[n] - free.chain_length * np.array([1.0, 0.0])
-    return np.column_stack([found.T, free.c_force @ found[:n] + free.d_force * held])
+    out = np.zeros((2, n + 2))
+    for row in (MOVING, PUSHED):
+        out[row, : n + 1] = found[:, row]
+        # What the hold shows at the tick: the command of `chain` ticks ago.
+        held = found[n, row] - (chain if row == MOVING else 0.0)
+        out[row, n + 1] = np.sum(c_force * found[:n, row]) + d_force * held
+    return out
 
 
 def _inside(contact: SampledPlant) -> FloatArray:

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from problems.arrays import FloatArray
 from problems.contact.nonlinear_kernel import seen_force
-from problems.contact.nonlinear_simulation import NonlinearRun, _law, simulate_nonlinear
+from problems.contact.nonlinear_simulation import NonlinearRun, build_controller, simulate_nonlinear
 from problems.contact.nonlinearities import (
     Collision,
     CommandLimits,
@@ -41,7 +41,7 @@ from tests.problems.nonlinear_runs import (
     ],
 )
 def test_clipping_and_then_the_deadband_shape_the_force(effects: Nonlinearities, expected: list[float]) -> None:
-    law = _law(FIRM, effects, PERIOD_S)
+    law = build_controller(FIRM, effects, PERIOD_S)
     assert [seen_force(law, force)[0] for force in (-40.0, -5.0, -4.0, 0.0, 5.0, 5.5, 40.0)] == expected
 
 

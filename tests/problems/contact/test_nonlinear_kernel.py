@@ -16,6 +16,7 @@ from problems.model.sampled import build_loop, build_sampled_plant
 from tests.problems.axes import PERIOD_S, PRESS, admittance, one_pole, paper_plant
 from tests.problems.nonlinear_runs import COMPENSATING, FIRM, exactly, simulate, worst
 
+NO_LEAP = np.zeros((0, 2, 3, 5))
 TWO_POLES = RobotModel(numerator=np.array([900.0]), denominator=np.array([1.0, 48.0, 900.0]), delay_s=2.4e-3)
 
 
@@ -87,7 +88,7 @@ def test_runs_that_leave_and_touch_again_agree_with_the_exact_transient(
     [(0.5, 0.0, 50.0), (0.5, 1.0, 57.0), (0.5, -20.0, 0.0), (0.0, 1.0, 7.0), (-1e-9, 100.0, 0.0), (-1.0, 0.0, 0.0)],
 )
 def test_the_wall_pushes_behind_its_surface_and_never_pulls(position: float, velocity: float, force: float) -> None:
-    motion = Motion(np.zeros((3, 5)), np.zeros((3, 4)), Wall(100.0, 7.0, 0.0, 1.0), 3, 3, 0.0, (0, 1))
+    motion = Motion(np.zeros((3, 5)), np.zeros((3, 4)), Wall(100.0, 7.0, 0.0, 1.0), 3, 3, 0.0, (0, 1), NO_LEAP)
     assert wall_force(motion, position, velocity) == pytest.approx(force, rel=1e-15)
 
 
