@@ -43,7 +43,7 @@ def map_in_processes(
         return [_done(work(task), done) for task in tasks]
     others = active_children()
     # A fork would copy the threads' locks of the libraries that are loaded already.
-    with ProcessPoolExecutor(count, mp_context=get_context("spawn"), initializer=_prepare) as pool:
+    with ProcessPoolExecutor(count, mp_context=get_context("spawn"), initializer=prepare_worker) as pool:
         try:
             futures = [pool.submit(_with_warnings, work, task) for task in tasks]
             for future in futures:
@@ -82,7 +82,7 @@ def _done(result: _Result, done: Callable[[], None]) -> _Result:
     return result
 
 
-def _prepare() -> None:
+def prepare_worker() -> None:
     """Leave an interrupt to the process that waits, and the other processors to the other processes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     for name in _THREADS:

@@ -43,6 +43,8 @@ SHORTER = (
     ("--trials 400", "--trials 4"),
     ("--choose", "--trials 4 --choose"),
     ("validate controller.yaml", "validate controller.yaml --samples 20"),
+    ("--scheduler dask --jobs 4", "--jobs 1"),
+    ("campaign logs", "campaign logs --no-optimize"),
 )
 
 
@@ -98,6 +100,8 @@ def _make_logs(folder: Path) -> None:
     """Write the logs that the pages name, all of one recording, and the keys of a signature."""
     recording = simulate_cell(SimulatedCell(), SHORT, seed=2).recording
     write_mcap(recording, folder / "run7.mcap")
+    (folder / "logs" / "press").mkdir(parents=True)
+    shutil.copy(folder / "run7.mcap", folder / "logs" / "press" / "run7.mcap")
     write_ros1_bag(recording, folder / "run7.bag", rows=len(recording.wrench.stamp_ns))
     _write_foreign_table(recording, folder / "run7.csv")
     key = Ed25519PrivateKey.from_private_bytes(bytes(range(32)))

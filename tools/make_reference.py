@@ -15,7 +15,7 @@ from typing import Any
 ROOT = Path(__file__).resolve().parent.parent
 SCHEMAS, PAGE = ROOT / "autotune" / "formats" / "schemas", ROOT / "docs" / "reference.md"
 MEANINGS = ROOT / "tools" / "entries.md"
-ORDER = ("controller", "identified", "plant", "problem", "cell", "plan", "pareto", "schedule")
+ORDER = ("controller", "identified", "plant", "problem", "cell", "plan", "pareto", "schedule", "campaign")
 HEAD = """# Every entry of every file
 
 Made by `python tools/make_reference.py` from the JSON Schemas in `autotune/formats/schemas`, against which every

@@ -88,6 +88,9 @@ COMMANDS: Mapping[str, CommandEntry] = FrozenDict(
         "explore": CommandEntry(
             module="autotune.cli.explore", help="Change gains and plant with sliders in the browser."
         ),
+        "campaign": CommandEntry(
+            module="autotune.cli.campaign", help="Identify and tune many logs of many cells, and compare them."
+        ),
         "limit": CommandEntry(module="autotune.cli.limit", help="Say what any linear controller could reach."),
         "warm": CommandEntry(module="autotune.cli.warm", help="Compile every kernel now, so that nothing waits later."),
         "completion": CommandEntry(module="autotune.cli.completion", help="Print the completion script for a shell."),

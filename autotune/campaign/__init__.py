@@ -1,0 +1,1 @@
+"""Many logs of many cells: identify and tune each once, and compare cells with each other and with their past."""

@@ -1,0 +1,124 @@
+"""Which logs of which cells a campaign works on: a folder, a CSV table, or a YAML file."""
+
+import csv
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from autotune.errors import UsageError
+from autotune.formats.kinds import is_log
+from autotune.formats.schema import check_document, check_format
+from autotune.formats.yaml12 import load_document
+
+_COLUMNS = ("cell", "log", "run", "cell_file", "problem", "controller")
+_FILES = ("cell_file", "problem", "controller")
+_NAME = re.compile(r"[\w.+-][\w .+-]*")
+_BESIDE = ("cell.yaml", "problem.yaml", "controller.yaml")
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoggedRun:
+    """One recording of one cell, and the files that say more of it; `controller` is what runs there today."""
+
+    cell: str
+    run: str
+    logs: tuple[Path, ...]
+    cell_file: Path | None = None
+    problem: Path | None = None
+    controller: Path | None = None
+
+    @property
+    def name(self) -> str:
+        """Cell and run, as in messages and as the folder of the results."""
+        return f"{self.cell}/{self.run}"
+
+
+def read_manifest(path: Path) -> tuple[LoggedRun, ...]:
+    """Return the runs that a manifest names, in its order, or those of a folder, by their names.
+
+    Of a folder every folder in it is a cell and its logs are runs of that cell; a log in the folder itself is a cell of
+    its own. A `cell.yaml`, `problem.yaml` or `controller.yaml` beside the logs is used, else that of the folder itself.
+
+    Raises UsageError: the manifest cannot be read, names nothing, a file that is not there, or a run twice.
+    """
+    if path.is_dir():
+        runs = list(_of_folder(path))
+    elif path.suffix.lower() == ".csv":
+        runs = list(_of_table(path))
+    else:
+        runs = list(_of_document(path))
+    if not runs:
+        raise UsageError(f"{path} names no logs; a folder holds them or folders of them, a manifest a run in each row.")
+    seen: set[str] = set()
+    for run in runs:
+        if run.name in seen:
+            raise UsageError(f"{path} names {run.name} twice; give each run of a cell a name of its own.")
+        seen.add(run.name)
+    return tuple(runs)
+
+
+def _of_folder(folder: Path) -> Iterator[LoggedRun]:
+    for entry in sorted(folder.iterdir()):
+        if entry.name.startswith("."):
+            continue
+        if _is_run(entry):
+            yield _beside(LoggedRun(cell=entry.stem, run=entry.stem, logs=(entry,)), folder, folder)
+        elif entry.is_dir():
+            for log in sorted(each for each in entry.iterdir() if _is_run(each)):
+                yield _beside(LoggedRun(cell=entry.name, run=log.stem, logs=(log,)), entry, folder)
+
+
+def _is_run(path: Path) -> bool:
+    """Return whether a path is a log: a file that begins as one, or the folder of a ROS 2 bag."""
+    if path.is_dir():
+        return (path / "metadata.yaml").is_file()
+    return not path.name.startswith(".") and path.is_file() and is_log(path)
+
+
+def _beside(run: LoggedRun, *folders: Path) -> LoggedRun:
+    """Return the run with the files that lie in the first of the folders that has them."""
+    found = [next((each / name for each in folders if (each / name).is_file()), None) for name in _BESIDE]
+    return replace(run, cell_file=found[0], problem=found[1], controller=found[2])
+
+
+def _of_table(path: Path) -> Iterator[LoggedRun]:
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as stream:
+            reader = csv.DictReader(stream)
+            unknown = [name for name in reader.fieldnames or () if name not in _COLUMNS]
+            if unknown or not {"cell", "log"} <= set(reader.fieldnames or ()):
+                raise UsageError(
+                    f"{path} must have the columns cell and log, and may have {', '.join(_COLUMNS[2:])}; found "
+                    f"{', '.join(reader.fieldnames or ()) or 'none'}."
+                )
+            for row in reader:
+                yield _run(path, f"line {reader.line_num}", {key: value for key, value in row.items() if value})
+    except (OSError, UnicodeError, csv.Error) as error:
+        raise UsageError(f"{path} cannot be read: {getattr(error, 'strerror', None) or error}.") from error
+
+
+def _of_document(path: Path) -> Iterator[LoggedRun]:
+    document = load_document(path, error=UsageError)
+    check_format(document, "campaign")
+    check_document(document, "campaign")
+    for number, entry in enumerate(document.tree["runs"], 1):
+        yield _run(path, f"run {number}", entry)
+
+
+def _run(path: Path, where: str, entry: Mapping[str, Any]) -> LoggedRun:
+    said = entry.get("log", "")
+    logs = tuple(path.parent / each for each in (said.split(";") if isinstance(said, str) else said) if each)
+    cell = entry.get("cell", "")
+    run = entry.get("run") or (logs[0].stem if logs else "")
+    for what, name in (("cell", cell), ("run", run)):
+        if not _NAME.fullmatch(name) or set(name) <= {"."}:
+            raise UsageError(f"{path}, {where}: the name of a {what} must be letters, digits, _ . + -, found {name!r}.")
+    files = {key: path.parent / entry[key] for key in _FILES if entry.get(key)}
+    for file in (*logs, *files.values()):
+        if not file.exists():
+            raise UsageError(f"{path}, {where}: {file} is not there.")
+    if not logs:
+        raise UsageError(f"{path}, {where}: no log is named.")
+    return LoggedRun(cell=cell, run=run, logs=logs, **files)

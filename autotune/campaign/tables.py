@@ -1,0 +1,54 @@
+"""The table of a campaign: a row for each run, as CSV and, with pyarrow, as Parquet."""
+
+import csv
+import io
+from collections.abc import Sequence
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from autotune.formats.atomic import write_atomic
+
+from .work import RunOutcome
+
+
+def campaign_rows(outcomes: Sequence[RunOutcome]) -> tuple[list[str], list[list[Any]]]:
+    """Return the columns and a row for each run; None where there is nothing."""
+    names = list(dict.fromkeys(name for each in outcomes for name in each.values))
+    axes = list(dict.fromkeys(axis for each in outcomes for axis in each.peaks_n))
+    columns = ["cell", "run", "recorded_s", "refused", "reason", "certificate_holds"]
+    columns += [f"{name}{end}" for name in names for end in ("", ".std")]
+    columns += [f"{axis}.peak_n.{when}" for axis in axes for when in ("before", "after")]
+    rows = []
+    for each in outcomes:
+        holds = None if each.outside is None else not each.outside
+        row: list[Any] = [each.cell, each.run, each.recorded_s, each.refused or None, each.reason or None, holds]
+        row += [number for name in names for number in each.values.get(name, (None, None))]
+        row += [number for axis in axes for number in each.peaks_n.get(axis, (None, None))]
+        rows.append(row)
+    return columns, rows
+
+
+def write_tables(folder: Path, outcomes: Sequence[RunOutcome]) -> tuple[Path, ...]:
+    """Write `campaign.csv` and, where pyarrow is there, `campaign.parquet`; return what was written."""
+    columns, rows = campaign_rows(outcomes)
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows([["" if each is None else each for each in row] for row in rows])
+    write_atomic(folder / "campaign.csv", text.getvalue())
+    written = [folder / "campaign.csv"]
+    if find_spec("pyarrow") is not None:
+        write_atomic(folder / "campaign.parquet", _parquet(columns, rows))
+        written.append(folder / "campaign.parquet")
+    return tuple(written)
+
+
+def _parquet(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> bytes:
+    import pyarrow as pa  # type: ignore[import-untyped]  # noqa: PLC0415 - an extra
+    import pyarrow.parquet as pq  # type: ignore[import-untyped]  # noqa: PLC0415
+
+    table = pa.table({name: [row[i] for row in rows] for i, name in enumerate(columns)})
+    sink = pa.BufferOutputStream()
+    pq.write_table(table, sink)
+    return bytes(sink.getvalue().to_pybytes())

@@ -1,0 +1,182 @@
+"""What is done with one run: identify, and tune; the results are a folder that appears whole."""
+
+import json
+import warnings
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from hashlib import sha256
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from autotune.errors import CertificateError, InfeasibleError
+from autotune.formats.atomic import write_folder_atomic
+from autotune.formats.cell import read_cell
+from autotune.formats.controller import read_controller, write_controller
+from autotune.formats.identified import read_identified, write_identified
+from autotune.formats.problem import ProblemSpec, read_problem
+from autotune.pipeline import IdentifyOptions, identify_log
+from autotune.version import __version__
+from identification.errors import EstimateError, LogError
+from identification.logs.containers.formats import sha256_of
+from identification.result import Identified
+from problems.errors import AutotuneError
+
+from .manifest import LoggedRun
+
+RESULT = "result.json"
+_STEPS = {LogError: "log", EstimateError: "estimate", InfeasibleError: "requirements", CertificateError: "certificate"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunOptions:
+    """What holds of every run: whether controllers are searched, and the seed of the search."""
+
+    optimize: bool = True
+    seed: int = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunTask:
+    """A run, where its results belong, and the key of all that they follow from."""
+
+    run: LoggedRun
+    folder: Path
+    key: str
+    options: RunOptions
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunOutcome:
+    """What came of a run.
+
+    `values` are value and standard deviation in SI of what is identified, by name; `recorded_s` is the stamp of the
+    first sample. `peaks_n` are, by axis, the worst predicted peak with the gains of the log (None where they are not
+    known) and with the new controller. `refused` says which kind of refusal ended it, "" for none, `reason` why.
+    `outside` is what of the plant lies outside of what the controller in the manifest is certified for; None without.
+    """
+
+    cell: str
+    run: str
+    key: str
+    recorded_s: float | None = None
+    values: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    peaks_n: Mapping[str, tuple[float | None, float]] = field(default_factory=dict)
+    refused: str = ""
+    reason: str = ""
+    outside: tuple[str, ...] | None = None
+
+    def text(self) -> str:
+        """Return the outcome as JSON."""
+        return json.dumps(asdict(self), indent=1, allow_nan=False) + "\n"
+
+
+def read_outcome(folder: Path) -> RunOutcome | None:
+    """Return what a folder of results says; None where there is none, or one that this release does not know."""
+    try:
+        tree = json.loads((folder / RESULT).read_text(encoding="utf-8"))
+        values = {name: (float(value), float(std)) for name, (value, std) in tree.pop("values").items()}
+        peaks = {name: (before, float(after)) for name, (before, after) in tree.pop("peaks_n").items()}
+        outside = tree.pop("outside")
+        return RunOutcome(**tree, values=values, peaks_n=peaks, outside=None if outside is None else tuple(outside))
+    except (OSError, ValueError, TypeError, KeyError, AttributeError):
+        return None
+
+
+def build_task(run: LoggedRun, folder: Path, options: RunOptions) -> RunTask:
+    """Return the task of a run; its key is the SHA-256 of version, options and the bytes of every file."""
+    files = {key: getattr(run, key) for key in ("cell_file", "problem", "controller")}
+    said = {
+        "version": __version__,
+        "options": asdict(options),
+        "logs": [_digest(log) for log in run.logs],
+        **{key: None if path is None else _digest(path) for key, path in files.items()},
+    }
+    key = sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()
+    return RunTask(run=run, folder=folder / "cells" / run.cell / run.run, key=key, options=options)
+
+
+def _digest(path: Path) -> str:
+    if not path.is_dir():
+        return sha256_of(path)
+    parts = sorted(each for each in path.rglob("*") if each.is_file())
+    return sha256("".join(f"{each.relative_to(path)} {sha256_of(each)}\n" for each in parts).encode()).hexdigest()
+
+
+def work_on(task: RunTask) -> RunOutcome:
+    """Identify a run, search its controller, and write all of it as one folder; a refusal is a result too.
+
+    What was not foreseen ends the run and not the campaign; nothing is written of it, so that it is tried again.
+    """
+    with TemporaryDirectory() as scratch, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            outcome = _identify_and_tune(task, Path(scratch))
+        except Exception as error:  # noqa: BLE001 - one log must not end the work on all others
+            reason = f"Unforeseen {type(error).__name__}: {error}"
+            return RunOutcome(cell=task.run.cell, run=task.run.run, key=task.key, refused="unforeseen", reason=reason)
+        files = {each.name: each.read_text(encoding="utf-8") for each in sorted(Path(scratch).iterdir())}
+    task.folder.parent.mkdir(parents=True, exist_ok=True)
+    write_folder_atomic(task.folder, {**files, RESULT: outcome.text()})
+    return outcome
+
+
+def _identify_and_tune(task: RunTask, scratch: Path) -> RunOutcome:
+    run = task.run
+    outcome = RunOutcome(cell=run.cell, run=run.run, key=task.key)
+    try:
+        cell = None if run.cell_file is None else read_cell(run.cell_file)
+        found = identify_log(run.logs, IdentifyOptions(cell=cell))
+        write_identified(scratch / "identified.yaml", found.result, found.provenance)
+        recorded = float(found.provenance["time_span_s"][0])
+        outcome = replace(outcome, recorded_s=recorded, values=_values(found.result))
+        if run.controller is not None:
+            outcome = replace(outcome, outside=_outside(run.controller, found.result))
+        if task.options.optimize:
+            outcome = replace(outcome, peaks_n=_tune(task, scratch))
+    except AutotuneError as error:
+        kind = next((name for of, name in _STEPS.items() if isinstance(error, of)), "usage")
+        return replace(outcome, refused=kind, reason=str(error))
+    return outcome
+
+
+def _values(result: Identified) -> dict[str, tuple[float, float]]:
+    """Return what is identified of payload, axes and surfaces; what has no value or deviation is left out."""
+    named = {"payload.mass_kg": result.payload.mass_kg}
+    for name, axis in result.axes.items():
+        named |= {f"{name}.{key}": each for key, each in axis.plant_estimates().items()}
+        named |= {f"{name}.{each.name}.stiffness_n_per_m": each.stiffness_n_per_m for each in axis.environments}
+    return {
+        name: (each.value, each.std) for name, each in named.items() if each.value is not None and each.std is not None
+    }
+
+
+def _outside(controller: Path, result: Identified) -> tuple[str, ...]:
+    """Return what of a plant lies outside of what a controller is certified for."""
+    from autotune.validation.domain import check_domain  # noqa: PLC0415 - compiles
+
+    checks = check_domain(read_controller(controller).controller, result)
+    return tuple(f"axis {each.axis}, {each.name}: {each.message}" for each in checks if not each.passed)
+
+
+def _tune(task: RunTask, scratch: Path) -> dict[str, tuple[float | None, float]]:
+    """Search the controller and write it; return the worst peaks before and after, by axis."""
+    from autotune.prediction.said_gains import present_gains  # noqa: PLC0415 - compiles
+    from autotune.tuning.optimize import optimize  # noqa: PLC0415 - compiles
+
+    problem = task.run.problem
+    spec = ProblemSpec() if problem is None else read_problem(problem)
+    source = replace(read_identified(scratch / "identified.yaml"), path=task.folder / "identified.yaml")
+    present = present_gains(None, source, spec.axes)
+    found = optimize(source, spec, seed=task.options.seed, problem_path=problem, present=present)
+    write_controller(scratch / "controller.yaml", found.controller)
+    return {
+        name: (_before(found.before_after, name), max(each.peak_contact_force_n for each in predicted.scenarios))
+        for name, predicted in found.controller.predicted.items()
+    }
+
+
+def _before(before_after: Mapping[str, Any], name: str) -> float | None:
+    """Return the worst peak with the gains of the log; None where it is not known, or where the loop is unstable."""
+    before = before_after[name].worst[0] if name in before_after else None
+    return None if before is None or before == float("inf") else float(before)

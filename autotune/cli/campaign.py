@@ -1,0 +1,164 @@
+"""`autotune campaign`: many logs of many cells."""
+
+import time
+from collections.abc import Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from ._common import Output, output_options
+from ._options import GroupedCommand
+from ._report import check_report, print_report_path, report_option, write_report
+from ._terminal import print_message
+
+if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
+    from autotune.campaign.work import RunOptions, RunOutcome
+
+_EPILOG = """\b
+Examples:
+  autotune campaign logs/ -o fleet --report fleet.html
+  autotune campaign manifest.csv -o fleet --jobs 8
+  autotune campaign manifest.yaml -o fleet --scheduler tcp://head:8786 --jobs 40
+"""
+
+
+@click.command("campaign", cls=GroupedCommand, epilog=_EPILOG)
+@click.argument("manifest", type=click.Path(path_type=Path, exists=True))
+@click.option(
+    "-o",
+    "out",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=Path("autotune-campaign"),
+    show_default=True,
+    metavar="DIR",
+    help="Folder of the results.",
+)
+@click.option("--jobs", type=click.IntRange(1), help="Runs at a time.  [default: the processors of this machine]")
+@click.option(
+    "--scheduler",
+    metavar="dask|tcp://...",
+    help="Work on a Dask cluster: one of this machine, or a running one that sees the same files.",
+)
+@click.option("--optimize/--no-optimize", default=True, show_default=True, help="Search a controller for each run.")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the searches.")
+@click.option(
+    "--watch", type=click.FloatRange(min=1.0), metavar="S", help="Look for new runs every S seconds until interrupted."
+)
+@report_option
+@output_options
+def command(
+    output: Output,
+    manifest: Path,
+    out: Path,
+    jobs: int | None,
+    scheduler: str | None,
+    optimize: bool,
+    seed: int,
+    watch: float | None,
+    report: Path | None,
+) -> None:
+    """Identify every run that MANIFEST names, search its controller, and compare the cells.
+
+    MANIFEST is a folder (a folder for each cell, its logs the runs), a CSV with the columns cell and log, or a YAML
+    file. What is in DIR already is not done again: a run is known by the SHA-256 of its files, the options and the
+    version. DIR then holds each run's files, campaign.csv and, with pyarrow, campaign.parquet. A run that is refused
+    is a result with its reason. Exit code 4: no run was identified. 6: a controller that the manifest names is no
+    longer certified for what its cell's newest run shows.
+    """
+    from autotune.campaign.work import RunOptions
+    from autotune.errors import UsageError
+    from autotune.processes import count_processors
+
+    if scheduler is not None and scheduler != "dask" and "://" not in scheduler:
+        raise UsageError(f"--scheduler must be dask, or an address as in tcp://head:8786; found {scheduler}.")
+    check_report(report, [manifest] if manifest.is_file() else [])
+    options, count = RunOptions(optimize=optimize, seed=seed), jobs or count_processors()
+    with ExitStack() as stack:
+        executor = None
+        if scheduler is not None:
+            from autotune.campaign.run import dask_executor
+
+            executor, dashboard = stack.enter_context(dask_executor(scheduler, count))
+            output.note(f"dashboard: {dashboard}")
+        while True:
+            outcomes = _once(output, manifest, out, options, count, executor)
+            tree = _tree(output, out, outcomes, report)
+            if watch is None:
+                break
+            output.note(f"{len(outcomes)} runs; looking again in {watch:g} s (Ctrl-C ends it)")
+            time.sleep(watch)
+    output.result(tree, lambda: _print(out, outcomes, report))
+    _require(outcomes)
+    if report is None:
+        output.next_command("campaign", manifest, "-o", out, "--report", "campaign.html")
+
+
+def _once(
+    output: Output, manifest: Path, out: Path, options: "RunOptions", jobs: int, executor: "Executor | None"
+) -> "tuple[RunOutcome, ...]":
+    """Work on what is missing, and write the tables of all."""
+    from autotune.campaign.manifest import read_manifest
+    from autotune.campaign.run import run_campaign
+    from autotune.campaign.tables import write_tables
+
+    runs = read_manifest(manifest)
+    with output.progress("campaign", float(len(runs))) as advance:
+        outcomes = run_campaign(
+            runs,
+            out,
+            options,
+            jobs=jobs,
+            executor=executor,
+            each=lambda found: advance(1.0, f"{found.cell}/{found.run}"),
+        )
+    write_tables(out, outcomes)
+    return outcomes
+
+
+def _tree(output: Output, out: Path, outcomes: "Sequence[RunOutcome]", report: Path | None) -> dict[str, Any]:
+    """Return the object of `--json`, after the page is written."""
+    from autotune.campaign.fleet import changes, unusual
+    from autotune.report.campaign_page import build_campaign_page
+    from autotune.shown import plain_tree
+    from autotune.version import __version__
+
+    page = write_report(output, report, lambda: build_campaign_page(outcomes, f"autotune {__version__}"))
+    tree = {"folder": out, "runs": outcomes, "changes": changes(outcomes), "unusual": unusual(outcomes)}
+    return {**{key: plain_tree(value) for key, value in tree.items()}, **page}
+
+
+def _print(out: Path, outcomes: "Sequence[RunOutcome]", report: Path | None) -> None:
+    from autotune.campaign.fleet import changes, unusual
+    from autotune.campaign.text import change_text, outcome_text, unusual_text
+
+    print_message(outcome_text(outcomes))
+    for each in outcomes:
+        if each.refused:
+            print_message(f"{each.cell}/{each.run}: {each.reason}", verdict=f"refused ({each.refused}): ")
+        for what in each.outside or ():
+            print_message(f"{each.cell}/{each.run}: the certificate does not hold: {what}.", verdict="error: ")
+    for line in (*map(change_text, changes(outcomes)), *map(unusual_text, unusual(outcomes))):
+        print_message(line, verdict="note: ")
+    print_message(f"written: {out / 'campaign.csv'} and a folder for each run in {out / 'cells'}")
+    print_report_path(report)
+
+
+def _require(outcomes: "Sequence[RunOutcome]") -> None:
+    """Raise what decides the exit code: a certificate of a newest run that does not hold, or nothing identified."""
+    from autotune.campaign.fleet import by_cell
+    from autotune.errors import CertificateError
+    from identification.errors import EstimateError
+
+    cells = by_cell(outcomes)
+    broken = [cell for cell, runs in cells.items() if runs[-1].outside]
+    if broken:
+        raise CertificateError(
+            f"The controllers of {len(broken)} cells are not certified for what their newest runs show: "
+            f"{', '.join(broken)}; optimize them again."
+        )
+    if not cells:
+        raise EstimateError(f"None of {len(outcomes)} runs was identified; the reasons are above.")

@@ -1,0 +1,74 @@
+"""Cells beside each other and beside their past: what is planted is found, and nothing else."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from autotune.campaign.fleet import Change, changes, unusual
+from autotune.campaign.text import change_text, outcome_text, parameter_text, unusual_text
+from autotune.campaign.work import RunOutcome
+
+NAMES = ("payload.mass_kg", "x.coupling_stiffness_n_per_m", "x.delay_s")
+TRUE, STD = (16.0, 3e5, 2.4e-3), (0.02, 3e3, 2e-5)
+
+
+def outcome(cell: str, run: str, values: tuple[float, ...], *, at: float = 0.0) -> RunOutcome:
+    named = {name: (value, std) for name, value, std in zip(NAMES, values, STD, strict=True)}
+    return RunOutcome(cell=cell, run=run, key="", recorded_s=at, values=named)
+
+
+def fleet(count: int = 20) -> list[RunOutcome]:
+    """Return cells whose stiffness goes with their delay, each parameter spread by a twentieth."""
+    drawn = np.random.default_rng(5).normal(size=(count, 2))
+    return [
+        outcome(f"c{i}", "mon", (16.0 * (1 + 0.05 * b), 3e5 * (1 + 0.05 * a), 2.4e-3 * (1 + 0.05 * a + 0.002 * b)))
+        for i, (a, b) in enumerate(drawn)
+    ]
+
+
+def test_a_change_beyond_three_deviations_is_named_in_the_order_of_recording() -> None:
+    later = outcome("a", "alpha", (16.0, 3.3e5, 2.41e-3), at=9.0)
+    earlier = outcome("a", "zulu", TRUE, at=1.0)
+    (found,) = changes([later, earlier, outcome("b", "mon", TRUE)])
+    assert replace(found, stds=0.0) == Change(
+        cell="a", before="zulu", after="alpha", name=NAMES[1], old=3e5, new=3.3e5, stds=0.0
+    )
+    assert found.stds == pytest.approx(3e4 / np.hypot(STD[1], STD[1]))
+    assert change_text(found) == "a: from zulu to alpha, x: K_s went from 300 to 330 N/mm, 7.1 standard deviations."
+
+
+def test_a_change_that_is_known_too_well_to_matter_is_none() -> None:
+    assert changes([outcome("a", "1", TRUE), outcome("a", "2", (16.0, 3.005e5, 2.4e-3), at=1.0)]) == ()
+
+
+def test_of_equal_cells_none_is_unusual() -> None:
+    assert unusual(fleet()) == ()
+
+
+def test_a_cell_far_away_in_one_parameter_is_named_with_its_median() -> None:
+    cells = fleet()
+    cells[7] = outcome("c7", "mon", (27.0, TRUE[1], TRUE[2]))
+    one = next(each for each in unusual(cells) if each.name)
+    assert (one.cell, one.name, one.value) == ("c7", NAMES[0], 27.0)
+    assert one.median == pytest.approx(16.0, rel=0.05)
+    assert unusual_text(one).startswith("c7: payload mass is 27 kg, the cells' median 1")
+
+
+def test_a_cell_that_is_usual_in_each_parameter_and_not_in_both_is_found() -> None:
+    """Stiffness and delay go together: one up and one down by two deviations is what no other cell does."""
+    cells = fleet(40)
+    cells[3] = outcome("c3", "mon", (16.0, 3e5 * 1.1, 2.4e-3 * 0.9))
+    assert {(each.cell, each.name) for each in unusual(cells)} == {("c3", "")}
+
+
+def test_four_cells_are_no_fleet() -> None:
+    assert unusual([*fleet(3), outcome("far", "mon", (99.0, 9e5, 9e-3))]) == ()
+
+
+def test_values_are_shown_in_the_units_of_people() -> None:
+    assert parameter_text("x.delay_s", 2.4e-3) == ("x: T_d", "ms", "2.4")
+    assert parameter_text("x.x1.stiffness_n_per_m", 2e5, 1e3) == ("x: x1: K_e", "N/mm", "200", "1")
+    assert parameter_text("rz.coupling_stiffness_n_per_m", 4e3)[1:] == ("N·m/rad", "4000")
+    refused = RunOutcome(cell="a", run="2", key="", refused="log", reason="cut")
+    assert outcome_text([outcome("a", "1", TRUE), refused]).startswith("2 runs of 1 cells, 1 refused; 0 changes")

@@ -1,0 +1,148 @@
+"""Work on many runs: once each, the same whatever is killed meanwhile, by any executor."""
+
+import contextlib
+import json
+import os
+import signal
+import threading
+import time
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from multiprocessing import active_children
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from autotune.campaign.manifest import LoggedRun, read_manifest
+from autotune.campaign.run import dask_executor, run_campaign
+from autotune.campaign.tables import write_tables
+from autotune.campaign.work import RESULT, RunOptions, RunOutcome, build_task, read_outcome, work_on
+from autotune.errors import UsageError
+
+TEXT = "no log at all\n"
+
+
+@pytest.fixture
+def logs(tmp_path: Path) -> Path:
+    """Twelve tables that `identify` refuses at once: what is tried here is the work around it."""
+    for i in range(12):
+        folder = tmp_path / "logs" / f"cell{i // 3}"
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / f"run{i}.csv").write_text(f"t,a\n0,{i}\n1,2\n", encoding="utf-8")
+    return tmp_path / "logs"
+
+
+class Counting(Executor):
+    """Works at once in this thread and counts; breaks where it is told to."""
+
+    def __init__(self) -> None:
+        self.worked: list[str] = []
+
+    def submit(self, fn: Any, /, *arguments: Any, **named: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        self.worked.append(arguments[0].run.name)
+        future.set_result(fn(*arguments, **named))
+        return future
+
+
+def test_what_is_finished_is_not_done_again_and_what_changed_is(logs: Path, tmp_path: Path) -> None:
+    runs, first, again, other = read_manifest(logs), Counting(), Counting(), Counting()
+    outcomes = run_campaign(runs, tmp_path / "out", executor=first)
+    assert [f"{each.cell}/{each.run}" for each in outcomes] == [run.name for run in runs] == first.worked
+    assert {each.refused for each in outcomes} == {"log"}
+    assert run_campaign(runs, tmp_path / "out", executor=again) == outcomes
+    assert again.worked == []
+    (logs / "cell1" / "run4.csv").write_text("t,a\n0,9\n1,2\n", encoding="utf-8")
+    run_campaign(runs, tmp_path / "out", executor=other)
+    assert other.worked == ["cell1/run4"]
+
+
+def test_options_and_settings_are_part_of_the_key(logs: Path, tmp_path: Path) -> None:
+    run = read_manifest(logs)[0]
+    cell = tmp_path / "cell.yaml"
+    cell.write_text("format: autotune/cell\nversion: 1\n", encoding="utf-8")
+    with_cell = LoggedRun(cell=run.cell, run=run.run, logs=run.logs, cell_file=cell)
+    tasks = [
+        build_task(each, tmp_path, options)
+        for each, options in ((run, RunOptions()), (run, RunOptions(seed=1)), (with_cell, RunOptions()))
+    ]
+    assert len({task.key for task in tasks}) == 3
+    assert build_task(run, tmp_path / "elsewhere", RunOptions()).key == tasks[0].key
+
+
+def test_a_result_that_is_half_or_of_another_release_is_none(tmp_path: Path) -> None:
+    outcome = RunOutcome(
+        cell="a", run="b", key="k", values={"x": (1.0, 0.1)}, peaks_n={"x": (None, 50.0)}, outside=("w",)
+    )
+    (tmp_path / RESULT).write_text(outcome.text(), encoding="utf-8")
+    assert read_outcome(tmp_path) == outcome
+    for wrong in (outcome.text()[:-9], "[]", json.dumps({**json.loads(outcome.text()), "colour": 1})):
+        (tmp_path / RESULT).write_text(wrong, encoding="utf-8")
+        assert read_outcome(tmp_path) is None
+
+
+def test_what_was_not_foreseen_ends_the_run_and_not_the_campaign(
+    logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(*_: Any, **__: Any) -> None:
+        raise ZeroDivisionError("by zero")
+
+    monkeypatch.setattr("autotune.campaign.work.identify_log", broken)
+    task = build_task(read_manifest(logs)[0], tmp_path, RunOptions())
+    assert work_on(task).reason == "Unforeseen ZeroDivisionError: by zero"
+    assert read_outcome(task.folder) is None
+
+
+def test_the_same_tables_come_of_a_campaign_whose_workers_are_killed(logs: Path, tmp_path: Path) -> None:
+    """Thirty times kill -9, in the midst of work or of starting; each run has one result at the end, and the same."""
+    runs = read_manifest(logs)
+    calm = run_campaign(runs, tmp_path / "calm", executor=ThreadPoolExecutor(1))
+    killed, over = 0, threading.Event()
+
+    def kill() -> None:
+        nonlocal killed
+        while killed < 30 and not over.wait(0.4):
+            for process in active_children()[:1]:
+                if process.pid is not None:
+                    os.kill(process.pid, signal.SIGKILL)
+                    killed += 1
+
+    killer = threading.Thread(target=kill)
+    killer.start()
+    outcomes: tuple[RunOutcome, ...] = ()
+    try:
+        # Who is hit five times is named; the same command then goes on, as a user's would.
+        while not outcomes:
+            with contextlib.suppress(UsageError):
+                outcomes = run_campaign(runs, tmp_path / "wild", jobs=2)
+    finally:
+        over.set()
+        killer.join()
+    assert killed > 0
+    assert outcomes == calm
+    for name, folder in (("calm", tmp_path / "calm"), ("wild", tmp_path / "wild")):
+        (tmp_path / f"{name}-tables").mkdir()
+        write_tables(tmp_path / f"{name}-tables", outcomes if name == "wild" else calm)
+        results = sorted(path.relative_to(folder) for path in folder.rglob(RESULT))
+        assert len(results) == 12
+        assert list(folder.rglob(".autotune-*")) == []
+    assert (tmp_path / "calm-tables" / "campaign.csv").read_text() == (
+        tmp_path / "wild-tables" / "campaign.csv"
+    ).read_text()
+
+
+def test_a_dask_cluster_gives_the_same(logs: Path, tmp_path: Path) -> None:
+    pytest.importorskip("distributed", reason="Dask is not installed")
+    runs = read_manifest(logs)[:3]
+    with dask_executor("dask", 1) as (executor, dashboard):
+        assert dashboard.startswith("http://")
+        outcomes = run_campaign(runs, tmp_path / "dask", executor=executor, jobs=1)
+    assert outcomes == run_campaign(runs, tmp_path / "here", executor=ThreadPoolExecutor(1))
+
+
+def test_a_scheduler_that_is_not_there_is_named() -> None:
+    pytest.importorskip("distributed", reason="Dask is not installed")
+    started = time.monotonic()
+    with pytest.raises(UsageError, match="no Dask scheduler answers there"), dask_executor("tcp://127.0.0.1:9", 1):
+        pass
+    assert time.monotonic() - started < 60.0

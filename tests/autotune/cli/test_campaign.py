@@ -1,0 +1,64 @@
+"""`autotune campaign`: what is printed and written, and the exit codes."""
+
+import csv
+import json
+from pathlib import Path
+
+import pytest
+
+from autotune.formats.controller import write_controller
+from tests.autotune.tuning.cases import small_controller
+from tests.conftest import RunCli
+
+
+@pytest.fixture
+def fleet(tmp_path: Path, good_log: Path) -> Path:
+    """A cell with a good run and a broken one."""
+    folder = tmp_path / "logs" / "press"
+    folder.mkdir(parents=True)
+    (folder / "mon.mcap").write_bytes(good_log.read_bytes())
+    (folder / "tue.mcap").write_bytes(good_log.read_bytes()[:5000])
+    return tmp_path / "logs"
+
+
+def test_runs_are_identified_and_told_of(run_cli: RunCli, fleet: Path, tmp_path: Path) -> None:
+    done = run_cli("campaign", fleet, "-o", "out", "--no-optimize", "--jobs", "1", "--report", "fleet.html")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("2 runs of 1 cells, 1 refused; 0 changes from run to run, 0 unusual.")
+    assert "press/tue: tue.mcap is truncated or damaged" in done.stdout.replace("\n", " ")
+    with (tmp_path / "out" / "campaign.csv").open(newline="") as stream:
+        good, bad = csv.DictReader(stream)
+    assert (good["run"], good["refused"], bad["run"], bad["refused"]) == ("mon", "", "tue", "log")
+    assert float(good["payload.mass_kg"]) == pytest.approx(16.2, rel=0.01)
+    assert float(good["x.delay_s.std"]) > 0.0
+    assert sorted(path.name for path in (tmp_path / "out" / "cells" / "press" / "mon").iterdir()) == [
+        "identified.yaml",
+        "result.json",
+    ]
+    page = (tmp_path / "fleet.html").read_text(encoding="utf-8")
+    assert all(text in page for text in ("All runs", "Refused", "press", "payload mass [kg]"))
+    again = run_cli("campaign", fleet, "-o", "out", "--no-optimize", "--json")
+    tree = json.loads(again.stdout)
+    assert [run["refused"] for run in tree["runs"]] == ["", "log"]
+
+
+def test_a_controller_that_is_not_certified_for_its_cell_is_exit_code_6(
+    run_cli: RunCli, fleet: Path, tmp_path: Path
+) -> None:
+    write_controller(fleet / "press" / "controller.yaml", small_controller())
+    done = run_cli("campaign", fleet, "-o", "out", "--no-optimize", "--jobs", "1")
+    assert done.returncode == 6
+    assert "1 certificates no longer hold" in done.stdout
+    assert "press/mon: the certificate does not hold: axis x, identified plant" in done.stdout.replace("\n", " ")
+    assert "not certified for what their newest runs show: press; optimize them again" in done.stderr.replace("\n", " ")
+    assert (tmp_path / "out" / "campaign.csv").is_file()
+
+
+def test_nothing_identified_is_exit_code_4_and_a_wrong_manifest_2(run_cli: RunCli, fleet: Path) -> None:
+    (fleet / "press" / "mon.mcap").unlink()
+    assert run_cli("campaign", fleet, "-o", "out", "--jobs", "1").returncode == 4
+    (fleet / "runs.csv").write_text("cell,log\npress,gone.mcap\n", encoding="utf-8")
+    done = run_cli("campaign", fleet / "runs.csv", "-o", "out")
+    assert (done.returncode, "gone.mcap is not there" in done.stderr.replace("\n", " ")) == (2, True)
+    done = run_cli("campaign", fleet, "-o", "out", "--scheduler", "head")
+    assert (done.returncode, "--scheduler must be dask" in done.stderr) == (2, True)
