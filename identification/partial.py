@@ -26,6 +26,7 @@ from .robot.admittance_estimates import AdmittanceRobots, identify_admittance_ro
 from .robot.logged_command import TICK_S
 from .signals.recording import AXES, Recording
 from .touches.inertia import KnownMotion
+from .touches.signals import axis_signals, offset_findings
 from .touches.surfaces import Touched, identify_touches, no_contact
 from .verdicts import (
     missing,
@@ -76,7 +77,8 @@ def identify_partial(
     about = [
         f for f in found.findings if f.code != "no-contact" and (f.code != "no-command" or f.code not in known_codes)
     ]
-    findings = [_removed(recording, mass), *led.findings, *about, *touched.findings]
+    offset = offset_findings(axis_signals(recording), recording.wrench.topic)
+    findings = [_removed(recording, mass), *led.findings, *about, *offset, *touched.findings]
     if recording.wrench.measured_axes and not (led.robots or touched.surfaces or mass.value is not None):
         findings.append(_assumed_sign(recording))
     has_wrench = bool(recording.wrench.measured_axes)

@@ -1,5 +1,6 @@
 """Force and travel along each axis of the wrench, on the wrench's own stamps, of logs without a payload's mass."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -7,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from problems.arrays import BoolArray, FloatArray
 
+from ..result import Finding
 from ..signals.aligned import longest_whole
 from ..signals.contact_rule import CONTACT
 from ..signals.recording import (
@@ -27,6 +29,7 @@ _MOVING_M_S, _CONSTANT_N = 2e-3, 1.0
 _DRAG_FACTOR, _DRAG_SCATTER = 1.25, 0.2
 TO_DEVIATION = float(1.4826 / np.sqrt(2.0))
 _FEWEST, _FEWEST_FOR_NOISE = 4, 100
+_BEGINNING_S, _STATED_N = 0.5, 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,7 +39,7 @@ class AxisSignals:
     `time_s` (n,) counts from the first sample that wrench and pose share, `period_s` is the usual step. A force is one
     above `level_n`; `noise_n` is the deviation of one sample. `mass_kg`, `damping_n_s_per_m` and `desired_n` (n,) are
     M_a, B_a and F^d, NaN where they are not known; `lead_s` is K_l and `commanded_m` (n,) the command's travel,
-    None where they are not.
+    None where they are not. `offset_n` was taken off the force.
     """
 
     axis: str
@@ -51,6 +54,7 @@ class AxisSignals:
     desired_n: FloatArray
     lead_s: float | None = None
     commanded_m: FloatArray | None = None
+    offset_n: float = 0.0
 
     @property
     def rate_hz(self) -> float:
@@ -90,8 +94,8 @@ def axis_signals(recording: Recording) -> tuple[AxisSignals, ...]:
         if axis not in wrench.measured_axes or not np.all(np.isfinite(wrench.force_n[inside, i])):
             continue
         force = np.array(wrench.force_n[inside, i])
-        if not pose.is_displacement:
-            force -= _offset(force, travel[:, i], time)
+        offset = 0.0 if pose.is_displacement else _offset(force, travel[:, i], travel, time)
+        force -= offset
         noise = sample_noise(force)
         mass, damping = gains_of(recording.gains, stamps, i)
         found.append(
@@ -108,6 +112,7 @@ def axis_signals(recording: Recording) -> tuple[AxisSignals, ...]:
                 desired_n=desired_force_of(recording.desired_force, stamps, i),
                 lead_s=lead_of(recording.gains, i),
                 commanded_m=None if commanded is None else commanded[:, i],
+                offset_n=offset,
             )
         )
     return tuple(found)
@@ -159,21 +164,55 @@ def _drag(force: FloatArray, travel: FloatArray, time: FloatArray) -> float:
     return _DRAG_FACTOR * usual if usual > 0.0 and is_constant else 0.0
 
 
-def _offset(force: FloatArray, travel: FloatArray, time: FloatArray) -> float:
-    """Return the force at rest where a twentieth of the samples is near 0, else the one constant in motion, else 0.
+def _offset(force: FloatArray, along: FloatArray, travel: FloatArray, time: FloatArray) -> float:
+    """Return the force in the beginning, where that is the usual one at rest and in motion, else what is shown without.
 
-    At rest nothing presses that lightly; behind a deadband, of which exact zeros are left, nothing shows there.
+    That is the one at rest where a twentieth of the samples is near 0, else the one constant in motion, else 0: at rest
+    nothing presses that lightly; behind a deadband, of which exact zeros are left, nothing shows there. `travel` (n, 3)
+    counts where nothing moves along the axis, `along` (n,).
     """
     near = np.abs(force) <= CONTACT.smallest_n
-    moving = np.abs(mean_speed(travel, time)) > _MOVING_M_S
-    if np.mean(near) >= _NEAR_ZERO_SHARE:
-        at_rest = force[near & ~moving]
-        is_shown = len(at_rest) >= _FEWEST_FOR_NOISE and not np.any(at_rest == 0.0)
-        return float(np.median(at_rest)) if is_shown else 0.0
-    if not np.any(moving):
+    is_near = float(np.mean(near)) >= _NEAR_ZERO_SHARE
+    if is_near and np.any(force[near] == 0.0):
         return 0.0
-    middle = float(np.median(force[moving]))
-    return middle if float(np.median(np.abs(force[moving] - middle))) <= _CONSTANT_N else 0.0
+    moving = np.abs(mean_speed(along, time)) > _MOVING_M_S
+    is_along = bool(np.any(moving))
+    if not is_along:
+        moving = np.linalg.norm(mean_speed(travel, time), axis=1) > _MOVING_M_S
+    usual = _in_the_beginning(force, moving, time)
+    if usual is not None:
+        return usual
+    if is_near:
+        at_rest = force[near & ~moving]
+        return float(np.median(at_rest)) if len(at_rest) >= _FEWEST_FOR_NOISE else 0.0
+    return _constant(force[moving]) if is_along else 0.0
+
+
+def _in_the_beginning(force: FloatArray, moving: BoolArray, time: FloatArray) -> float | None:
+    """Return the force at rest of a log that begins with it, None where it is not the usual one in motion too."""
+    first = float(np.median(force[time <= time[0] + _BEGINNING_S]))
+    usual = [float(np.median(force[each])) if np.any(each) else np.inf for each in (moving, ~moving)]
+    return usual[1] if max(abs(each - first) for each in usual) <= _CONSTANT_N else None
+
+
+def _constant(force: FloatArray) -> float:
+    """Return the median of a force (n,), 0 where it is not constant."""
+    middle = float(np.median(force))
+    return middle if float(np.median(np.abs(force - middle))) <= _CONSTANT_N else 0.0
+
+
+def offset_findings(signals: Sequence[AxisSignals], topic: str) -> tuple[Finding, ...]:
+    """Say which constant force was taken off a wrench whose weight had been removed."""
+    taken = [f"{each.offset_n:+.2g} N along {each.axis}" for each in signals if abs(each.offset_n) >= _STATED_N]
+    if not taken:
+        return ()
+    return (
+        Finding.info(
+            "wrench-offset",
+            f"Without contact the wrench of topic {topic} shows {', '.join(taken)}: taken off all forces and peaks.",
+            "Set the sensor to zero, or correct the load that the robot's estimate takes into account, before the run.",
+        ),
+    )
 
 
 def _travel(pose: PoseSignal, stamps: StampArray) -> FloatArray:

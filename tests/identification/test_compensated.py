@@ -58,6 +58,22 @@ def test_robot_coupling_and_moving_mass_follow_from_command_pose_and_force(
     assert result.timelines[0].touches == ()
 
 
+def test_a_constant_force_of_the_sensor_is_no_force_of_the_payload() -> None:
+    """As a robot's own estimate shows it: along the motion and across it, at rest as in motion."""
+    cell = CommandedCell()
+    recording = logged(cell, swept(cell, 40.0), Logger(rate_hz=1250.0, axis=2))
+    wrench = recording.wrench
+    moved = identify_cell(
+        replace(recording, wrench=replace(wrench, force_n=wrench.force_n + np.array([-2.5, 0.3, 4.0])))
+    )
+    clean = identify_cell(recording)
+    assert moved.timelines[0].touches == ()
+    assert moved.payload.mass_kg.value == pytest.approx(clean.payload.mass_kg.value, rel=1e-3)
+    (about,) = (finding for finding in moved.findings if finding.code == "wrench-offset")
+    assert "-2.5 N along x, +4.5 N along z: taken off" in about.message
+    assert "wrench-offset" not in {finding.code for finding in clean.findings}
+
+
 @pytest.mark.parametrize(("rate_hz", "robot"), [(150.0, (38.0,)), (125.0, (28.0, 0.9))], ids=["one pole", "two poles"])
 def test_a_log_several_times_slower_than_the_controller_shows_the_coupling(
     rate_hz: float, robot: tuple[float, ...]

@@ -14,7 +14,7 @@ from identification.partial import identify_partial
 from identification.result import TouchCause
 from identification.signals.recording import GainsSignal, PoseSignal, Recording, WrenchSignal
 from identification.touches.find import find_touches
-from identification.touches.signals import axis_signals
+from identification.touches.signals import axis_signals, offset_findings
 from identification.touches.signs import check_force_sign
 from identification.touches.surfaces import identify_touches, left_out_error, pooled
 from identification.verdicts import unidentifiable
@@ -181,6 +181,21 @@ def test_a_wall_is_met_as_it_is(stiffness: float, at_m: float, offset: float) ->
     assert secant.value is not None
     assert secant.std is not None
     assert abs(secant.value - stiffness) < 2.0 * secant.std
+
+
+def test_a_constant_force_across_the_motion_hides_no_wall() -> None:
+    recording = recorded(Program(force_n=wall(2e4, 0.05)))
+    wrench = recording.wrench
+    beside = np.tile([3.0, 0.0, 0.0], (len(wrench.stamp_ns), 1))
+    noise = 0.1 * np.random.default_rng(3).standard_normal((len(beside), 1)) * [1.0, 0.0, 0.0]
+    moved = replace(recording, wrench=replace(wrench, force_n=wrench.force_n + beside + noise))
+    (touch,) = identify_touches(moved).timeline.touches
+    (expected,) = identify_touches(recording).timeline.touches
+    assert touch.cause is TouchCause.WALL
+    assert touch.peak_force == pytest.approx(expected.peak_force)
+    signals = {each.axis: each for each in axis_signals(moved)}
+    assert signals["x"].offset_n == pytest.approx(3.0, abs=0.05)
+    assert "+3 N along x" in offset_findings(tuple(signals.values()), "w")[0].message
 
 
 @pytest.mark.parametrize(("stiffness", "mass"), [(2e4, 16.0), (2e4, 0.5), (5e3, 16.0)])
@@ -395,4 +410,4 @@ def test_times_in_milliseconds_that_are_read_as_seconds_are_refused() -> None:
 def test_times_in_seconds_that_are_read_as_milliseconds_are_refused() -> None:
     time = 2e-6 * np.arange(2000)
     with pytest.raises(LogError, match=r"a sample every 2 µs; check the unit of its times"):
-        identify_partial(logged(30.0 * time, np.zeros(2000), 2e-6, 0.0), unidentifiable())
+        identify_partial(logged(np.array(30.0 * time), np.zeros(2000), 2e-6, 0.0), unidentifiable())
