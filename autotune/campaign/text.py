@@ -15,10 +15,16 @@ _MASS = "payload.mass_kg"
 def outcome_text(outcomes: Sequence[RunOutcome]) -> str:
     """Say in a sentence what came of a campaign."""
     refused, broken = sum(bool(each.refused) for each in outcomes), sum(bool(each.outside) for each in outcomes)
-    parts = [f"{len(outcomes)} runs of {len({each.cell for each in outcomes})} cells", f"{refused} refused"]
+    cells = len({each.cell for each in outcomes})
+    parts = [f"{_counted(len(outcomes), 'run')} of {_counted(cells, 'cell')}", f"{refused} refused"]
     if any(each.outside is not None for each in outcomes):
-        parts.append(f"{broken} certificates no longer hold")
-    return f"{', '.join(parts)}; {len(changes(outcomes))} changes from run to run, {len(unusual(outcomes))} unusual."
+        parts.append(f"{_counted(broken, 'certificate')} no longer valid")
+    changed, odd = len(changes(outcomes)), len(unusual(outcomes))
+    return f"{', '.join(parts)}; {_counted(changed, 'change')} from run to run, {_counted(odd, 'unusual value')}."
+
+
+def _counted(number: int, noun: str) -> str:
+    return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
 def parameter_text(name: str, *values: float) -> tuple[str, ...]:

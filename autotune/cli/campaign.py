@@ -157,8 +157,8 @@ def _require(outcomes: "Sequence[RunOutcome]") -> None:
     broken = [cell for cell, runs in cells.items() if runs[-1].outside]
     if broken:
         raise CertificateError(
-            f"The controllers of {len(broken)} cells are not certified for what their newest runs show: "
-            f"{', '.join(broken)}; optimize them again."
+            f"Not certified for what the newest run of their cell shows are the controllers of {', '.join(broken)}; "
+            "optimize them again."
         )
     if not cells:
         raise EstimateError(f"None of {len(outcomes)} runs was identified; the reasons are above.")

@@ -71,4 +71,4 @@ def test_values_are_shown_in_the_units_of_people() -> None:
     assert parameter_text("x.x1.stiffness_n_per_m", 2e5, 1e3) == ("x: x1: K_e", "N/mm", "200", "1")
     assert parameter_text("rz.coupling_stiffness_n_per_m", 4e3)[1:] == ("N·m/rad", "4000")
     refused = RunOutcome(cell="a", run="2", key="", refused="log", reason="cut")
-    assert outcome_text([outcome("a", "1", TRUE), refused]).startswith("2 runs of 1 cells, 1 refused; 0 changes")
+    assert outcome_text([outcome("a", "1", TRUE), refused]).startswith("2 runs of 1 cell, 1 refused; 0 changes")

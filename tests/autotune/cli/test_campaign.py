@@ -24,7 +24,7 @@ def fleet(tmp_path: Path, good_log: Path) -> Path:
 def test_runs_are_identified_and_told_of(run_cli: RunCli, fleet: Path, tmp_path: Path) -> None:
     done = run_cli("campaign", fleet, "-o", "out", "--no-optimize", "--jobs", "1", "--report", "fleet.html")
     assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith("2 runs of 1 cells, 1 refused; 0 changes from run to run, 0 unusual.")
+    assert done.stdout.startswith("2 runs of 1 cell, 1 refused; 0 changes from run to run, 0 unusual values.")
     assert "press/tue: tue.mcap is truncated or damaged" in done.stdout.replace("\n", " ")
     with (tmp_path / "out" / "campaign.csv").open(newline="") as stream:
         good, bad = csv.DictReader(stream)
@@ -48,9 +48,12 @@ def test_a_controller_that_is_not_certified_for_its_cell_is_exit_code_6(
     write_controller(fleet / "press" / "controller.yaml", small_controller())
     done = run_cli("campaign", fleet, "-o", "out", "--no-optimize", "--jobs", "1")
     assert done.returncode == 6
-    assert "1 certificates no longer hold" in done.stdout
+    assert "1 certificate no longer valid" in done.stdout
     assert "press/mon: the certificate does not hold: axis x, identified plant" in done.stdout.replace("\n", " ")
-    assert "not certified for what their newest runs show: press; optimize them again" in done.stderr.replace("\n", " ")
+    assert (
+        "Not certified for what the newest run of their cell shows are the controllers of press; optimize them again"
+        in done.stderr.replace("\n", " ")
+    )
     assert (tmp_path / "out" / "campaign.csv").is_file()
 
 

@@ -1,0 +1,90 @@
+"""A campaign on one and two workers beside a plain pool of processes that calls `identify_log`, and what a task costs.
+
+`python benchmarks/bench_campaign.py` writes `--logs 40` short logs of the simulated cell and identifies each, by one
+worker, by two, and by `concurrent.futures` alone with two; then the same campaign again, of which nothing is missing;
+and hundreds of runs that are refused at once, which is what the machinery around them takes. Memory is the largest of
+any worker.
+"""
+
+import argparse
+import resource
+import sys
+import tempfile
+import time
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from autotune.campaign.manifest import read_manifest
+from autotune.campaign.run import run_campaign
+from autotune.campaign.work import RunOptions
+from autotune.pipeline import identify_log
+from autotune.simulation.phases import Program
+from autotune.simulation.simulate import simulate_cell
+from autotune.simulation.truth import SimulatedCell
+from autotune.simulation.write import write_mcap
+
+_SHORT = Program(pose_count=6, pose_hold_s=0.7, pose_move_s=0.6, jogging_s=0.0, sweep_s=5.0, contact_count=2)
+_IDENTIFY = RunOptions(optimize=False)
+
+
+def _identify(log: Path) -> float:
+    value = identify_log(log).result.payload.mass_kg.value
+    assert value is not None
+    return value
+
+
+def _write_logs(folder: Path, count: int) -> None:
+    for seed in range(count):
+        cell = folder / f"cell{seed:03d}"
+        cell.mkdir(parents=True)
+        write_mcap(simulate_cell(SimulatedCell(), _SHORT, seed=seed).recording, cell / "run.mcap")
+
+
+def _write_refused(folder: Path, count: int) -> None:
+    for number in range(count):
+        cell = folder / f"cell{number:03d}"
+        cell.mkdir(parents=True)
+        (cell / "run.csv").write_text(f"t,a\n0,{number}\n1,2\n", encoding="utf-8")
+
+
+def _timed(name: str, logs: Path, out: Path, jobs: int) -> float:
+    begun = time.perf_counter()
+    outcomes = run_campaign(read_manifest(logs), out, _IDENTIFY, jobs=jobs)
+    took = time.perf_counter() - begun
+    print(f"{name}: {took:.2f} s, {sum(not each.refused for each in outcomes)} of {len(outcomes)} identified")
+    return took
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--logs", type=int, default=40, help="how many logs")
+    parser.add_argument("--refused", type=int, default=400, help="how many runs that end at once")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as made:
+        folder = Path(made)
+        _write_logs(folder / "logs", options.logs)
+        _write_refused(folder / "refused", options.refused)
+        _identify(folder / "logs" / "cell000" / "run.mcap")  # kernels are compiled once
+        one = _timed("campaign, one worker", folder / "logs", folder / "one", 1)
+        two = _timed("campaign, two workers", folder / "logs", folder / "two", 2)
+        begun = time.perf_counter()
+        with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
+            list(pool.map(_identify, sorted((folder / "logs").glob("*/run.mcap"))))
+        peer = time.perf_counter() - begun
+        print(f"concurrent.futures alone, two workers: {peer:.2f} s")
+        _timed("campaign again, nothing missing", folder / "logs", folder / "two", 2)
+        refused = _timed(f"{options.refused} runs refused at once, one worker", folder / "refused", folder / "none", 1)
+        again = _timed("the same again", folder / "refused", folder / "none", 1)
+        memory = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
+        print(f"two workers are {one / two:.2f} times as fast as one; {two / peer:.2f} of the time of the pool alone")
+        each = 1e3 / options.refused
+        print(f"a task costs {each * refused:.1f} ms, one that is done {each * again:.2f} ms")
+        print(f"largest worker: {memory:.0f} MB")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
