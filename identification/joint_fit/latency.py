@@ -342,7 +342,7 @@ def fit_filter(problem: Problem, point: Point) -> tuple[Problem, Point, float]:
         point, _ = minimise(problem, point, _FILTER_STEPS)
         if abs(there - here) < _SETTLED * std:
             break
-    # Between its samples the force has the steps of the held command, which straight lines do not.
+    # Between its samples the force has the steps of the held command, which no cubic has.
     std = float(np.hypot(std, _FILTER_BETWEEN_SAMPLES * problem.signals.period_s))
     return replace(problem, signals=replace(problem.signals, latency_std_s=std)), point, std
 

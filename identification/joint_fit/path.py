@@ -18,6 +18,9 @@ _MARK_EVERY = 256
 _FINER, _DIFFERENCE = 12, 1e-4
 MOST_CUTS = 64
 _DIED_AWAY, _LONGEST_S = 6.0, 0.1
+# Coefficients of 1 to s³ of Lagrange's cubic through samples at s = 2, 1, 0 and −1.
+_CUBIC = np.array([[0.0, -1.0, 0.0, 1.0], [0.0, 6.0, 3.0, -3.0], [6.0, -3.0, -6.0, 3.0], [0.0, -2.0, 3.0, -1.0]]) / 6.0
+_TERMS = 20
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -335,7 +338,7 @@ class SensorDynamics:
     def felt(self, forces: FloatArray, period_s: float) -> FloatArray:
         """Return what the sensor shows of forces (…, n) that are smooth between the samples, from rest at the first.
 
-        The low-pass is exact for a force that is straight between samples; the shift is Lagrange's cubic.
+        Between the samples low-pass and shift take Lagrange's cubic through the four about them.
         """
         if self.time_constant_s > 0.0:
             forces = low_passed(forces, self.time_constant_s, period_s)
@@ -378,14 +381,35 @@ class SensorDynamics:
 
 
 def low_passed(forces: FloatArray, time_constant_s: float, period_s: float) -> FloatArray:
-    """Return forces (…, n) behind 1/(τ s + 1), straight between the samples, steady before the first."""
+    """Return forces (…, n) behind 1/(τ s + 1), Lagrange's cubic between the samples, steady before the first.
+
+    With a = h/τ a sample keeps e^(−a) of what was shown, and adds Σ c_k I_k, c_k being the cubic's coefficients and
+    I_k = ∫_0^1 a e^(−a (1 − s)) s^k ds.
+    """
     share = period_s / time_constant_s
-    keep = math.exp(-share)
-    newer = 1.0 - (1.0 - keep) / share
-    b, a = np.array([newer, 1.0 - keep - newer]), np.array([1.0, -keep])
-    # The state that makes the first value steady.
-    state = (b[1] + keep) * forces[..., :1]
-    return np.asarray(lfilter(b, a, forces, axis=-1, zi=state)[0])
+    keep, b = math.exp(-share), _CUBIC @ _moments(share)
+    # Beyond its ends the force goes on straight.
+    before = 2.0 * forces[..., :1] - forces[..., 1:2]
+    beyond = 2.0 * forces[..., -1:] - forces[..., -2:-1]
+    newest, older = np.concatenate([forces[..., 2:], beyond], axis=-1), forces[..., :1]
+    past = forces[..., 1:2], older, before
+    state = [
+        sum(weight * each for weight, each in zip(b[k:], past, strict=False)) + (keep * older if k == 1 else 0.0)
+        for k in (1, 2, 3)
+    ]
+    shown = lfilter(b, [1.0, -keep], newest, axis=-1, zi=np.concatenate(state, axis=-1))[0]
+    return np.concatenate([older, shown], axis=-1)
+
+
+def _moments(share: float) -> FloatArray:
+    """Return I_0 to I_3 (4,) of `low_passed`: I_k = 1 − (k/a) I_(k−1), which cancels where a is small."""
+    if share < 1.0:
+        rows = [[math.factorial(k) / math.factorial(m + k + 1) for m in range(_TERMS)] for k in range(4)]
+        return np.asarray(share * (np.array(rows) @ (-share) ** np.arange(_TERMS)))
+    moments = [1.0 - math.exp(-share)]
+    for k in range(1, 4):
+        moments.append(1.0 - k / share * moments[-1])
+    return np.array(moments)
 
 
 def _later(forces: FloatArray, samples: float) -> FloatArray:

@@ -285,8 +285,8 @@ def test_the_low_pass_is_that_of_its_equation_and_a_shift_is_one_in_time() -> No
     omega = 2.0 * np.pi * 20.0
     shown = low_passed(np.sin(omega * time)[None], tau, H_S)[0]
     exact = np.sin(omega * time - np.arctan(omega * tau)) / np.hypot(1.0, omega * tau)
-    # Straight lines between samples of a wave: (ω h)²/8 of it at most; the start has died away after 12 τ.
-    np.testing.assert_allclose(shown[50:], exact[50:], atol=(omega * H_S) ** 2 / 8.0)
+    # Lagrange's cubic between samples of a wave: 9/16 of (ω h)⁴/24 at most; the start has died away after 20 τ.
+    np.testing.assert_allclose(shown[80:-2], exact[80:-2], atol=(omega * H_S) ** 4 / 40.0)
     constant = np.full((2, 9), 4.0)
     np.testing.assert_allclose(low_passed(constant, tau, H_S), constant, rtol=1e-12)
     for delay in (0.4 * H_S, 2.0 * H_S, -1.3 * H_S):
@@ -295,3 +295,15 @@ def test_the_low_pass_is_that_of_its_equation_and_a_shift_is_one_in_time() -> No
         np.testing.assert_allclose(later[5:-5], np.sin(omega * (time - delay))[5:-5], atol=(omega * H_S) ** 4 / 40.0)
     assert SensorDynamics().unknown(H_S) == 0
     assert replace(SensorDynamics(), time_constant_s=1e-3).unknown(H_S) == 8
+
+
+@pytest.mark.parametrize("share", [1e-3, 0.3, 0.999, 1.001, 8.0])
+def test_a_low_passed_cubic_is_exact_however_long_a_sample_is(share: float) -> None:
+    """Behind 1/(τ s + 1) a cubic p is Σ (−τ)^k p^(k), and what dies away; samples of 1 s."""
+    cubic, ticks, tau = np.polynomial.Polynomial([0.3, -1.0, 0.5, 0.25]), np.arange(9.0), 1.0 / share
+    steady = cubic - tau * cubic.deriv(1) + tau**2 * cubic.deriv(2) - tau**3 * cubic.deriv(3)
+    shown = low_passed(cubic(ticks), tau, 1.0)
+    # The first sample and the last have no other before, or behind.
+    dying = (shown[1] - steady(1.0)) * np.exp(-share * (ticks - 1.0))
+    np.testing.assert_allclose(shown[1:-1], (steady(ticks) + dying)[1:-1], rtol=0.0, atol=1e-14 * max(tau, 10.0) ** 3)
+    assert shown[0] == cubic(0.0)
