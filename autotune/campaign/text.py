@@ -27,8 +27,8 @@ def _counted(number: int, noun: str) -> str:
     return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
-def parameter_text(name: str, *values: float) -> tuple[str, ...]:
-    """Return a parameter's name for people, its unit, and the values in that unit."""
+def parameter_name(name: str) -> tuple[str, float, str]:
+    """Return what a parameter is called for people, and factor and unit in which it is shown."""
     axis, _, key = name.rpartition(".")
     if name == _MASS:
         label, unit = "payload mass", "kg"
@@ -36,8 +36,13 @@ def parameter_text(name: str, *values: float) -> tuple[str, ...]:
         label, unit = f"{axis}: {PARAMETERS[key].symbol}", axis_units(axis).unit(PARAMETERS[key].kind)
     else:
         label, unit = f"{axis.replace('.', ': ')}: K_e", axis_units(axis.partition(".")[0]).stiffness
-    scale, shown = for_people(unit)
-    return label, shown, *(f"{scale * value:.4g}" for value in values)
+    return label, *for_people(unit)
+
+
+def parameter_text(name: str, *values: float) -> tuple[str, ...]:
+    """Return a parameter's name for people, its unit, and the values in that unit."""
+    label, scale, unit = parameter_name(name)
+    return label, unit, *(f"{scale * value:.4g}" for value in values)
 
 
 def change_text(change: Change) -> str:

@@ -7,10 +7,11 @@ from datetime import UTC, datetime
 import numpy as np
 
 from autotune.campaign.fleet import Change, Unusual, by_cell, changes, unusual
-from autotune.campaign.text import outcome_text, parameter_text
+from autotune.campaign.text import outcome_text, parameter_name, parameter_text
 from autotune.campaign.work import RunOutcome
 from autotune.charts.chart import Chart, Panel, Points, Scale
 from autotune.formats.units import axis_units
+from autotune.text import with_deviation
 
 from .page import Note, Page, Section, Table, TableCell, build_table
 
@@ -132,5 +133,4 @@ def _run_table(outcomes: Sequence[RunOutcome]) -> Table:
 def _value(outcome: RunOutcome, name: str) -> str:
     if name not in outcome.values:
         return ""
-    _, _, value, std = parameter_text(name, *outcome.values[name])
-    return f"{value} ± {std}"
+    return " ± ".join(with_deviation(*outcome.values[name], parameter_name(name)[1]))
