@@ -400,6 +400,16 @@ def bound_text(name: str, bounds: Mapping[str, tuple[float, float]] | None, unit
     return f"{text}, {scale * bounds[variable][0 if side == 'lower' else 1]:g} {unit}"
 
 
+def margins_text(values: Mapping[str, float]) -> str:
+    """Return margins by name in words, as `modulus 0.5, gain 9.88 dB, phase 37.6°, delay 3.09 ms`."""
+    shown = {"modulus": (1.0, ""), "gain_db": (1.0, " dB"), "phase_deg": (1.0, "°"), "delay_s": (1e3, " ms")}
+    return ", ".join(
+        f"{name.partition('_')[0]} {scale * values[name]:.4g}{unit}"
+        for name, (scale, unit) in shown.items()
+        if name in values
+    )
+
+
 def range_text(low: float, high: float) -> str:
     """Return a range of peaks, one number where both ends are written alike."""
     digits = 1 if high >= 10.0 else 2

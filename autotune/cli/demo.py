@@ -146,7 +146,7 @@ def _nothing() -> None:
 
 
 def _page(found: "DemoResult") -> "Page":
-    """Return the page of what was identified and tuned."""
+    """Return the page of what was tuned, which begins with what it changes, and of what was identified."""
     from autotune.pipeline import IdentifyOptions
     from autotune.report.identify_page import build_identify_page, summaries_of
     from autotune.report.optimize_page import build_optimize_page
@@ -156,13 +156,13 @@ def _page(found: "DemoResult") -> "Page":
     summaries = summaries_of([files.log], IdentifyOptions(), identified.evidence)
     steps = {name: search.steps for name, search in found.optimized.searches.items()}
     parts = (
-        (files.log, build_identify_page(identified.result, identified.provenance, identified.evidence, summaries)),
         (
             files.controller,
             build_optimize_page(
                 found.optimized.controller, found.checksum, steps=steps, before_after=found.optimized.before_after
             ),
         ),
+        (files.log, build_identify_page(identified.result, identified.provenance, identified.evidence, summaries)),
     )
     return join_pages("The demo: from a log to a controller", [(path.name, page) for path, page in parts])
 

@@ -13,6 +13,7 @@ from typing import Any
 
 from autotune.formats.canonical import short
 from autotune.formats.limits import CollisionResponse
+from autotune.formats.units import axis_units
 from autotune.runtime.change import LEAST_MEMORY
 from autotune.runtime.controller import SAME_SAMPLE_TIME, RuntimeController
 from autotune.runtime.frames import LARGEST_SKEW, LARGEST_WAY, SMALLEST_TRACE
@@ -111,16 +112,25 @@ def _filled(template: str, words: Mapping[str, object]) -> str:
     return Template(re.sub(r"\$prefix(?=_)", "${prefix}", text)).substitute(words)
 
 
+def gains_text(axis: AxisLaw) -> str:
+    """Return an axis and its four gains with their units."""
+    units = axis_units(axis.name)
+    times = f"K_l {1e3 * axis.lead_s:g} ms, B_fb {1e3 * axis.feedback_damping_s:g} ms"
+    return f"{axis.name}: M_a {axis.mass!r} {units.mass}, B_a {axis.damping!r} {units.damping}, {times}"
+
+
 def _about(controller: RuntimeController, provenance: Mapping[str, Any]) -> str:
     """Return lines of a comment: checksum, axes and what the file says of its origin, as JSON, which cannot end it."""
     lines = [f" * checksum {controller.checksum}, period {controller.sample_time_s!r} s"]
     for axis in controller.axes:
-        (low, high), unit = axis.payload_range, "kg m^2" if axis.turns else "kg"
-        times = f"K_l {1e3 * axis.lead_s:g} ms, B_fb {1e3 * axis.feedback_damping_s:g} ms"
-        gains = f"M_a {axis.mass!r}, B_a {axis.damping!r}, {times}"
-        lines.append(f" * {axis.name}: {gains}; payload {low!r} to {high!r} {unit}")
+        (low, high), unit = axis.payload_range, axis_units(axis.name).mass
+        lines.append(_ascii(f" * {gains_text(axis)}; payload {low!r} to {high!r} {unit}"))
     lines += [f" * {_quoted(key)}: {_quoted(value)}" for key, value in provenance.items()]
     return "\n".join(lines)
+
+
+def _ascii(text: str) -> str:
+    return text.replace("·", " ").replace("²", "^2")
 
 
 def _quoted(value: object) -> str:

@@ -53,7 +53,7 @@ class FziAxis:
         gain = self.translated[0]
         return (
             Variable(name="p", low=gain * _GAIN_RATIO[0], high=gain * _GAIN_RATIO[1]),
-            Variable(name="lead", low=0.0, high=_LONGEST_LEAD_S, ratio=False),
+            Variable(name="lead", low=0.0, high=_LONGEST_LEAD_S, ratio=False, unit="s"),
         )
 
     def written(self, values: Values) -> Mapping[str, float]:

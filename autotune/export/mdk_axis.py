@@ -17,6 +17,7 @@ from problems.errors import ParameterError
 from problems.model.linear_controllers import LinearController
 from problems.model.mass_damper_controllers import Discretization, MassDamper
 from problems.model.sampled import build_sampled_plant
+from problems.text import significant
 
 from .retune import Values, Variable, lost_gains
 
@@ -75,7 +76,7 @@ class MdkAxis:
         least, most = self.form.damping
         high = max(least, min(high, most))
         return (
-            Variable(name="mass over damping", low=_LEAST * h, high=_LONGEST_S),
+            Variable(name="mass over damping", low=_LEAST * h, high=_LONGEST_S, unit="s"),
             Variable(name="damping", low=max(min(low, high), least), high=high),
         )
 
@@ -155,7 +156,7 @@ class MdkAxis:
             force, travel = ("N·m", "0.1 rad") if self.task.axis in ROTATIONAL_AXES else ("N", "100 mm")
             yield (
                 f"axis {self.task.axis}: the spring that the damping needs pulls back with {0.1 * rule.stiffness:.3g} "
-                f"{force} per {travel}, with a time constant of {returns_s:.3g} s."
+                f"{force} per {travel}, with a time constant of {significant(returns_s, 3)} s."
             )
 
 

@@ -53,6 +53,7 @@ class Variable:
     low: float
     high: float
     ratio: bool = True
+    unit: str = ""
 
 
 class ControllerStructure(Protocol):

@@ -12,6 +12,7 @@ from autotune.formats.units import AXES, ROTATIONAL_AXES, axis_units
 from autotune.validation.law import AxisTask
 from problems.model.linear_controllers import LinearController
 from problems.model.third_party_controllers import SpringAdmittance
+from problems.text import significant
 
 from .retune import Values, Variable, lost_gains
 
@@ -55,7 +56,7 @@ class Ros2Axis:
             return (Variable(name="damping", low=low, high=max(low, min(high, most))),)
         longest = min(_LONGEST * max(self.gains.mass / damping, h), _LONGEST_S)
         return (
-            Variable(name="mass over damping", low=_LEAST * h, high=longest),
+            Variable(name="mass over damping", low=_LEAST * h, high=longest, unit="s"),
             Variable(name="damping", low=low, high=high),
         )
 
@@ -99,8 +100,8 @@ class Ros2Axis:
         returns_s = rule.total_damping / rule.stiffness
         yield (
             f"axis {self.task.axis}: the spring that the damping needs pulls back to the reference with "
-            f"{0.1 * rule.stiffness:.3g} {force} per {travel}, with a time constant of {returns_s:.3g} s: what was "
-            f"pushed away comes back by {100.0 * -math.expm1(-60.0 / returns_s):.2g} % in a minute."
+            f"{0.1 * rule.stiffness:.3g} {force} per {travel}, with a time constant of {significant(returns_s, 3)} s: "
+            f"what was pushed away comes back by {100.0 * -math.expm1(-60.0 / returns_s):.2g} % in a minute."
         )
         yield (
             f"axis {self.task.axis}: of the damping {rule.total_damping:.6g} {units.damping}, joint_damping makes "

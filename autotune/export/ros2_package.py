@@ -105,7 +105,7 @@ def render(request: ExportRequest) -> Rendered:
     from autotune.formats.canonical import short  # noqa: PLC0415
     from autotune.runtime.load import read_law  # noqa: PLC0415
 
-    from .c_source import render_c  # noqa: PLC0415
+    from .c_source import gains_text, render_c  # noqa: PLC0415
 
     source, package = request.source, request.out.name
     options = PackageOptions(**request.options)
@@ -126,7 +126,7 @@ def render(request: ExportRequest) -> Rendered:
         "rate": rate,
         "rest": law.limits.rest_samples,
         "command": "positions" if options.command_interface == "position" else "velocities",
-        "axes": "; ".join(f"{each.name} (M {each.mass:g}, B {each.damping:g})" for each in law.axes),
+        "axes": "; ".join(gains_text(each) for each in law.axes),
         "masses": _masses(law),
         "kinematics_failed": _KINEMATICS_FAILED,
         "interface_failed": _INTERFACE_FAILED,

@@ -37,7 +37,8 @@ def render(request: ExportRequest) -> Rendered:
     }
     comments = (
         f"Written by autotune {__version__} as parameters of a node of your own.",
-        f"Source: controller.yaml with checksum {short(source.checksum)}. Units are SI; about rx, ry, rz rad and N·m.",
+        f"Source: {source.path.name} with checksum {short(source.checksum)}.",
+        "Units are SI; about rx, ry, rz rad and N·m.",
         (
             "Certified is the step of autotune.runtime (docs/runtime.md) with these limits, once per sample_time_s. A "
             "node that runs another one is not certified: compare its commands with those of the Python runtime or the "

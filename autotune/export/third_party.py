@@ -15,11 +15,13 @@ from autotune.formats.controller import ControllerFile
 from autotune.formats.controller_record import AxisGains, Controller
 from autotune.formats.limits import CollisionResponse
 from autotune.formats.units import ROTATIONAL_AXES, axis_units
+from autotune.text import margins_text
 from autotune.validation.bouncing import search_bouncing
 from autotune.validation.law import AxisTask, LawCertificate, axis_task, certify_law
 from autotune.version import __version__
 from problems.design.requirements import AdmittanceTarget
 from problems.errors import ParameterError
+from problems.model.axis_kind import for_people
 from problems.model.linear_controllers import LinearController
 from problems.model.third_party_controllers import alternates
 from problems.text import significant
@@ -82,7 +84,7 @@ class TranslatedAxis:
         """Return in words the peak force beside that of the file's own law."""
         unit, more = axis_units(self.axis).force, self.peak_n - self.peak_before_n
         change = f"{abs(more):.1f} {unit} {'more' if more >= 0.0 else 'less'}"
-        return f"{self.peak_n:.1f} {unit} instead of {self.peak_before_n:.1f} {unit}: {change}"
+        return f"{self.peak_n:.1f} {unit}, {self.peak_before_n:.1f} {unit} with the law of the file itself: {change}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,7 +117,9 @@ class Translation:
         """Return lines for a person."""
         for axis in self.axes:
             how = "translated" if axis.tuned_because is None else f"tuned anew, since {axis.tuned_because}"
-            numbers = ", ".join(f"{name} {value:g}" for name, value in axis.written.items())
+            units = axis_units(axis.axis)
+            known = {name: f" {getattr(units, name)}" for name in ("mass", "damping", "stiffness")}
+            numbers = ", ".join(f"{name} {value:g}{known.get(name, '')}" for name, value in axis.written.items())
             yield f"axis {axis.axis}: {numbers} ({how})"
             yield f"axis {axis.axis}: peak force {axis.price()}"
             yield from axis.notes
@@ -248,7 +252,9 @@ def _bound_notes(axis: ControllerStructure, values: Values) -> Iterator[str]:
     for each, value in zip(axis.variables, values, strict=True):
         if each.high > each.low and value in (each.low, each.high):
             end = "lowest" if value == each.low else "highest"
-            yield f"axis {axis.task.axis}: {each.name} is the {end} that the search may choose, {value:.4g}."
+            scale, unit = for_people(each.unit)
+            chosen = f"{scale * value:.4g} {unit}".rstrip()
+            yield f"axis {axis.task.axis}: {each.name} is the {end} that the search may choose, {chosen}."
 
 
 def _dropped(controller: Controller) -> Iterator[str]:
@@ -282,10 +288,10 @@ def _text(
     """Return the whole file, comments first."""
     comments = [
         f"Written by autotune {__version__} for {file.software}.",
-        f"Source: controller.yaml with checksum {short(source.checksum)} (sha256 {source.checksum}).",
+        f"Source: {source.path.name} with checksum {short(source.checksum)} (sha256 {source.checksum}).",
         (
-            f"Holds at an update rate of {file.update_rate_hz} Hz and for the cell of that file; names are those of "
-            "the installation."
+            f"Holds at an update rate of {file.update_rate_hz} Hz and for the cell of that file. Names of joints, "
+            "frames and topics are those of your installation: check them."
         ),
         "",
     ]
@@ -314,8 +320,7 @@ def _certificate(each: TranslatedAxis) -> Iterator[str]:
     yield (
         f"axis {each.axis}: certified for what runs: stable in contact ({_cells(found.stability.contact)}) "
         f"and in free space ({_cells(found.stability.free_space)}{spring}); "
-        + ", ".join(f"{name} {value:.4g}" for name, value in found.margins.values.items())
-        + f" on {found.margins.plants} plants."
+        f"{margins_text(found.margins.values)} on {found.margins.plants} plants."
     )
     low, high = found.admittance.band_hz
     yield (

@@ -24,6 +24,7 @@ from autotune.formats.controller_record import (
 from autotune.formats.units import ROTATIONAL_AXES, axis_units
 from autotune.plugins import find_requirement
 from autotune.prediction.as_run_by import as_run_by, designed_for
+from autotune.text import scenario_text
 from identification.axes.turning import LEVER_M
 from problems.contact.linear_controller_contact import (
     force_per_speed,
@@ -274,9 +275,7 @@ def worst_contact(task: AxisTask, law: LinearController) -> ScenarioPrediction:
         seen = simulate_linear_contact(pair, law, approach)
         found.append((seen.peak_contact_force_n, scenario, seen))
     _, scenario, seen = max(found, key=lambda each: each[0])
-    stiffness, mass = scenario.environment_stiffness_n_per_m, scenario.payload_mass_kg
-    name = f"K_e {stiffness:.4g} {units.stiffness}, {mass:.4g} {units.mass}{scenario.off_nominal}"
-    return ScenarioPrediction.of(name, scenario, seen)
+    return ScenarioPrediction.of(scenario_text(scenario, units), scenario, seen)
 
 
 def smallest_admittance(task: AxisTask, law: LinearController, band_hz: tuple[float, float]) -> float:

@@ -10,6 +10,7 @@ from autotune.formats.certificate_record import AxisMargins
 from autotune.formats.controller_record import Controller
 from autotune.formats.units import ROTATIONAL_AXES, axis_units
 from autotune.plugins import find_requirement
+from autotune.text import margins_text
 from problems.arrays import FloatArray
 from problems.design.evaluation import build_scenarios
 from problems.design.problem import DesignProblem
@@ -56,12 +57,11 @@ def check_margins(name: str, claimed: AxisMargins, swept: SweptMargins) -> Check
         said = math.inf if said is None else float(said)
         if said > found * (1.0 + _SAME_MARGIN) and not (math.isinf(said) and math.isinf(found)):
             wrong.append(f"{key} is claimed as {said:.6g}, found {found:.6g}")
-    text = ", ".join(f"{key} {swept.values[key]:.4g}" for key in ("modulus", "gain_db", "phase_deg", "delay_s"))
     return Check(
         axis=name,
         name="margins",
         passed=not wrong and swept.largest_radius < 1.0,
-        message="; ".join(wrong) or f"confirmed on {swept.plants} plants: {text}",
+        message="; ".join(wrong) or f"confirmed on {swept.plants} plants: {margins_text(swept.values)}",
     )
 
 

@@ -81,6 +81,8 @@ def test_the_demo_finds_the_truth_and_a_controller_that_is_certified_for_it(whol
     names = {"cell.mcap", "identified.yaml", "controller.yaml", "controller.json"}
     assert {path.name for path in whole.folder.iterdir()} == names | {"report.html", "demo.yaml"}
     assert Path(tree["report"]).name == "report.html"
+    page = (whole.folder / "report.html").read_text(encoding="utf-8")
+    assert page.index("controller.yaml: The controller and what it changes") < page.index("cell.mcap: The identified")
     assert {Path(path).name for path in tree["files"].values()} == names
     assert tree["controller"] == load_yaml(whole.folder / "controller.yaml")
     # The truth lies in the domain for which the controller is certified.

@@ -110,8 +110,8 @@ def test_another_controller_is_certified_and_its_price_reported(run_cli: RunCli,
     assert is_next_alone(run.stderr)
     lines = run.stdout.splitlines()
     assert lines[0].startswith("out.yaml: ros2_control, from the file with checksum ")
-    assert lines[1].startswith("axis x: mass 8, damping_ratio ")
-    assert " N instead of " in lines[2]
+    assert lines[1].startswith("axis x: mass 8 kg, damping_ratio ")
+    assert " N with the law of the file itself: " in lines[2]
     assert any(line.startswith("axis x: the spring that the damping needs pulls back") for line in lines)
     for note in ("rule commands its reference", "publish −bias", "y, z, rx, ry, rz were not tuned"):
         assert any(line.startswith("note: ") and note in line for line in lines)

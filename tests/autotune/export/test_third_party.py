@@ -79,7 +79,8 @@ def test_what_fails_without_its_lead_is_tuned_anew_and_the_price_is_reported(tun
     assert "modulus_margin must be at least 0.5" in axis.tuned_because
     assert axis.peak_n > axis.peak_before_n
     more = f"{axis.peak_n - axis.peak_before_n:.1f} N more"
-    assert axis.price() == f"{axis.peak_n:.1f} N instead of {axis.peak_before_n:.1f} N: {more}"
+    own = f"{axis.peak_before_n:.1f} N with the law of the file itself"
+    assert axis.price() == f"{axis.peak_n:.1f} N, {own}: {more}"
     assert more in " ".join(line.removeprefix("#").strip() for line in tuned.text.splitlines())
     assert axis.certificate.holds
 
@@ -281,7 +282,7 @@ def test_a_rotational_axis_has_its_own_units_and_places(tmp_path: Path) -> None:
     assert made.axes[0].written["mass"] == 0.32
     assert parameters(made)["admittance"]["selected_axes"] == [False] * 5 + [True]
     assert "N·m per 0.1 rad" in made.text
-    assert "N·m instead of" in re.sub(r"\n#\s*", " ", made.text)
+    assert "N·m with the law of the file itself" in re.sub(r"\n#\s*", " ", made.text)
 
 
 @pytest.mark.parametrize(
