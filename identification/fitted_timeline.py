@@ -16,8 +16,11 @@ from .timeline.contacts import find_contacts
 from .timeline.left_contacts import Accounted, ObservedAxis, account_for_contacts
 from .timeline.payload import observe_payload, press_sign
 from .timeline.timeline import build_timeline, name_surfaces
-from .touches.find import describe_touch
+from .touches.find import approach_speed, describe_touch, desired_speed
 from .touches.signals import AxisSignals, desired_force_of, gains_of, lead_of, sample_noise
+
+# A hand that helps, or holds back, by less than this of F^d leaves the approach as it is.
+_SPEED_SHARE = 0.2
 
 
 def account_for_log(cell: CellSignals, results: Mapping[str, AxisResult], mass_kg: float) -> tuple[Accounted, Timeline]:
@@ -95,12 +98,18 @@ def touches_of(
     """Return every touch by its time; `phases` say which surface a contact is of.
 
     What presses on a surface is a wall, where a hand is suspected undetermined; what is softer than any surface or does
-    work is a hand, and what the way in or out does not show is undetermined.
+    work is a hand, and what the way in or out does not show is undetermined, unless F^d alone drove the flange there.
     """
     found = [touch for axis in axes for touch in _on_axis(recording, log, axis, phases)]
     return tuple(
         sorted(found, key=lambda touch: (touch.peak_s if touch.onset_s is None else touch.onset_s, touch.axis))
     )
+
+
+def is_driven_alone(axis: AxisSignals, onset: int, sign: int) -> bool:
+    """Return whether the approach is as fast as F^d/B_a, false where that is not known: no hand drove it then."""
+    asked, speed = desired_speed(axis, onset), approach_speed(axis, onset, sign)
+    return asked is not None and speed is not None and abs(speed - sign * asked) <= _SPEED_SHARE * speed
 
 
 def _on_axis(recording: Recording, log: AlignedLog, axis: ObservedAxis, phases: Sequence[LogPhase]) -> Iterator[Touch]:
@@ -118,13 +127,17 @@ def _on_axis(recording: Recording, log: AlignedLog, axis: ObservedAxis, phases: 
     }
     for contact, cause in judged:
         sign = int(press_sign(axis.of, contact.hold))
-        hold = contact.hold if contact.is_held else None
-        touch = describe_touch(signals, sign, contact.span, hold=hold, cause=cause, is_led=contact.hand_suspected).touch
+        hold, onset, is_led = contact.hold if contact.is_held else None, contact.onset, contact.hand_suspected
+        # No spring explains a hard wall that was logged at 100 Hz, but the way there shows no hand.
+        is_open = cause is TouchCause.UNDETERMINED and is_led is None
+        is_met = is_open and onset is not None and is_driven_alone(signals, onset, sign)
+        of = (TouchCause.WALL, False) if is_met else (cause, is_led)
+        touch = describe_touch(signals, sign, contact.span, hold=hold, cause=of[0], is_led=of[1]).touch
         yield replace(
             touch,
-            onset_s=None if contact.onset is None else contact.onset * log.period_s,
-            approach_speed=None if contact.onset is None else touch.approach_speed,
-            impulse=None if contact.onset is None else touch.impulse,
+            onset_s=None if onset is None else onset * log.period_s,
+            approach_speed=None if onset is None else touch.approach_speed,
+            impulse=None if onset is None else touch.impulse,
             release_s=None if contact.release is None else contact.release * log.period_s,
             bounces_s=tuple(left * log.period_s for left in contact.bounces),
             surface=surfaces.get(contact.span.start),

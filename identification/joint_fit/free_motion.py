@@ -136,7 +136,8 @@ def robot_of_pose(data: JointData, base: Problem, robot: FloatArray) -> tuple[Fl
         further = replace(signals, yielded=std if signals.yielded is None else signals.yielded + std)
         other, _ = minimise(replace(problem, signals=further), point, STEPS_LATER)
         covariance = covariance + np.outer(other.values[mine] - found, other.values[mine] - found)
-    found[-1] -= 0.0 if data.command is None else data.command.shift_s
+    # A delay of 0 falls below it by rounding.
+    found[-1] = max(found[-1] - (0.0 if data.command is None else data.command.shift_s), 0.0)
     return found, covariance
 
 

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from scipy.signal import StateSpace, lsim
 
 from identification.errors import EstimateError, LogError
+from identification.fitted_timeline import is_driven_alone
 from identification.partial import identify_partial
 from identification.result import TouchCause
 from identification.signals.recording import GainsSignal, PoseSignal, Recording, WrenchSignal
@@ -181,6 +182,17 @@ def test_a_wall_is_met_as_it_is(stiffness: float, at_m: float, offset: float) ->
     assert secant.value is not None
     assert secant.std is not None
     assert abs(secant.value - stiffness) < 2.0 * secant.std
+
+
+@pytest.mark.parametrize(("force_n", "is_alone"), [(DESIRED_N, True), (2.0 * DESIRED_N, False), (0.0, False)])
+def test_a_speed_of_the_desired_force_over_the_damping_shows_no_hand(force_n: float, is_alone: bool) -> None:
+    (signals,) = (each for each in axis_signals(recorded(Program(force_n=wall(2e4, 0.05)))) if each.axis == "z")
+    (touch,) = identify_touches(recorded(Program(force_n=wall(2e4, 0.05)))).timeline.touches
+    assert touch.onset_s is not None
+    onset = int(np.searchsorted(signals.time_s, touch.onset_s))
+    other = replace(signals, desired_n=np.full(len(signals.time_s), force_n))
+    assert is_driven_alone(other, onset, 1) is is_alone
+    assert not is_driven_alone(other, onset, -1)
 
 
 def test_a_constant_force_across_the_motion_hides_no_wall() -> None:
