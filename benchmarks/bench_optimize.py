@@ -138,6 +138,7 @@ def run_problem(seed: int, options: argparse.Namespace) -> Record:
     """Solve one drawn problem, and hold the outcome to the reference and to the denser grid."""
     problem = draw_problem(seed)
     search = {"seeds": options.seeds, "population": options.population, "generations": options.generations}
+    search["rival"] = options.rival
     try:
         result, wall, processor = _timed(lambda: solve_design(problem))
     except InfeasibleError as error:
@@ -272,6 +273,12 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--seeds", type=int, default=3, help="of the long evolution and of every peer")
     parser.add_argument("--population", type=int, default=100, help="of the long evolution")
     parser.add_argument("--generations", type=int, default=300, help="of the long evolution, at most")
+    parser.add_argument(
+        "--rival",
+        choices=("evolution", "cma"),
+        default="evolution",
+        help="what drawn problems are held to; cma: CMA-ES with restarts, population times generations evaluations",
+    )
     parser.add_argument("--budget", type=float, default=15.0, help="processor seconds of a peer")
     parser.add_argument(
         "--at-once", type=int, default=ALL_AT_ONCE_UP_TO, help="the largest grid solved with all scenarios at once"

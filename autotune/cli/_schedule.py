@@ -117,8 +117,14 @@ def _tune(
 
 def _check_alone(tables: Mapping[str, Sequence[Interval]], others: Mapping[str, Any]) -> None:
     """Refuse options that speak of one controller, or of what the table says."""
-    for name, option in (("old", "compare"), ("pareto", "pareto"), ("report", "report"), ("target", "for")):
-        if others[name] is not None:
+    for name, option in (
+        ("old", "compare"),
+        ("pareto", "pareto"),
+        ("report", "report"),
+        ("target", "for"),
+        ("limit", "limit"),
+    ):
+        if others[name]:
             instead = "; for the page of all: autotune report FOLDER/schedule.yaml" if name == "report" else ""
             raise click.UsageError(f"--{option} is about one controller, and --schedule tunes many{instead}.")
     if others["proof"] is not None:

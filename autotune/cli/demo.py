@@ -4,7 +4,8 @@ import contextlib
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,11 +15,13 @@ from autotune.shown import COMPILING
 from problems.errors import MissingExtraError, require_extra
 
 from ._common import Output, output_options
+from ._limits import how_far_lines, limit_charts, limit_tree, limits_of
 from ._options import GroupedCommand
 from ._terminal import detect_terminal, print_message, print_table
 
 if TYPE_CHECKING:
     from autotune.demo import Comparison, DemoResult
+    from autotune.limit.limit import LimitResult
     from autotune.report.page import Page
 
     from ._common import Advance
@@ -78,12 +81,13 @@ def command(output: Output, directory: Path, seed: int, cell: str) -> None:
     with output.progress("demo", 1.0) as advance, _compiling_beside(output), _counting_kernels(advance) as work:
         found = run_demo(directory, cell=cell, seed=seed, step=lambda name: output.note(f"{name} ..."), progress=work)
     page = found.files.log.parent / PAGE if has_page else None
-    written = write_report(output, page, lambda: _page(found))
+    limits = limits_of(output, found.optimized) if find_spec("cvxpy") else {}
+    written = write_report(output, page, lambda: _page(found, limits))
     if page is not None:
         found.made.add(page)
     for path in found.made.replaced:
         output.note(f"replaced {path}, of an earlier demo")
-    output.result({**_tree(found), **written}, lambda: _print(found, page))
+    output.result({**_tree(found), **limit_tree(limits), **written}, lambda: _print(found, page, limits))
     output.next_command("explore", found.files.controller)
 
 
@@ -145,7 +149,7 @@ def _nothing() -> None:
     """Hear of compilations after the block, whose folder is gone."""
 
 
-def _page(found: "DemoResult") -> "Page":
+def _page(found: "DemoResult", limits: "Mapping[str, LimitResult]") -> "Page":
     """Return the page of what was tuned, which begins with what it changes, and of what was identified."""
     from autotune.pipeline import IdentifyOptions
     from autotune.report.identify_page import build_identify_page, summaries_of
@@ -159,7 +163,11 @@ def _page(found: "DemoResult") -> "Page":
         (
             files.controller,
             build_optimize_page(
-                found.optimized.controller, found.checksum, steps=steps, before_after=found.optimized.before_after
+                found.optimized.controller,
+                found.checksum,
+                steps=steps,
+                before_after=found.optimized.before_after,
+                limits=limit_charts(limits),
             ),
         ),
         (files.log, build_identify_page(identified.result, identified.provenance, identified.evidence, summaries)),
@@ -194,7 +202,7 @@ def _tree(found: "DemoResult") -> dict[str, Any]:
     }
 
 
-def _print(found: "DemoResult", page: Path | None) -> None:
+def _print(found: "DemoResult", page: Path | None, limits: "Mapping[str, LimitResult]") -> None:
     from autotune.formats.canonical import short
     from autotune.formats.units import axis_units
     from autotune.text import scenario_text
@@ -223,7 +231,8 @@ def _print(found: "DemoResult", page: Path | None) -> None:
             f"  worst predicted peak {worst.peak_contact_force_n:.1f} N at the contact, "
             f"{worst.peak_sensor_force_n:.1f} N at the sensor ({scenario_text(worst.scenario(), axis_units(name))})"
         )
-        for line in (*default_lines(found.optimized, name), *active_lines(found.optimized, name)):
+        lines = (*default_lines(found.optimized, name), *active_lines(found.optimized, name))
+        for line in (*lines, *how_far_lines(limits, name)):
             print_message(f"  {line}")
     for note in controller.provenance.get("notes", ()):
         print_message(f"  {note}")

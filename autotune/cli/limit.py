@@ -151,6 +151,7 @@ def _print_limit(found: "LimitResult", axis: str) -> None:
         "modulus margin": ("modulus", 1.0),
         f"command noise [m{units.speed} per {units.force}]": ("noise_m_s_per_n", 1e3),
         f"least admittance [{units.admittance}]": ("min_m_s_per_n", 1.0),
+        "gain margin [dB]": ("gain_db", 1.0),
         "phase margin [°]": ("phase_deg", 1.0),
         "delay margin [ms]": ("delay_s", 1e3),
     }

@@ -1,7 +1,7 @@
 """`autotune optimize`: a validated controller from identified parameters."""
 
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -13,6 +13,7 @@ from autotune.export.targets import TARGETS
 from autotune.formats.kinds import PLANTS
 
 from ._common import Output, output_options
+from ._limits import how_far_lines, limit_charts, limit_option, limit_tree, limits_of
 from ._optimized import (
     active_lines,
     active_tree,
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
     from autotune.formats.controller_record import ScenarioPrediction
     from autotune.formats.identified import IdentifiedFile
     from autotune.formats.problem import ProblemSpec
+    from autotune.limit.limit import LimitResult
     from autotune.prediction.law import PresentGains
     from autotune.report.page import Page
     from autotune.studies.front import FrontRequest
@@ -128,6 +130,7 @@ def _stiffness(_context: click.Context, _option: click.Parameter, text: str | No
 )
 @pareto_options
 @report_option
+@limit_option
 @proof_options
 @output_options
 @schedule_options
@@ -142,6 +145,7 @@ def command(
     seed: int,
     pareto: "FrontRequest | None",
     report: Path | None,
+    limit: bool,
     proof: "ProofOptions | None",
     target: str | None,
 ) -> None:
@@ -167,10 +171,9 @@ def command(
     check_report(report, [*sources, out])
     fronts, seen, rendered = FrontWriter(pareto, out), list["IdentifiedFile"](), None
     with report_refusal(output, report, sources, lambda error: _refused_page(error, seen)):
-        plant = read_plant(identified)
-        seen.append(plant)
+        seen.append(read_plant(identified))
         asked = ProblemSpec() if problem is None else read_problem(problem)
-        plant = plant_for(wanted, plant)
+        plant = plant_for(wanted, seen[0])
         present = present_gains(old, plant, asked.axes)
         spec = asked.with_options(
             payload_mass=payload_mass, environment_stiffness=environment_stiffness, with_unit=fields_with_unit()
@@ -189,10 +192,10 @@ def command(
         fronts.write(found)
     for note in found.controller.provenance.get("notes", ()):
         output.note(note)
-    tree = _tree(found, present, fronts, rendered)
-    tree |= write_report(output, report, lambda: _page(found, checksum, present, fronts))
-
-    output.result(tree, lambda: _print_all(found, out, short(checksum), present, fronts, report, rendered))
+    limits = limits_of(output, found) if limit else {}
+    tree = _tree(found, present, fronts, rendered) | limit_tree(limits)
+    tree |= write_report(output, report, lambda: _page(found, checksum, present, fronts, limits))
+    output.result(tree, lambda: _print_all(found, out, short(checksum), present, fronts, report, rendered, limits))
     # Ranges that were said may leave out what was identified, and a plant of a person has no estimates to hold against.
     is_said = plant.domain or found.compliance or spec.payload_mass or spec.environment_stiffness
     if wanted is None:
@@ -292,13 +295,20 @@ def _print_all(
     fronts: FrontWriter,
     report: Path | None,
     rendered: "Rendered | None",
+    limits: "Mapping[str, LimitResult]",
 ) -> None:
-    print_optimized(found, out, checksum, present, rendered)
+    print_optimized(found, out, checksum, present, rendered, limits)
     fronts.print()
     print_report_path(report)
 
 
-def _page(found: "Optimized", checksum: str, present: "PresentGains | None", fronts: FrontWriter) -> "Page":
+def _page(
+    found: "Optimized",
+    checksum: str,
+    present: "PresentGains | None",
+    fronts: FrontWriter,
+    limits: "Mapping[str, LimitResult]",
+) -> "Page":
     from autotune.report.optimize_page import build_optimize_page
 
     return build_optimize_page(
@@ -308,6 +318,7 @@ def _page(found: "Optimized", checksum: str, present: "PresentGains | None", fro
         old=present,
         before_after=found.before_after,
         fronts=fronts.tree.get("axes"),
+        limits=limit_charts(limits),
     )
 
 
@@ -323,6 +334,7 @@ def print_optimized(
     checksum: str,
     present: "PresentGains | None" = None,
     rendered: "Rendered | None" = None,
+    limits: "Mapping[str, LimitResult] | None" = None,
 ) -> None:
     """Print what it changes, the chosen gains, the predicted peaks, what holds them up, and what was verified."""
     from autotune.formats.units import axis_units
@@ -354,7 +366,7 @@ def print_optimized(
         print_message(f"  predicted contacts, approached {drive}:")
         _print_peaks(controller.predicted[name].scenarios, units)
         _print_spark(found, name, units)
-        for line in (*default_lines(found, name), *active_lines(found, name)):
+        for line in (*default_lines(found, name), *active_lines(found, name), *how_far_lines(limits or {}, name)):
             print_message(f"  {line}")
     for line in (
         *damping_lines(controller),

@@ -1,8 +1,8 @@
 """How far a design is from what any linear controller could reach under the same requirements."""
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,7 @@ from problems.contact.transient import (
 )
 from problems.design.objectives import PeakObjective
 from problems.design.problem import DesignProblem
-from problems.design.requirements.admittance import band_frequencies
+from problems.design.requirements import MARGINS, Requirements, band_frequencies
 from problems.design.uncertainty import Scenario
 from problems.model.controller import AdmittanceController
 from problems.model.linear_controllers import LinearController
@@ -49,7 +49,8 @@ NEGLECTED_BELOW = (
     "ticks that count, and the force between two ticks"
 )
 NEGLECTED_ABOVE = (
-    "requirements beside modulus, noise and admittance, plants beside those looked at, deadband and command limits"
+    "requirements beside modulus, noise and admittance, of which other margins are compared on the exact loops, plants "
+    "beside those looked at, deadband and command limits"
 )
 
 
@@ -81,7 +82,8 @@ class LimitResult:
     """The design, a linear controller that gets nearer, and the force that none gets below, over `scenarios`.
 
     `attained` is None where nothing better than the design was found. `states` is the order of that controller,
-    `noise_factor` how often the design's noise it may have.
+    `noise_factor` how often the design's noise it may have, `missed` the margins that it was not asked to keep and that
+    lie below what the problem asks, by name: what is asked and what it has.
     """
 
     scenarios: tuple[Scenario, ...]
@@ -93,6 +95,7 @@ class LimitResult:
     attained: ReachedPeak | None
     controller: LinearController | None
     bound: LowerBound
+    missed: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     @property
     def reached_n(self) -> float:
@@ -106,7 +109,17 @@ class LimitResult:
         said += f"no linear controller {noise} gets below {self.bound.force_n:.4g} {unit}"
         if self.attained is None:
             return f"{said}, and none better than the design was found"
-        return f"{said}; {self.reached_n:.4g} {unit} is reached"
+        said = f"{said}; {self.reached_n:.4g} {unit} is reached"
+        misses = [
+            f"{each.title} of {each.shown_scale * has:.4g} where {each.shown_scale * asked:.4g} {each.unit}".replace(
+                " °", "°"
+            )
+            + " is asked"
+            for each in MARGINS
+            if each.name in self.missed
+            for asked, has in (self.missed[each.name],)
+        ]
+        return f"{said}, with a {' and a '.join(misses)}" if misses else said
 
     def chart(self, title: str, unit: str = "N") -> Chart:
         """Return the picture: the force of both contacts over time, and the force that none gets below."""
@@ -121,7 +134,8 @@ class LimitResult:
             elements=(*lines, floor),
             title=title,
         )
-        return Chart(key="limit", title="How far from the limit", alternative=self.summary(unit), panels=(panel,))
+        key = f"{title.removeprefix('axis ')}-limit"
+        return Chart(key=key, title="How far from the limit", alternative=self.summary(unit), panels=(panel,))
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain data."""
@@ -141,6 +155,7 @@ class LimitResult:
             "noise_factor": self.noise_factor,
             "design": self.design.to_dict(),
             "attained": None if self.attained is None else self.attained.to_dict(),
+            "missed": {name: {"asked": asked, "attained": has} for name, (asked, has) in self.missed.items()},
             "states": None if self.controller is None else self.controller.state_count,
             "lower_bound": {"force_n": self.bound.force_n, "ticks": self.bound.ticks, "inputs": self.bound.inputs},
             "neglected": {"attained": NEGLECTED_ABOVE, "lower_bound": NEGLECTED_BELOW},
@@ -277,7 +292,18 @@ def find_limit(
         attained=attained if better else None,
         controller=controller if better else None,
         bound=bound,
+        missed=_missed(requirements, attained) if better and attained is not None else {},
     )
+
+
+def _missed(requirements: Requirements, found: ReachedPeak) -> dict[str, tuple[float, float]]:
+    """Return the margins that are asked and not held, by name: what is asked, what it has."""
+    missed = {}
+    for each in MARGINS:
+        asked, has = requirements.asked().get(each.name), float(getattr(found, each.margin))
+        if isinstance(asked, float | int) and has < asked:
+            missed[each.name] = (float(asked), has)
+    return missed
 
 
 def _signals(

@@ -27,9 +27,9 @@ _RESERVE = 1.003
 _FREQUENCIES, _BETWEEN, _LOWEST_RAD_PER_S = 200, 10, 0.5
 _NOISE_POINTS = 2048
 _TRUST = 0.3
-# The lower bound: inputs of the modulus that join at a time, rounds of them, what counts as violated, and what the
-# solver leaves open, which is taken off.
-_INPUTS_A_ROUND, _ROUNDS, _VIOLATED, _GAP = 8, 12, 1.002, 1e-5
+# The lower bound: inputs of the modulus that join at a time, rounds of them, how many ticks of them there may be in all
+# (each costs a row), what counts as violated, and what the solver leaves open, which is taken off.
+_INPUTS_A_ROUND, _ROUNDS, _MOST_ROWS, _VIOLATED, _GAP = 8, 12, 12_000, 1.002, 1e-5
 _SCALE_M_PER_N = 1e-6
 # Gaps are a tenth of what is taken off the bound, and the reserve is larger by far. Clarabel's own choice of a
 # factorization on several threads takes twice the processor time for programs of this size.
@@ -276,8 +276,8 @@ def lower_bound(plant: ContactSignals, asked: EqualDemands, ticks: int) -> Lower
     The forces up to a tick depend on the commands up to that tick alone, so that with one free coefficient per tick
     nothing is left out: the least peak over them is below that of every controller. The noise of the command counts up
     to the same tick only, and the modulus as far as inputs of that length show it: ‖S w‖ ≤ ‖w‖/m for every w, of which
-    those that the solution violates most are added until none is left. Each of these asks for less than the whole
-    does. Raises NoSolutionError where there is none.
+    those that the solution violates most are added until none is left or there are many. Each of these asks for less
+    than the whole does. Raises NoSolutionError where there is none.
     """
     h, zero = plant.pair.contact.sample_time_s, np.zeros(ticks)
     wall = plant.wall_force[:ticks]
@@ -298,7 +298,7 @@ def lower_bound(plant: ContactSignals, asked: EqualDemands, ticks: int) -> Lower
         worst = [
             v for gain, v in zip(gains[:_INPUTS_A_ROUND], vectors, strict=False) if gain * asked.modulus > _VIOLATED
         ]
-        if not worst:
+        if not worst or ticks * (len(inputs) + len(worst)) > _MOST_ROWS:
             break
         inputs += worst
     return LowerBound(force_n=best, ticks=ticks, inputs=len(inputs))

@@ -47,6 +47,11 @@ if TYPE_CHECKING:
     from autotune.tuning.search import SearchStep
 
 _LEAST_PRICE = 1e-3
+_NO_LIMIT = Note(
+    text="What any linear controller could reach here, and the force that none gets below: optimize --limit, or "
+    "autotune limit for the file.",
+    tone="quiet",
+)
 
 
 def build_optimize_page(
@@ -57,11 +62,13 @@ def build_optimize_page(
     old: PresentGains | None = None,
     before_after: Mapping[str, BeforeAndAfter] | None = None,
     fronts: Mapping[str, Any] | None = None,
+    limits: Mapping[str, Chart] | None = None,
 ) -> Page:
     """Build the report of a controller from its file alone, or with what only the search knows.
 
     `steps` adds by axis how the search converged, `old` is drawn beside it on the same plants, `before_after` are the
-    contacts of the log replayed, `fronts` are the axes of `pareto.yaml`.
+    contacts of the log replayed, `fronts` are the axes of `pareto.yaml`, `limits` the
+    pictures of how far each axis is from any linear controller.
     """
     designs, target = axis_designs(controller), designed_for(controller)
     replayed = before_after or {}
@@ -77,15 +84,12 @@ def build_optimize_page(
         *own_law_sections(
             target,
             [
-                Section(
-                    key="result",
-                    title="Result",
-                    blocks=(design_facts(designs), gains_table(controller), *_notes(controller)),
-                ),
+                _result_section(controller, designs, () if target or limits else (_NO_LIMIT,)),
                 *(
                     design_section(design, optimality_of(controller, design.name), old, checksum, replayed)
                     for design in designs
                 ),
+                limit_section(limits or {}),
                 *([] if fronts is None else [front_section(fronts)]),
                 Section(
                     key="led",
@@ -175,6 +179,12 @@ def _before_fact(old: PresentGains | None) -> Iterator[Fact]:
     if old is not None:
         detail = "" if old.file is None else f"checksum {short(old.file.checksum)}"
         yield Fact(label="before, in grey", value=old.name, detail=detail)
+
+
+def _result_section(controller: Controller, designs: Sequence[AxisDesign], further: Sequence[Note]) -> Section:
+    """Return gains, margins and peaks, and what holds them up."""
+    blocks: list[Block] = [design_facts(designs), gains_table(controller), *_notes(controller), *further]
+    return Section(key="result", title="Result", blocks=tuple(blocks))
 
 
 def _notes(controller: Controller) -> Iterator[Note]:
@@ -286,6 +296,14 @@ def front_section(fronts: Mapping[str, Any]) -> Section:
     for axis, tree in fronts.items():
         blocks += [front_chart(axis, tree), _front_table(axis, tree)]
     return Section(key="front", title="What can be traded", blocks=tuple(blocks))
+
+
+def limit_section(charts: Mapping[str, Chart]) -> Section:
+    """Return the design between what no linear controller gets below and what one reaches."""
+    blocks: list[Block] = []
+    for name, chart in charts.items():
+        blocks += [Note(text=f"Axis {name}: {chart.alternative}.", kind="limit"), chart]
+    return Section(key="limit", title="How far from the limit", blocks=tuple(blocks))
 
 
 def _front_table(axis: str, tree: Mapping[str, Any]) -> Table:

@@ -78,6 +78,12 @@ def test_the_demo_finds_the_truth_and_a_controller_that_is_certified_for_it(whol
         assert abs(by_name[name]["value"] - by_name[name]["truth"]) < 5.0 * by_name[name]["std"]
     assert all(check["passed"] for check in tree["checks"])
     assert tree["active"]["x"]
+    limit = tree["limit"]["x"]
+    peak = max(each["peak_contact_force_n"] for each in tree["controller"]["predicted"]["x"]["scenarios"])
+    # What the exact loop of the file says is where the picture begins.
+    assert limit["design"]["peak_force_n"] == pytest.approx(peak, rel=1e-4)
+    assert limit["lower_bound"]["force_n"] < limit["attained"]["peak_force_n"] < limit["design"]["peak_force_n"]
+    assert "no linear controller of this noise gets below" in (whole.folder / "report.html").read_text("utf-8")
     names = {"cell.mcap", "identified.yaml", "controller.yaml", "controller.json"}
     assert {path.name for path in whole.folder.iterdir()} == names | {"report.html", "demo.yaml"}
     assert Path(tree["report"]).name == "report.html"
@@ -132,6 +138,7 @@ def test_people_see_a_summary(
 ) -> None:
     found = whole.found
     monkeypatch.setattr(demo_module, "run_demo", lambda *_args, **_options: found)
+    monkeypatch.setattr("autotune.cli.demo.limits_of", lambda *_arguments: {})
     monkeypatch.setattr(page, "render_page", lambda *_arguments, **_options: "drawn once already")
     assert main(["demo", "anywhere"]) == 0
     output = capsys.readouterr().out

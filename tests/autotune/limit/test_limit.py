@@ -1,6 +1,7 @@
 """What any linear controller could do: affine forces, the controller of a response, the force that none gets below."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -165,7 +166,9 @@ def test_the_command_prints_design_reached_and_bound(
     # Half the pulses: the law is the same, and reaches a little less.
     monkeypatch.setattr("autotune.limit.limit._TAPS", 75)
     (tmp_path / "plant.yaml").write_text(_PLANT, encoding="utf-8")
-    done = run_cli("limit", "plant.yaml", "--json", "--plot", "limit.svg")
+    problem = "format: autotune/problem\nversion: 1\nrequirements: {phase_margin_deg: 35}\n"
+    (tmp_path / "problem.yaml").write_text(problem, encoding="utf-8")
+    done = run_cli("limit", "plant.yaml", "--problem", "problem.yaml", "--json", "--plot", "limit.svg")
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)["axes"]["x"]
     design, attained, bound = found["design"], found["attained"], found["lower_bound"]["force_n"]
@@ -173,8 +176,50 @@ def test_the_command_prints_design_reached_and_bound(
     assert attained["modulus"] >= found["modulus_margin"] - 1e-12
     assert attained["noise_m_s_per_n"] <= found["noise_m_s_per_n"] * (1.0 + 1e-9)
     assert attained["min_m_s_per_n"] >= 7e-4 - 1e-12
-    assert found["neglected"]["lower_bound"] == NEGLECTED_BELOW
+    # The design keeps the phase that is asked, and what gets nearer spends it.
+    assert design["phase_deg"] >= 35.0 > attained["phase_deg"]
+    # 6 dB are asked by default.
+    assert found["missed"] == {
+        "gain_margin_db": {"asked": 6.0, "attained": attained["gain_db"]},
+        "phase_margin_deg": {"asked": 35.0, "attained": attained["phase_deg"]},
+    }
     assert (tmp_path / "limit.svg").read_text(encoding="utf-8").startswith("<?xml")
+    assert found["neglected"]["lower_bound"] == NEGLECTED_BELOW
+
+
+def test_optimize_says_and_draws_how_far_its_design_is(
+    run_cli: RunCli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("autotune.limit.limit._TAPS", 75)
+    (tmp_path / "plant.yaml").write_text(_PLANT, encoding="utf-8")
+    done = run_cli("optimize", "plant.yaml", "--limit", "--report", "r.html", "--proof-budget", "0")
+    assert done.returncode == 0, done.stderr
+    (said,) = (line.strip() for line in done.stdout.splitlines() if "no linear controller of this noise" in line)
+    missed = r"a gain margin of 3\.\d+ where 6 dB is asked and a phase margin of 29\.\d+ where 30° is asked"
+    assert re.fullmatch(rf".* N is reached, with {missed}", said)
+    page = (tmp_path / "r.html").read_text(encoding="utf-8")
+    assert f"Axis x: {said}." in page
+    assert 'id="x-limit' in page
+    # From the file alone the same is said with how to get it.
+    done = run_cli("report", "controller.yaml", "--samples", "0")
+    assert done.returncode == 0, done.stderr
+    assert "the force that none gets below: optimize --limit" in (tmp_path / "report.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("other", "message"),
+    [
+        (("--for", "ros2_control"), "--limit looks at our own law, which ros2_control does not run"),
+        (("--schedule", "payload=16"), "--limit is about one controller"),
+    ],
+)
+def test_the_limit_of_another_law_or_of_many_is_refused(
+    run_cli: RunCli, tmp_path: Path, other: tuple[str, str], message: str
+) -> None:
+    (tmp_path / "plant.yaml").write_text(_PLANT, encoding="utf-8")
+    done = run_cli("optimize", "plant.yaml", "--limit", *other)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert message in done.stderr
 
 
 def test_an_axis_that_is_not_there_and_a_wrong_picture_are_usage(run_cli: RunCli, tmp_path: Path) -> None:
