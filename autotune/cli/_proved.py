@@ -1,10 +1,13 @@
-"""What the terminal says is proved of contacts, and of a payload that a person leads or holds."""
+"""What the terminal says of contacts: what is proved, those of a payload that a person leads, the worst simulated."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
+
+from ._terminal import print_message, print_table
 
 if TYPE_CHECKING:
     from autotune.formats.controller_record import Controller
+    from autotune.validation.monte_carlo import AxisMonteCarlo
 
 
 def _proved(claim: str, share: float) -> str:
@@ -100,3 +103,23 @@ def coupled_lines(controller: "Controller", unchecked: str = "") -> Iterator[str
     for each in found.proofs:
         claim = f"stable, smallest singular value of I + L above {each.modulus:.3g}"
         yield f"{'–'.join(each.axes)} together: {_proved(claim, each.share)}"
+
+
+def print_worst_plants(simulated: "Sequence[AxisMonteCarlo]") -> None:
+    """Print the worst plants of a study that is larger than usual, and the quantiles of their contact force."""
+    from autotune.formats.units import axis_units
+    from autotune.text import scenario_text
+    from autotune.validation.monte_carlo import QUANTILES, SAMPLES
+
+    for found in simulated:
+        if found.count <= SAMPLES or found.contact is None:
+            continue
+        units = axis_units(found.axis)
+        quantiles = zip(QUANTILES, found.contact.observed.quantiles, strict=True)
+        text = ", ".join(f"{value:.2f} {units.force} in {100.0 * share:g} %" for share, value in quantiles)
+        print_message(f"axis {found.axis}, contact force of {found.count} plants: at most {text}")
+        rows = [(f"worst plants of {found.axis}", "contact", "sensor"), ("", units.force, units.force)]
+        rows += [
+            (scenario_text(each.plant, units), f"{each.contact:.2f}", f"{each.sensor:.2f}") for each in found.worst
+        ]
+        print_table(rows)

@@ -14,7 +14,7 @@ from autotune.formats.units import ROTATIONAL_AXES, axis_units
 from ._common import Output, output_options
 from ._optimized import limit_lines
 from ._options import KEYS, LOGS, SETTINGS, FilePath, GroupedCommand, cell_option, span_options, urdf_options
-from ._proved import led_lines
+from ._proved import led_lines, print_worst_plants
 from ._report import check_report, print_report_path, report_option, report_refusal, write_report
 from ._schedule import validate_schedule
 from ._terminal import echo, painted, print_message, print_table, printable
@@ -101,7 +101,7 @@ def _force_limit(ctx: click.Context, param: click.Parameter, value: str | None) 
     type=click.IntRange(0),
     default=256,
     show_default=True,
-    help="Plants of the certified set to simulate with deadband, noise, clipping and late commands; 0: none.",
+    help="Plants drawn from the certified set to simulate with deadband, noise, clipping and late commands; 0: none.",
 )
 @click.option("--seed", type=click.IntRange(0), default=1, show_default=True, help="Seed of the plants and the noise.")
 @click.option(
@@ -150,7 +150,7 @@ def _validate(output: Output, path: Path, identified_path: Path | None, options:
     from autotune.validation.domain import check_domain
     from autotune.validation.law import of_own_law
     from autotune.validation.measured_loop import measured_checks
-    from autotune.validation.monte_carlo import monte_carlo_tree
+    from autotune.validation.monte_carlo_checks import monte_carlo_tree
     from autotune.validation.report import ValidationReport
     from autotune.validation.verify import verify
 
@@ -258,6 +258,7 @@ class _Seen:
             raise ValueError("nothing was verified yet")
         for line in (*led_lines(self.read.controller, self.force_limit), *limit_lines(self.read.controller)):
             print_message(line)
+        print_worst_plants(self.simulated)
         _print(self.report, self.path, short(self.read.checksum), self.compared, self.signed_by)
         print_report_path(page)
 

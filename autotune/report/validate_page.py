@@ -5,12 +5,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from autotune.charts.chart import Band, Chart, Limit, Line, Panel, Scale, level_panels
+from autotune.charts.chart import Band, Bars, Chart, Limit, Line, Panel, Scale, level_panels
 from autotune.formats.controller_record import Controller
 from autotune.formats.units import ROTATIONAL_AXES, axis_units
 from autotune.prediction.as_run_by import designed_for
+from autotune.text import scenario_text
 from autotune.validation.against_log import ComparedContact, ContactTrace, LogComparison, share_text
 from autotune.validation.monte_carlo import BAND, QUANTILES, AxisMonteCarlo
+from autotune.validation.monte_carlo_checks import violations_text
 from autotune.validation.report import ValidationReport
 
 from .axis_design import AxisDesign, axis_designs
@@ -151,10 +153,11 @@ def simulated_section(validated: Validated) -> Iterator[Section]:
     """Yield the simulated contacts, if there are any."""
     blocks: list[Block] = []
     for each in validated.simulated:
-        chart = band_chart(each)
-        blocks += [] if chart is None else [chart]
+        blocks += [chart for chart in (band_chart(each), distribution_chart(each)) if chart is not None]
     if blocks:
-        yield Section(key="simulated", title="Simulated contacts", blocks=(*blocks, _peaks_table(validated.simulated)))
+        worst = (_worst_table(each) for each in validated.simulated if each.worst)
+        tables = (_peaks_table(validated.simulated), *worst)
+        yield Section(key="simulated", title="Simulated contacts", blocks=(*blocks, *tables))
 
 
 def _peaks_table(simulated: Sequence[AxisMonteCarlo]) -> Table:
@@ -171,21 +174,65 @@ def _peaks_table(simulated: Sequence[AxisMonteCarlo]) -> Table:
     return build_table(caption, columns, rows, numbers=range(1, len(columns)))
 
 
+def _worst_table(found: AxisMonteCarlo) -> Table:
+    """Return the plants with the largest contact forces."""
+    units = axis_units(found.axis)
+    rows = [(scenario_text(each.plant, units), f"{each.contact:.2f}", f"{each.sensor:.2f}") for each in found.worst]
+    columns = ("plant", f"contact [{units.force}]", f"sensor [{units.force}]")
+    caption = f"Axis {found.axis}: the {len(rows)} plants of {found.count} with the largest contact forces"
+    return build_table(caption, columns, rows, numbers=range(1, 3))
+
+
+def distribution_chart(found: AxisMonteCarlo) -> Chart | None:
+    """Draw how the largest contact forces of the simulated plants are distributed; None without any."""
+    if found.distribution is None or found.contact is None:
+        return None
+    units, observed = axis_units(found.axis), found.contact.observed
+    quantiles = ", ".join(
+        f"{100.0 * share:g} % of them at most {value:.4g} {units.force}"
+        for share, value in zip(QUANTILES, observed.quantiles, strict=True)
+    )
+    return Chart(
+        key=f"{found.axis}-distribution",
+        title=f"Largest contact {units.force_name} of {found.count} plants",
+        alternative=f"How many of {found.count} plants drawn from the certified set have which largest contact "
+        f"{units.force_name}: {quantiles}, the largest {observed.largest:.4g} {units.force}.",
+        caption=f"{violations_text(found).capitalize()}, drawn from the certified set like these.",
+        panels=(
+            Panel(
+                x=Scale(label=f"largest contact {units.force_name} [{units.force}]"),
+                y=Scale(label="plants"),
+                elements=(
+                    Bars(
+                        edges=np.array(found.distribution.edges),
+                        heights=np.array(found.distribution.counts, dtype=np.float64),
+                        label="with everything that disturbs",
+                        role="after",
+                    ),
+                    Limit(value=found.contact.predicted, along="x", label="largest predicted", role="target"),
+                    Limit(value=found.contact.limit, along="x", label="limit", role="bad"),
+                ),
+            ),
+        ),
+    )
+
+
 def band_chart(found: AxisMonteCarlo) -> Chart | None:
     """Draw the contact force of the simulated plants over time; None where nothing could be simulated."""
     if found.band is None or found.contact is None:
         return None
     units, time = axis_units(found.axis), 1e3 * found.band.time_s
     lowest, low, middle, high, highest = found.band.levels
-    promised, limit = found.contact.predicted, found.contact.limit
+    promised, limit, shown = found.contact.predicted, found.contact.limit, found.band.count
+    which = "" if shown == found.count else f", {shown} of {found.count}"
     return Chart(
         key=f"{found.axis}-band",
-        title=f"{found.count} contacts simulated with everything that disturbs",
-        alternative=f"Contact {units.force_name} over time of {found.count} plants of the certified set with deadband, "
-        f"noise, clipping and late commands; the largest is {found.contact.observed.largest:.4g} {units.force}, where "
-        f"{promised:.4g} {units.force} is predicted.",
-        caption=f"Dark: {100.0 * BAND[0]:g} to {100.0 * BAND[-1]:g} % of the contacts; pale: all of them. What is "
-        f"disturbed may reach {limit:.4g} {units.force}.",
+        title=f"Contacts simulated with everything that disturbs{which}",
+        alternative=f"Contact {units.force_name} over time of {shown} plants of the certified set with deadband, "
+        f"noise, clipping and late commands; of {found.count} the largest is {found.contact.observed.largest:.4g} "
+        f"{units.force}, where {promised:.4g} {units.force} is predicted.",
+        caption=f"Dark: {100.0 * BAND[0]:g} to {100.0 * BAND[-1]:g} % of the contacts; pale: all that are drawn. What "
+        f"is disturbed may reach {limit:.4g} {units.force}.",
         panels=(
             Panel(
                 x=Scale(label="time after touching [ms]"),

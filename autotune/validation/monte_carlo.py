@@ -1,31 +1,41 @@
 """The full nonlinear simulation over seeded plants of the certified set, its peaks against the predicted ones."""
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from autotune.formats.certificate_record import AxisDomain
-from autotune.formats.controller_record import Controller, admittance_controller
-from autotune.formats.units import axis_units
+from autotune.formats.controller_record import Controller, ScenarioPrediction, admittance_controller
 from problems.arrays import FloatArray
-from problems.contact.nonlinear_simulation import NonlinearRun, needed_substeps, simulate_nonlinear
-from problems.contact.nonlinearities import NO_NONLINEARITIES, Nonlinearities
+from problems.contact.many_contacts import (
+    FULL_CONTACT,
+    FULL_SENSOR,
+    LINEAR_CONTACT,
+    LINEAR_SENSOR,
+    PEAKS,
+    ManyContacts,
+)
+from problems.contact.nonlinearities import Nonlinearities
 from problems.design.uncertainty import Scenario
 from problems.errors import ParameterError
 from problems.model.controller import AdmittanceController
-from problems.model.plant import Plant
-from problems.stability.margins import UnstableLoopError
+from problems.stability.polynomials import STABLE
 
 from .disturbances import Disturbances, axis_effects
-from .report import Check
+from .sampled_contacts import CHUNK, SampledContacts, largest_share
 
 SAMPLES, SEED = 256, 1
 QUANTILES = (0.5, 0.95, 0.99)
 BAND = (0.05, 0.5, 0.95)
 # As of a replayed contact (`peaks`): an impact anywhere between two samples.
 SAME_PEAK = 0.02
+WORST = 10
 _PEAKS_LATER, _SHORTEST_S, _LONGEST_S = 4.0, 0.3, 10.0
+# A duration this close to a whole number of samples is that number.
+_WHOLE = 1e-9
+_BINS = 60
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,21 +63,46 @@ class SampledPeaks:
 
 @dataclass(frozen=True, kw_only=True)
 class ForceBand:
-    """The contact force of all runs with disturbances over `time_s` (n,) from the touch on.
+    """The contact force of the first `count` runs with disturbances over `time_s` (n,) from the touch on.
 
     `levels` (5, n): the smallest, the quantiles `BAND`, and the largest at each moment.
     """
 
+    count: int
     time_s: FloatArray
     levels: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class WorstPlant:
+    """One of the plants with the largest contact forces: its place among those drawn, and what it is.
+
+    `contact` and `sensor` are its peaks with the disturbances, `repeated` that of the contact in a run of its own, in
+    steps of Runge–Kutta alone (N, about a turning axis N·m).
+    """
+
+    index: int
+    plant: Scenario
+    contact: float
+    sensor: float
+    repeated: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class PeakDistribution:
+    """How many plants had their largest contact force with the disturbances between `edges` (n + 1)."""
+
+    edges: tuple[float, ...]
+    counts: tuple[int, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
 class AxisMonteCarlo:
     """What came of `count` runs on one axis with `effects`; `unstable` is the first plant whose loop is not stable.
 
-    `refusal` says what the full simulation cannot do; `is_left_out` where that is so of every plant of the set,
-    none of which has a delay. `band` is for pictures.
+    Of these `violating` plants broke a limit or were not stable, and with the confidence `CONFIDENCE` no more than
+    `largest_share` of all plants drawn alike do. `refusal` says what the full simulation cannot do; `is_left_out` where
+    that is so of every plant of the set, none of which has a delay. `band` is for pictures.
     """
 
     axis: str
@@ -77,6 +112,10 @@ class AxisMonteCarlo:
     driving_force: float
     contact: SampledPeaks | None = None
     sensor: SampledPeaks | None = None
+    violating: int = 0
+    largest_share: float = 1.0
+    worst: tuple[WorstPlant, ...] = ()
+    distribution: PeakDistribution | None = None
     unstable: Scenario | None = None
     refusal: str = ""
     is_left_out: bool = False
@@ -117,33 +156,32 @@ def _is_simulated(controller: Controller, name: str) -> bool:
     return domain.environment_mass_kg == 0.0 and (domain.approach_force_n or domain.approach_speed_m_s) is not None
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Contacts:
-    """Contacts of one axis, as its certificate says."""
+def _driving(domain: AxisDomain, law: AdmittanceController) -> tuple[float, float]:
+    """Return force and speed of the approach of the linear loop, F^d = (B_a + B_p) v."""
+    resistance = law.damping_n_s_per_m + domain.drag_n_s_per_m
+    force, speed = domain.approach_force_n or 0.0, domain.approach_speed_m_s
+    return (force, force / resistance) if speed is None else (speed * resistance, speed)
 
-    domain: AxisDomain
-    law: AdmittanceController
-    sample_time_s: float
-    duration_s: float
 
-    def driving(self) -> tuple[float, float]:
-        """Return force and speed of the approach of the linear loop, F^d = (B_a + B_p) v."""
-        resistance = self.law.damping_n_s_per_m + self.domain.drag_n_s_per_m
-        force, speed = self.domain.approach_force_n or 0.0, self.domain.approach_speed_m_s
-        return (force, force / resistance) if speed is None else (speed * resistance, speed)
-
-    def run(self, plant: Plant, effects: Nonlinearities, noise: np.random.Generator) -> NonlinearRun:
-        """Simulate one contact."""
-        return simulate_nonlinear(
-            plant,
-            self.law,
-            self.domain.approach,
-            sample_time_s=self.sample_time_s,
-            duration_s=self.duration_s,
-            effects=effects,
-            substeps=needed_substeps(plant, self.sample_time_s),
-            noise=noise,
-        )
+def build_contacts(
+    controller: Controller, name: str, seed: int, disturbances: Disturbances | None = None
+) -> SampledContacts:
+    """Return the contacts of one axis with plants drawn by a seed, as long as four times its latest predicted peak."""
+    domain, h, law = (
+        controller.certificate.domain[name],
+        controller.sample_time_s,
+        admittance_controller(controller, name),
+    )
+    latest = max(scenario.time_of_peak_s for scenario in controller.predicted[name].scenarios)
+    _, speed = _driving(domain, law)
+    return SampledContacts(
+        domain=domain,
+        law=law,
+        sample_time_s=h,
+        ticks=math.ceil(min(max(_SHORTEST_S, _PEAKS_LATER * latest), _LONGEST_S) / h - _WHOLE),
+        effects=axis_effects(controller, name, disturbances or Disturbances(), speed),
+        seed=seed,
+    )
 
 
 def _axis_monte_carlo(
@@ -154,60 +192,83 @@ def _axis_monte_carlo(
     disturbances: Disturbances,
     advance: Callable[[float], None],
 ) -> AxisMonteCarlo:
-    """Run one axis.
-
-    An error of the felt force of b, held all the time, changes every force of the linear contact in the ratio of
-    (F^d + b)/F^d, since the unilateral contact scales with what drives it. The deadband and one deviation of the noise
-    are such an error at most, and mostly less; so the limit is that of the prediction, plus 2 %, plus b/F^d.
-    """
+    """Run one axis."""
     domain, scenarios = controller.certificate.domain[name], controller.predicted[name].scenarios
-    latest = max(scenario.time_of_peak_s for scenario in scenarios)
-    contacts = _Contacts(
-        domain=domain,
-        law=admittance_controller(controller, name),
-        sample_time_s=controller.sample_time_s,
-        duration_s=min(max(_SHORTEST_S, _PEAKS_LATER * latest), _LONGEST_S),
+    contacts = build_contacts(controller, name, seed, disturbances)
+    force, _ = _driving(domain, contacts.law)
+    result = AxisMonteCarlo(axis=name, count=count, seed=seed, effects=contacts.effects, driving_force=force)
+    try:
+        found = contacts.simulate(count, advance, traced=CHUNK)
+    except ParameterError as error:
+        return replace(result, refusal=str(error), is_left_out=_never_delayed(domain))
+    unstable = np.flatnonzero(found.verdicts != STABLE)
+    limits = _limits(contacts.effects, force, scenarios)
+    bad = (found.verdicts != STABLE) | np.any(found.peaks_n > limits, axis=1)
+    result = replace(result, violating=int(np.sum(bad)), largest_share=largest_share(bad))
+    if len(unstable):
+        return replace(result, unstable=contacts.scenario(int(unstable[0])))
+    counts, edges = np.histogram(found.peaks_n[:, FULL_CONTACT], bins=_BINS)
+    return replace(
+        result,
+        contact=_sampled_peaks(contacts, found, LINEAR_CONTACT, limits, scenarios),
+        sensor=_sampled_peaks(contacts, found, LINEAR_SENSOR, limits, scenarios),
+        worst=tuple(_worst(contacts, found)),
+        distribution=PeakDistribution(edges=tuple(edges.tolist()), counts=tuple(counts.tolist())),
+        band=_band(found.traces_n, contacts.sample_time_s),
     )
-    force, speed = contacts.driving()
-    effects = axis_effects(controller, name, disturbances, speed)
-    plants = tuple(_drawn(domain, count, seed))
-    result = AxisMonteCarlo(axis=name, count=count, seed=seed, effects=effects, driving_force=force)
-    nominal, rows, traces = domain.plants.nominal, list[tuple[float, ...]](), list[FloatArray]()
-    for i, scenario in enumerate(plants):
-        noise = np.random.default_rng((seed, i))
-        try:
-            plant = scenario.plant(nominal)
-            linear, full = contacts.run(plant, NO_NONLINEARITIES, noise), contacts.run(plant, effects, noise)
-        except UnstableLoopError:
-            return replace(result, unstable=scenario)
-        except ParameterError as error:
-            return replace(result, refusal=str(error), is_left_out=_never_delayed(domain))
-        rows.append(
-            (
-                linear.peak_contact_force_n,
-                linear.peak_sensor_force_n,
-                full.peak_contact_force_n,
-                full.peak_sensor_force_n,
-            )
-        )
-        traces.append(full.contact_force_n)
-        advance(1.0 / count)
+
+
+def _largest_predicted(scenarios: Sequence[ScenarioPrediction]) -> tuple[float, float]:
+    """Return the largest contact and sensor force that the file predicts."""
+    contact = max(each.peak_contact_force_n for each in scenarios)
+    return contact, max(each.peak_sensor_force_n for each in scenarios)
+
+
+def _limits(effects: Nonlinearities, force: float, scenarios: Sequence[ScenarioPrediction]) -> FloatArray:
+    """Return what no peak may exceed, in the order of the peaks of `many_contacts`.
+
+    Without disturbances that is what is predicted, plus 2 %. An error of the felt force of b, held all the time,
+    changes every force of the linear contact in the ratio of (F^d + b)/F^d, since the unilateral contact scales with
+    what drives it. The deadband and one deviation of the noise are such an error at most, and mostly less; so the limit
+    with them is that of the prediction, plus 2 %, plus b/F^d.
+    """
     bias = (effects.deadband.width_n if effects.deadband is not None else 0.0) + effects.force_noise_rms_n
-    share = 1.0 + SAME_PEAK + bias / force
-    peaks = np.array(rows)
-    contact, sensor = (
-        SampledPeaks(
-            predicted=predicted,
-            linear=_peaks(peaks[:, column], plants),
-            observed=_peaks(peaks[:, column + 2], plants),
-            limit=share * max(predicted, force),
-        )
-        for column, predicted in (
-            (0, max(each.peak_contact_force_n for each in scenarios)),
-            (1, max(each.peak_sensor_force_n for each in scenarios)),
-        )
+    limits = np.empty(PEAKS)
+    columns = (LINEAR_CONTACT, FULL_CONTACT), (LINEAR_SENSOR, FULL_SENSOR)
+    for predicted, (linear, full) in zip(_largest_predicted(scenarios), columns, strict=True):
+        limits[linear] = predicted + SAME_PEAK * max(predicted, force)
+        limits[full] = (1.0 + SAME_PEAK + bias / force) * max(predicted, force)
+    return limits
+
+
+def _sampled_peaks(
+    contacts: SampledContacts,
+    found: ManyContacts,
+    column: int,
+    limits: FloatArray,
+    scenarios: Sequence[ScenarioPrediction],
+) -> SampledPeaks:
+    """Return what came of one force, `column` that without disturbances."""
+    full = FULL_CONTACT if column == LINEAR_CONTACT else FULL_SENSOR
+    return SampledPeaks(
+        predicted=_largest_predicted(scenarios)[column],
+        linear=_peaks(contacts, found.peaks_n[:, column]),
+        observed=_peaks(contacts, found.peaks_n[:, full]),
+        limit=float(limits[full]),
     )
-    return replace(result, contact=contact, sensor=sensor, band=_band(traces, controller.sample_time_s))
+
+
+def _worst(contacts: SampledContacts, found: ManyContacts) -> Iterator[WorstPlant]:
+    """Yield the plants with the largest contact forces, each simulated once more on its own."""
+    for index in contacts.worst(found, WORST).tolist():
+        draws, place = contacts.draw(index // CHUNK), index % CHUNK
+        yield WorstPlant(
+            index=index,
+            plant=draws.scenario(place),
+            contact=float(found.peaks_n[index, FULL_CONTACT]),
+            sensor=float(found.peaks_n[index, FULL_SENSOR]),
+            repeated=contacts.run(draws, place).peak_contact_force_n,
+        )
 
 
 def _never_delayed(domain: AxisDomain) -> bool:
@@ -217,140 +278,16 @@ def _never_delayed(domain: AxisDomain) -> bool:
     return sum(delays) == 0.0 and least > 0.0 and domain.plants.nominal.wrench_filter.time_constant_s == 0.0
 
 
-def _band(traces: Sequence[FloatArray], h: float) -> ForceBand:
-    together = np.array(traces)
-    levels = np.quantile(together, (0.0, *BAND, 1.0), axis=0)
-    return ForceBand(time_s=np.asarray(h * np.arange(together.shape[1]), dtype=np.float64), levels=levels)
+def _band(traces: FloatArray, h: float) -> ForceBand:
+    levels = np.quantile(traces, (0.0, *BAND, 1.0), axis=0)
+    time = np.asarray(h * np.arange(traces.shape[1]), dtype=np.float64)
+    return ForceBand(count=len(traces), time_s=time, levels=levels)
 
 
-def _drawn(domain: AxisDomain, count: int, seed: int) -> Iterator[Scenario]:
-    """Yield `count` plants of the set, the same again where it holds fewer."""
-    different = domain.plants.samples(count, seed=seed)
-    for i in range(count):
-        yield different[i % len(different)]
-
-
-def _peaks(values: FloatArray, plants: Sequence[Scenario]) -> Peaks:
+def _peaks(contacts: SampledContacts, values: FloatArray) -> Peaks:
     worst = int(np.argmax(values))
     return Peaks(
         largest=float(values[worst]),
-        plant=plants[worst],
+        plant=contacts.scenario(worst),
         quantiles=tuple(float(value) for value in np.quantile(values, QUANTILES)),
     )
-
-
-def monte_carlo_checks(found: Sequence[AxisMonteCarlo]) -> tuple[Check, ...]:
-    """Return the verdicts: the file's own model on the sampled plants, then the full simulation."""
-    return tuple(check for each in found for check in _axis_checks(each))
-
-
-def _axis_checks(found: AxisMonteCarlo) -> Iterator[Check]:
-    if found.unstable is not None:
-        message = f"the loop is not stable at {found.unstable.name}"
-        yield Check(axis=found.axis, name="sampled peaks", passed=False, message=message)
-    elif found.is_left_out:
-        message = (
-            f"not simulated: {found.refusal.removesuffix('.')}; margins and predicted contacts are verified above, "
-            "deadband, noise, limits and late commands are not"
-        )
-        yield Check(axis=found.axis, name="full simulation", passed=True, message=message, warns=True)
-    elif found.contact is None or found.sensor is None:
-        yield Check(axis=found.axis, name="full simulation", passed=False, message=f"not possible: {found.refusal}")
-    else:
-        both = (("contact", found.contact), ("sensor", found.sensor))
-        yield _linear_check(found, both)
-        yield _full_check(found, both)
-
-
-def _linear_check(found: AxisMonteCarlo, both: Sequence[tuple[str, SampledPeaks]]) -> Check:
-    """Hold the peaks of the file's own model, without disturbances, against the predicted ones."""
-    units = axis_units(found.axis)
-    above = [
-        f"the peak {what} {units.force_name} is {of.linear.largest:.2f} {units.force} at {of.linear.plant.name}, more "
-        f"than the largest predicted, {of.predicted:.2f} {units.force}"
-        for what, of in both
-        if of.linear.largest > of.predicted + SAME_PEAK * max(of.predicted, found.driving_force)
-    ]
-    text = ", ".join(f"{of.linear.largest:.1f} {units.force} at the {what}" for what, of in both)
-    message = "; ".join(above) or f"largest of {found.count} plants {text}, none above the predicted"
-    return Check(axis=found.axis, name="sampled peaks", passed=not above, message=message)
-
-
-def _change(of: SampledPeaks) -> float:
-    """Return what the disturbances add, to the digit that is shown; adding nothing makes 0 of -0."""
-    return round(of.observed.largest - of.linear.largest, 1) + 0.0
-
-
-def _full_check(found: AxisMonteCarlo, both: Sequence[tuple[str, SampledPeaks]]) -> Check:
-    """Hold the peaks with disturbances against what these explain."""
-    units = axis_units(found.axis)
-    above = [
-        f"the peak {what} {units.force_name} is {of.observed.largest:.2f} {units.force} at {of.observed.plant.name}; "
-        f"{of.predicted:.2f} {units.force} is predicted, and {_describe_effects(found)} explain {of.limit:.2f} "
-        f"{units.force} at most"
-        for what, of in both
-        if of.observed.largest > of.limit
-    ]
-    text = ", ".join(
-        f"{of.observed.largest:.1f} {units.force} at the {what} ({_change(of):+.1f}; at most {of.limit:.1f})"
-        for what, of in both
-    )
-    message = "; ".join(above) or f"with {_describe_effects(found)} largest {text}"
-    return Check(axis=found.axis, name="full simulation", passed=not above, message=message)
-
-
-def _describe_effects(found: AxisMonteCarlo) -> str:
-    effects, units = found.effects, axis_units(found.axis)
-    text = [
-        f"{effects.deadband.width_n:g} {units.force} deadband" if effects.deadband is not None else "",
-        f"{effects.force_noise_rms_n:.3g} {units.force} noise",
-        f"clipping at {effects.force_limit_n:g} {units.force}" if effects.force_limit_n is not None else "",
-        f"at most {effects.limits.speed_m_s:g} {units.speed}" if effects.limits is not None else "",
-        f"{100.0 * effects.late_share:g} % of the commands late",
-        f"the collision response at {effects.collision.threshold_n:g} N" if effects.collision is not None else "",
-        "B_a that follows the speed" if effects.variable_damping is not None else "",
-    ]
-    return ", ".join(part for part in text if part)
-
-
-def monte_carlo_tree(found: Sequence[AxisMonteCarlo]) -> dict[str, object]:
-    """Return the results by axis as plain data."""
-    return {each.axis: _axis_tree(each) for each in found}
-
-
-def _axis_tree(found: AxisMonteCarlo) -> dict[str, object]:
-    effects = found.effects
-    return {
-        "samples": found.count,
-        "seed": found.seed,
-        "unit": axis_units(found.axis).force,
-        "effects": {
-            "deadband": effects.deadband.width_n if effects.deadband is not None else 0.0,
-            "noise_rms": effects.force_noise_rms_n,
-            "sensor_range": effects.force_limit_n,
-            "command_speed_limit": None if effects.limits is None else effects.limits.speed_m_s,
-            "late_share": effects.late_share,
-            "collision_threshold": None if effects.collision is None else effects.collision.threshold_n,
-            "damping": None if effects.variable_damping is None else list(effects.variable_damping.bounds_n_s_per_m),
-        },
-        "unstable": None if found.unstable is None else found.unstable.name,
-        "refusal": found.refusal or None,
-        **{
-            what: {
-                "predicted": of.predicted,
-                "limit": of.limit,
-                **{
-                    model: {
-                        "largest": peaks.largest,
-                        "plant": peaks.plant.name,
-                        "quantiles": {
-                            f"{share:g}": value for share, value in zip(QUANTILES, peaks.quantiles, strict=True)
-                        },
-                    }
-                    for model, peaks in (("linear", of.linear), ("observed", of.observed))
-                },
-            }
-            for what, of in (("contact", found.contact), ("sensor", found.sensor))
-            if of is not None
-        },
-    }

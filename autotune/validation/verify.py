@@ -7,7 +7,8 @@ from autotune.formats.controller_record import Controller
 
 from .disturbances import Disturbances
 from .law import check_targets, of_own_law
-from .monte_carlo import SAMPLES, SEED, AxisMonteCarlo, monte_carlo_checks, run_monte_carlo
+from .monte_carlo import SAMPLES, SEED, AxisMonteCarlo, run_monte_carlo
+from .monte_carlo_checks import monte_carlo_checks
 from .report import Check
 from .validate import validate_controller
 

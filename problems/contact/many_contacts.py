@@ -201,7 +201,9 @@ def run_plants(
     (numerators, denominators), (noise, late), (verdicts, peaks, traces) = robots, draws, out
     ticks, (_, _, h, _) = noise.shape[1], laws
     silence, punctual, pulls = np.zeros(ticks), np.zeros(ticks, dtype=np.bool_), np.zeros(ticks + 1)
-    recording = KernelOutputs(np.empty((TRACES, ticks)), np.empty(ticks, dtype=np.int64), np.zeros(FOUND))
+    found = np.zeros(FOUND)
+    untraced = KernelOutputs(np.empty((TRACES, 0)), np.empty(0, dtype=np.int64), found)
+    traced = KernelOutputs(np.empty((TRACES, ticks)), np.empty(ticks, dtype=np.int64), found)
     for k in range(len(parameters)):
         peaks[k] = np.nan
         whole, fraction = split_delay(delays[k], h)
@@ -230,13 +232,14 @@ def run_plants(
             if wrong != POSSIBLE or -seen > runs[run].threshold:
                 verdicts[k] = REFUSED
                 break
-            recording.found[:IMPACT_TIME], recording.found[IMPACT_TIME:] = 0.0, np.nan
-            recording.found[IMPACT_TIME], recording.found[IMPACT_SPEED] = 0.0, drive.speed * h
+            found[:IMPACT_TIME], found[IMPACT_TIME:] = 0.0, np.nan
+            found[IMPACT_TIME], found[IMPACT_SPEED] = 0.0, drive.speed * h
             drawn, lates = (silence, punctual) if run == 0 else (noise[k], late[k])
-            run_nonlinear(motion, runs[run], start, drive.desired, drive.push, drawn, lates, pulls, recording)
-            peaks[k, 2 * run], peaks[k, 2 * run + 1] = recording.found[CONTACT_PEAK], recording.found[SENSOR_PEAK]
+            outputs = traced if k < len(traces) else untraced
+            run_nonlinear(motion, runs[run], start, drive.desired, drive.push, drawn, lates, pulls, outputs)
+            peaks[k, 2 * run], peaks[k, 2 * run + 1] = found[CONTACT_PEAK], found[SENSOR_PEAK]
         if k < len(traces):
-            traces[k] = recording.traces[CONTACT]
+            traces[k] = traced.traces[CONTACT]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -220,7 +220,7 @@ class Motion(NamedTuple):
 
 
 class KernelOutputs(NamedTuple):
-    """Outputs: `traces` (TRACES, samples), `flags` (samples,) and `found` (FOUND,)."""
+    """Outputs: `traces` (TRACES, samples), `flags` (samples,), both perhaps of no sample, and `found` (FOUND,)."""
 
     traces: FloatArray
     flags: NDArray[np.int64]
@@ -352,6 +352,18 @@ def leap_sample(
 
 
 @compiled
+def write_motion(motion: Motion, state: FloatArray, held: float, h: float, traces: FloatArray, tick: int) -> int:
+    """Write F_e, v, x_p and v_p of a tick, and return its flag of contact."""
+    n, rows = len(state), motion.rows
+    velocity, pressed = rows[_VELOCITY, n] * held, wall_force(motion, state[n - 2], state[n - 1])
+    for i in range(n):
+        velocity += rows[_VELOCITY, i] * state[i]
+    traces[CONTACT, tick], traces[FLANGE_SPEED, tick] = pressed, velocity / h
+    traces[PAYLOAD, tick], traces[PAYLOAD_SPEED, tick] = state[n - 2], state[n - 1] / h
+    return TOUCHING if pressed > 0.0 else 0
+
+
+@compiled
 def run_nonlinear(
     motion: Motion,
     law: NonlinearController,
@@ -363,7 +375,7 @@ def run_nonlinear(
     pulls: FloatArray,
     recording: KernelOutputs,
 ) -> None:
-    """Step over all samples of the recording.
+    """Step over all samples of the noise.
 
     `start` is plant state, past commands (newest first) and memory; `desired` and `pushes` are F^d and the hand's force
     before and after the impact; `noise` (samples,) is added to F. Where `late` (samples,) no command arrives at the
@@ -377,16 +389,15 @@ def run_nonlinear(
     blocks = blocks_at(law, memory.damping)
     found[CONTACT_PEAK] = wall_force(motion, state[n - 2], state[n - 1])
     acting = past[(head + motion.chain - 1) % places] if motion.chain > 0 else memory.sent
-    for k in range(traces.shape[1]):
+    for k in range(len(noise)):
         # What acts at the tick is the last command that arrived, or with a delay of whole samples the one arriving.
         held = acting
         if motion.chain == motion.whole and motion.whole > 0 and not late[k]:
             held = past[(head + motion.whole - 1) % places]
-        position, force, velocity = 0.0, rows[_SENSED, n] * held, rows[_VELOCITY, n] * held
+        position, force = 0.0, rows[_SENSED, n] * held
         for i in range(n):
             position += rows[_POSITION, i] * state[i]
             force += rows[_SENSED, i] * state[i]
-            velocity += rows[_VELOCITY, i] * state[i]
         if k >= memory.due - _ON_TICK:
             memory = update_damping(law, blocks, memory, position)
         steering = desired.before if np.isnan(found[IMPACT_TIME]) else desired.after
@@ -394,12 +405,10 @@ def run_nonlinear(
         memory, seen, flags = control_tick(law, blocks, memory, (steering, force + noise[k], position))
         if watching and memory.phase != WATCHING:
             found[COLLISION_TICK] = k
-        pressed = wall_force(motion, state[n - 2], state[n - 1])
-        traces[FORCE, k], traces[SEEN, k], traces[CONTACT, k] = force, seen, pressed
-        traces[FLANGE, k], traces[FLANGE_SPEED, k] = position, velocity / law.h
-        traces[PAYLOAD, k], traces[PAYLOAD_SPEED, k] = state[n - 2], state[n - 1] / law.h
-        traces[COMMAND, k], traces[DAMPING, k] = memory.sent, memory.damping
-        recording.flags[k] = flags | (TOUCHING if pressed > 0.0 else 0)
+        if k < traces.shape[1]:
+            traces[FORCE, k], traces[SEEN, k], traces[FLANGE, k] = force, seen, position
+            traces[COMMAND, k], traces[DAMPING, k] = memory.sent, memory.damping
+            recording.flags[k] = flags | write_motion(motion, state, held, law.h, traces, k)
         if -force > found[SENSOR_PEAK]:
             found[SENSOR_PEAK], found[SENSOR_TICK] = -force, k
         arriving = memory.sent if motion.whole == 0 else past[(head + motion.whole - 1) % places]

@@ -8,6 +8,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from scipy.special import chdtri
@@ -125,8 +126,12 @@ class Ellipsoid:
 
     def size(self, point: FloatArray) -> float:
         """Return how far out a point (k,) lies; 1 is the surface."""
-        scaled = np.linalg.solve(self._root, (np.asarray(point) - np.array(self.centre)) / self._deviations)
-        return float(np.linalg.norm(scaled)) / math.sqrt(self.quantile)
+        return float(self.sizes(np.asarray(point)))
+
+    def sizes(self, points: FloatArray) -> FloatArray:
+        """Return how far out each of several points (..., k) lies; 1 is the surface."""
+        scaled = np.linalg.solve(self._root, ((points - np.array(self.centre)) / self._deviations).T)
+        return np.asarray(np.linalg.norm(scaled, axis=0) / math.sqrt(self.quantile))
 
     def box(self) -> dict[str, Interval]:
         """Return the smallest box around the ellipsoid, without its negative part."""
@@ -251,10 +256,24 @@ class PlantSet:
         values = {name: low for name, (low, high) in self.ranges.items() if low == high}
         for name, share in zip(self.varying, np.clip(unit, 0.0, 1.0).tolist(), strict=True):
             low, high = self.ranges[name]
-            value = low * (high / low) ** share if name == STIFFNESS else low + share * (high - low)
+            value = _along(name, low, high, share)
             # The ends are what was promised, not what rounding makes of them.
             values[name] = low if share == 0.0 else high if share == 1.0 else min(max(value, low), high)
         return self._inside(values)
+
+    def from_units(self, units: FloatArray) -> dict[str, FloatArray]:
+        """Return the values (m,) by name of points (m, d) inside of the unit cube, as `from_unit` makes each."""
+        shares = dict(zip(self.varying, units.T, strict=True))
+        values = {name: np.full(len(units), low) for name, (low, _) in self.ranges.items()}
+        for name, share in shares.items():
+            low, high = self.ranges[name]
+            values[name] = np.clip(_along(name, low, high, share), low, high)
+        if self.ellipsoid is not None:
+            names, centre = self.ellipsoid.names, np.array(self.ellipsoid.centre)
+            points = np.stack([values[name] for name in names], axis=1)
+            pulled = centre + (points - centre) / np.maximum(self.ellipsoid.sizes(points), 1.0)[:, None]
+            values |= dict(zip(names, pulled.T, strict=True))
+        return values
 
     def to_unit(self, scenario: Scenario) -> FloatArray:
         """Return the point of the unit cube (d,) of a scenario; one that keeps a nominal value lies in the middle."""
@@ -314,6 +333,11 @@ class PlantSet:
         sequence = qmc.Sobol(len(self.varying), rng=np.random.default_rng(seed))
         units = sequence.random_base2(max(0, math.ceil(math.log2(count))))
         return tuple(dict.fromkeys(self.from_unit(unit) for unit in units))
+
+
+def _along(name: str, low: float, high: float, share: Any) -> Any:
+    """Return what lies at a share, or at an array of them, of a range: K_e by equal ratios, others by equal steps."""
+    return low * (high / low) ** share if name == STIFFNESS else low + share * (high - low)
 
 
 def _checked(name: str, span: Interval) -> Interval:

@@ -125,6 +125,18 @@ def test_json_is_one_object_and_quiet_is_silent(run_cli: RunCli, good: Path) -> 
     assert (quiet.returncode, quiet.stdout, quiet.stderr) == (0, "", "")
 
 
+def test_a_larger_study_prints_quantiles_and_the_worst_plants(run_cli: RunCli, good: Path) -> None:
+    done = run_cli("validate", good, "--samples", "300")
+    assert done.returncode == 0, done.stderr
+    lines = done.stdout.splitlines()
+    assert any(line.startswith("axis x, contact force of 300 plants: at most ") for line in lines)
+    (first,) = (i for i, line in enumerate(lines) if line.startswith("worst plants of x"))
+    peaks = [float(line.split()[-2]) for line in lines[first + 2 : first + 12]]
+    assert peaks == sorted(peaks, reverse=True)
+    assert all(line.startswith("K_e ") for line in lines[first + 2 : first + 12])
+    assert "none of 300 plants breaks a limit" in done.stdout
+
+
 @pytest.mark.parametrize("name", THROUGH_THE_COMMAND_LINE)
 def test_a_false_file_with_a_right_checksum_is_exit_6_and_the_check_names_numbers(
     run_cli: RunCli, tmp_path: Path, name: str

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from autotune.charts.chart import Band, Chart, Heat, Line, Points
+from autotune.charts.chart import Band, Bars, Chart, Heat, Line, Points
 from autotune.formats.canonical import short
 from autotune.formats.controller import ControllerFile, controller_tree
 from autotune.formats.controller_record import Controller
@@ -24,7 +24,8 @@ from autotune.report.page import Facts, Note, Page, Section, Table, join_pages, 
 from autotune.report.validate_page import Validated, build_validate_page
 from autotune.tuning.compare import compare
 from autotune.validation.against_log import LogComparison
-from autotune.validation.monte_carlo import monte_carlo_checks, run_monte_carlo
+from autotune.validation.monte_carlo import run_monte_carlo
+from autotune.validation.monte_carlo_checks import monte_carlo_checks
 from autotune.validation.report import Check, ValidationReport
 from problems.model.controller import AdmittanceController
 from tests.autotune.formats.test_schedule import make_schedule
@@ -206,6 +207,12 @@ def test_the_page_of_a_validation_has_checks_band_and_measured_contacts() -> Non
     assert np.all(np.diff(band.band.levels, axis=0) >= 0.0)
     assert np.max(band.band.levels) == pytest.approx(band.contact.observed.largest, rel=0.01)
     assert "x-band" in charts
+    (bars,) = (each for each in charts["x-distribution"].panels[0].elements if isinstance(each, Bars))
+    assert np.sum(bars.heights) == 6
+    assert bars.edges[-1] == band.contact.observed.largest
+    text = render_page(page)
+    assert "None of 6 plants breaks a limit, with 95 % confidence no more than 39 % of all do, drawn from the" in text
+    assert "Axis x: the 6 plants of 6 with the largest contact forces" in text
     drawn = [lines_of(chart, i) for key, chart in charts.items() if "measured" in key for i in range(len(chart.panels))]
     assert len(drawn) == len(own().contacts)
     strongest = max(each.measured_peak_n for each in own().contacts)

@@ -8,7 +8,8 @@ import pytest
 
 from autotune.formats.controller_record import Controller, admittance_controller
 from autotune.validation.disturbances import Disturbances, axis_effects
-from autotune.validation.monte_carlo import AxisMonteCarlo, monte_carlo_checks, monte_carlo_tree, run_monte_carlo
+from autotune.validation.monte_carlo import AxisMonteCarlo, run_monte_carlo
+from autotune.validation.monte_carlo_checks import monte_carlo_checks, monte_carlo_tree
 from problems.contact.nonlinearities import DeadbandType
 from problems.contact.transient import Approach, build_sampled_contact, simulate_contact
 from problems.design.requirements import NoiseLimit
@@ -33,19 +34,20 @@ def on_x(
 
 
 def test_the_peaks_of_the_linear_loop_are_those_of_the_exact_transient() -> None:
-    """Runge–Kutta steps and matrix exponentials, plant by plant."""
+    """The nonlinear simulation, and the transient in which every event is located, plant by plant."""
     controller = small_controller()
     found = on_x(controller)
     certified = controller.certificate.domain["x"]
     law, h = admittance_controller(controller, "x"), controller.sample_time_s
     exact = [
         simulate_contact(
-            build_sampled_contact(build_sampled_plant(scenario.plant(certified.plants.nominal), h)),
+            build_sampled_contact(build_sampled_plant(each.plant.plant(certified.plants.nominal), h)),
             law,
             Approach(force_n=30.0),
         )
-        for scenario in certified.plants.samples(FEW, seed=1)
+        for each in found.worst
     ]
+    assert len(exact) == FEW
     assert found.contact is not None
     assert found.sensor is not None
     # The contact's peak is that of a tenth of a sample in one, exact in the other: its top is flat to 1e-4 there.
@@ -67,12 +69,27 @@ def test_a_good_file_passes_and_shows_what_was_simulated() -> None:
     assert [(check.name, check.passed) for check in checks] == [("sampled peaks", True), ("full simulation", True)]
     assert "with 5 N deadband, 0.2 N noise, at most 0.25 m/s, 1 % of the commands late" in checks[1].message
     tree: dict[str, Any] = monte_carlo_tree(found)["x"]  # type: ignore[assignment]
+    assert "none of 16 plants breaks a limit, with 95 % confidence no more than 17 % of all do" in checks[1].message
     assert (tree["samples"], tree["seed"], tree["unit"], tree["unstable"]) == (16, 1, "N", None)
+    # With this share of bad plants none of 16 would be bad once in 20 studies.
+    assert (tree["violating"], tree["confidence"]) == (0, 0.95)
+    assert (1.0 - tree["largest_share"]) ** 16 == pytest.approx(0.05)
     for what in ("contact", "sensor"):
         shares = tree[what]["observed"]["quantiles"]
         assert list(shares) == ["0.5", "0.95", "0.99"]
         assert list(shares.values()) == sorted(shares.values())
         assert shares["0.99"] <= tree[what]["observed"]["largest"] <= tree[what]["limit"]
+    worst = tree["worst"]
+    assert len(worst) == 10
+    assert [each["contact"] for each in worst] == sorted((each["contact"] for each in worst), reverse=True)
+    assert worst[0]["contact"] == tree["contact"]["observed"]["largest"]
+    assert worst[0]["plant"] == tree["contact"]["observed"]["plant"]
+    assert {"environment_stiffness_n_per_m", "payload_mass_kg"} <= set(worst[0]["parameters"])
+    for each in worst:
+        # Steps of 0.02 rad err by 1e-9.
+        assert each["repeated_contact"] == pytest.approx(each["contact"], rel=1e-6)
+    assert sum(tree["distribution"]["counts"]) == 16
+    assert tree["distribution"]["edges"][-1] == worst[0]["contact"]
 
 
 def test_the_seed_settles_everything() -> None:
@@ -101,6 +118,7 @@ def test_peaks_that_are_predicted_too_small_are_found_out() -> None:
     checks = monte_carlo_checks(run_monte_carlo(peaks(0.9, 1.0)(small_controller()), count=FEW))
     assert [check.passed for check in checks] == [False, True]
     assert "more than the largest predicted" in checks[0].message
+    assert f" of {FEW} plants break" in checks[1].message
     assert "contact force" in checks[0].message
 
 
@@ -111,6 +129,8 @@ def test_a_plant_of_the_set_whose_loop_is_unstable_is_named() -> None:
     assert (check.name, check.passed) == ("sampled peaks", False)
     assert "the loop is not stable at K_e" in check.message
     assert found[0].unstable is not None
+    assert 0 < found[0].violating <= FEW
+    assert f"; {found[0].violating} of {FEW} plants break" in check.message
 
 
 def test_disturbances_that_explain_less_than_they_do_fail() -> None:

@@ -19,7 +19,8 @@ from autotune.formats.limits import CollisionResponse
 from autotune.validation.against_log import compare_with_log
 from autotune.validation.contacts import verify_response
 from autotune.validation.disturbances import Disturbances, axis_effects
-from autotune.validation.monte_carlo import monte_carlo_checks, monte_carlo_tree, run_monte_carlo
+from autotune.validation.monte_carlo import run_monte_carlo
+from autotune.validation.monte_carlo_checks import monte_carlo_checks, monte_carlo_tree
 from problems.contact.nonlinearities import Collision
 from tests.autotune.tuning.responding import responding
 

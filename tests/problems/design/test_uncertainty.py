@@ -122,6 +122,16 @@ def test_samples_fill_the_box_evenly() -> None:
         assert set(counts) == {4}
 
 
+@pytest.mark.parametrize("plants", [PlantSet(nominal=NOMINAL, ranges=BOX), BOTH])
+def test_many_points_at_once_are_the_points_one_by_one(plants: PlantSet) -> None:
+    units = np.random.default_rng(4).random((40, len(plants.varying)))
+    columns = plants.from_units(units)
+    for i, unit in enumerate(units):
+        scenario = plants.from_unit(unit)
+        for name, column in columns.items():
+            assert column[i] == pytest.approx(getattr(scenario, name), rel=1e-14)
+
+
 def test_many_parameters_have_no_more_corners_than_are_looked_at() -> None:
     ranges = dict.fromkeys(UNCERTAIN, (1.0, 2.0))
     two_poles = RobotModel(numerator=np.array([900.0]), denominator=np.array([1.0, 42.0, 900.0]), delay_s=1.5)
