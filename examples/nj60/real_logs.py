@@ -228,6 +228,19 @@ def held_out_rows(rows: Sequence[tuple[str, ...]]) -> Iterator[str]:
             yield f"| {names} | {measured} | {predicted} | {error} | {interval} |"
 
 
+def largest_errors(rows: Sequence[tuple[str, ...]]) -> Iterator[str]:
+    """Yield the largest error of a trace that took no part, with the robot of another trace, and with that of a bag."""
+    for kind, ending in (("traces from each other", ".csv"), ("traces with the robot of a bag", ".bag")):
+        mine = [
+            (float(error), robot, contact)
+            for robot, _surface, contact, *_between, error, _interval, _inside, part in rows
+            if part == "held out" and contact.endswith(".csv") and robot.endswith(ending) and error
+        ]
+        if mine:
+            error, robot, contact = max(mine, key=lambda each: abs(each[0]))
+            yield f"- {kind}: largest error {error:+.1f} % (robot of `{robot}`, contact of `{contact}`)."
+
+
 def page(folder: Path) -> tuple[str, str]:
     """Return the page, and every prediction as CSV."""
     names = sorted(path.name for path in folder.iterdir() if path.suffix in {".bag", ".csv"})
@@ -249,6 +262,7 @@ def page(folder: Path) -> tuple[str, str]:
                 f"{100.0 * np.max(np.abs(errors)):.0f} %; {inside} of {len(mine)} inside their 95 % interval, of which "
                 f"{open_ended} have no upper end."
             )
+    summary += largest_errors(rows)
     stream = io.StringIO()
     csv.writer(stream, lineterminator="\n").writerows([HEAD, *rows])
     return frame([*estimate_rows(found)], [*held_out_rows(rows)], summary, [*variant_rows(found)]), stream.getvalue()
