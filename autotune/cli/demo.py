@@ -15,7 +15,7 @@ from autotune.shown import COMPILING
 from problems.errors import MissingExtraError, require_extra
 
 from ._common import Output, output_options
-from ._limits import how_far_lines, limit_charts, limit_tree, limits_of
+from ._limits import how_far_lines, limit_blocks, limit_tree, limits_of
 from ._options import GroupedCommand
 from ._terminal import detect_terminal, print_message, print_table
 
@@ -167,7 +167,7 @@ def _page(found: "DemoResult", limits: "Mapping[str, LimitResult]") -> "Page":
                 found.checksum,
                 steps=steps,
                 before_after=found.optimized.before_after,
-                limits=limit_charts(limits),
+                limits=limit_blocks(limits),
             ),
         ),
         (files.log, build_identify_page(identified.result, identified.provenance, identified.evidence, summaries)),

@@ -13,7 +13,7 @@ from autotune.export.targets import TARGETS
 from autotune.formats.kinds import PLANTS
 
 from ._common import Output, output_options
-from ._limits import how_far_lines, limit_charts, limit_option, limit_tree, limits_of
+from ._limits import how_far_lines, limit_blocks, limit_option, limit_tree, limits_of
 from ._optimized import (
     active_lines,
     active_tree,
@@ -192,7 +192,7 @@ def command(
         fronts.write(found)
     for note in found.controller.provenance.get("notes", ()):
         output.note(note)
-    limits = limits_of(output, found) if limit else {}
+    limits = limits_of(output, found, with_trade=True) if limit else {}
     tree = _tree(found, present, fronts, rendered) | limit_tree(limits)
     tree |= write_report(output, report, lambda: _page(found, checksum, present, fronts, limits))
     output.result(tree, lambda: _print_all(found, out, short(checksum), present, fronts, report, rendered, limits))
@@ -318,7 +318,7 @@ def _page(
         old=present,
         before_after=found.before_after,
         fronts=fronts.tree.get("axes"),
-        limits=limit_charts(limits),
+        limits=limit_blocks(limits),
     )
 
 

@@ -31,6 +31,7 @@ from problems.progress import no_progress
 from problems.stability.margins import RawMargins, UnstableLoopError, frequency_grid, margins_on_grid
 from problems.stability.noise import command_speed_gain
 
+from .noise_trade import NoisePoint
 from .programs import ConvexStep, EqualDemands, LowerBound, NoSolutionError, lower_bound
 from .signals import ContactSignals, contact_signals
 from .youla import YoulaBasis
@@ -83,7 +84,8 @@ class LimitResult:
 
     `attained` is None where nothing better than the design was found. `states` is the order of that controller,
     `noise_factor` how often the design's noise it may have, `missed` the margins that it was not asked to keep and that
-    lie below what the problem asks, by name: what is asked and what it has.
+    lie below what the problem asks, by name: what is asked and what it has. `trade` is what four gains reach with other
+    noise, where that was looked for.
     """
 
     scenarios: tuple[Scenario, ...]
@@ -96,6 +98,7 @@ class LimitResult:
     controller: LinearController | None
     bound: LowerBound
     missed: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    trade: tuple[NoisePoint, ...] = ()
 
     @property
     def reached_n(self) -> float:
@@ -158,6 +161,7 @@ class LimitResult:
             "missed": {name: {"asked": asked, "attained": has} for name, (asked, has) in self.missed.items()},
             "states": None if self.controller is None else self.controller.state_count,
             "lower_bound": {"force_n": self.bound.force_n, "ticks": self.bound.ticks, "inputs": self.bound.inputs},
+            **({"noise_trade": [each.to_dict() for each in self.trade]} if self.trade else {}),
             "neglected": {"attained": NEGLECTED_ABOVE, "lower_bound": NEGLECTED_BELOW},
         }
 

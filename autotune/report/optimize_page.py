@@ -62,13 +62,13 @@ def build_optimize_page(
     old: PresentGains | None = None,
     before_after: Mapping[str, BeforeAndAfter] | None = None,
     fronts: Mapping[str, Any] | None = None,
-    limits: Mapping[str, Chart] | None = None,
+    limits: Mapping[str, Sequence[Block]] | None = None,
 ) -> Page:
     """Build the report of a controller from its file alone, or with what only the search knows.
 
     `steps` adds by axis how the search converged, `old` is drawn beside it on the same plants, `before_after` are the
-    contacts of the log replayed, `fronts` are the axes of `pareto.yaml`, `limits` the
-    pictures of how far each axis is from any linear controller.
+    contacts of the log replayed, `fronts` are the axes of `pareto.yaml`, `limits` says
+    and shows how far each axis is from any linear controller.
     """
     designs, target = axis_designs(controller), designed_for(controller)
     replayed = before_after or {}
@@ -89,7 +89,11 @@ def build_optimize_page(
                     design_section(design, optimality_of(controller, design.name), old, checksum, replayed)
                     for design in designs
                 ),
-                limit_section(limits or {}),
+                Section(
+                    key="limit",
+                    title="How far from the limit",
+                    blocks=tuple(block for blocks in (limits or {}).values() for block in blocks),
+                ),
                 *([] if fronts is None else [front_section(fronts)]),
                 Section(
                     key="led",
@@ -296,14 +300,6 @@ def front_section(fronts: Mapping[str, Any]) -> Section:
     for axis, tree in fronts.items():
         blocks += [front_chart(axis, tree), _front_table(axis, tree)]
     return Section(key="front", title="What can be traded", blocks=tuple(blocks))
-
-
-def limit_section(charts: Mapping[str, Chart]) -> Section:
-    """Return the design between what no linear controller gets below and what one reaches."""
-    blocks: list[Block] = []
-    for name, chart in charts.items():
-        blocks += [Note(text=f"Axis {name}: {chart.alternative}.", kind="limit"), chart]
-    return Section(key="limit", title="How far from the limit", blocks=tuple(blocks))
 
 
 def _front_table(axis: str, tree: Mapping[str, Any]) -> Table:

@@ -197,6 +197,12 @@ def test_optimize_says_and_draws_how_far_its_design_is(
     (said,) = (line.strip() for line in done.stdout.splitlines() if "no linear controller of this noise" in line)
     missed = r"a gain margin of 3\.\d+ where 6 dB is asked and a phase margin of 29\.\d+ where 30° is asked"
     assert re.fullmatch(rf".* N is reached, with {missed}", said)
+    (traded,) = (line.strip() for line in done.stdout.splitlines() if "times the noise of the command" in line)
+    peaks = [float(each) for each in re.findall(r"([\d.]+) N with", traded)]
+    # Less is asked the more noise is allowed; at the noise of the design the bounds are wider.
+    assert len(peaks) == 4
+    assert peaks == sorted(peaks, reverse=True)
+    assert peaks[1] <= float(said.split()[0]) * 1.001
     page = (tmp_path / "r.html").read_text(encoding="utf-8")
     assert f"Axis x: {said}." in page
     assert 'id="x-limit' in page
