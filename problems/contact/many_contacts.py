@@ -26,6 +26,7 @@ from ..stability.polynomials import (
 )
 from .events import SUBSTEPS_PER_RADIAN, rate_bound
 from .kernel_types import APART, CONTACT_PEAK, IN_CONTACT, POSITION, SENSED, SENSOR_PEAK, Wall
+from .leaps import Motion
 from .nonlinear_kernel import (
     CONTACT,
     FOUND,
@@ -33,7 +34,6 @@ from .nonlinear_kernel import (
     IMPACT_TIME,
     TRACES,
     KernelOutputs,
-    Motion,
     NonlinearController,
     run_nonlinear,
 )

@@ -15,17 +15,14 @@ from ..model import difference
 from ..model.controller import controller_step, write_blocks
 from ..model.difference import DAMPING as PLACE_OF_DAMPING
 from ..model.difference import Entry
-from .events import spring_force
 from .kernel_types import (
-    APART,
     CONTACT_PEAK,
     CONTACT_TIME,
-    IN_CONTACT,
     NEWEST,
     SENSOR_PEAK,
     SENSOR_TICK,
-    Wall,
 )
+from .leaps import Motion, leap_sample, leap_three_states, wall_force
 
 # What the collision response does; `Memory.phase` starts at WATCHING.
 REPORTING, RESETTING, STOPPING = 0, 1, 2
@@ -80,7 +77,7 @@ class Memory(NamedTuple):
     phase: int
 
 
-@compiled
+@inlined
 def seen_force(law: NonlinearController, force: float) -> tuple[float, int]:
     """Return the force that the controller works with, clipped and then through the deadband, and its flags."""
     flags = 0
@@ -108,7 +105,7 @@ def blocks_at(law: NonlinearController, damping: float) -> FloatArray:
     return blocks
 
 
-@compiled
+@inlined
 def keep_within(law: NonlinearController, sent: float, last_step: float, command: float) -> tuple[float, int]:
     """Return the command within the limits on its speed and acceleration, and whether they changed it."""
     step = command - sent
@@ -140,7 +137,7 @@ def update_damping(law: NonlinearController, blocks: FloatArray, memory: Memory,
     )
 
 
-@compiled
+@inlined
 def next_phase(law: NonlinearController, memory: Memory, seen: float, position: float) -> int:
     """Return the phase of the collision response: it begins once, where the force opposes the motion too much."""
     _, _, before = memory.recent
@@ -151,7 +148,7 @@ def next_phase(law: NonlinearController, memory: Memory, seen: float, position: 
     return BRAKING if law.response == RESETTING else OVER
 
 
-@compiled
+@inlined
 def control_tick(
     law: NonlinearController, blocks: FloatArray, memory: Memory, inputs: tuple[float, float, float]
 ) -> tuple[Memory, float, int]:
@@ -200,37 +197,12 @@ class BeforeAfter(NamedTuple):
     after: float
 
 
-class Motion(NamedTuple):
-    """The continuous plant without environment over one period, its wall and its delay.
-
-    `flow` (n, n + 2) is (rate, drive, push), `rows` (3, n + 1) are x, F and v h over (state, held command). `steps` are
-    those before and after the command changes in a sample. `leap` (2, 2, n, n + 2) is (phi, gamma, gamma_push) in
-    contact and apart, of the part of a sample before the command changes and of that behind it, or (0, 2, n, n + 2)
-    where every sample is crossed in steps.
-    """
-
-    flow: FloatArray
-    rows: FloatArray
-    wall: Wall
-    whole: int
-    chain: int
-    fraction: float
-    steps: tuple[int, int]
-    leap: FloatArray
-
-
 class KernelOutputs(NamedTuple):
     """Outputs: `traces` (TRACES, samples), `flags` (samples,), both perhaps of no sample, and `found` (FOUND,)."""
 
     traces: FloatArray
     flags: NDArray[np.int64]
     found: FloatArray
-
-
-@compiled
-def wall_force(motion: Motion, position: float, velocity: float) -> float:
-    """Return F_e of a massless environment behind x_p = 0; `velocity` is v_p h."""
-    return max(0.0, spring_force(motion.wall, position, velocity))
 
 
 @compiled
@@ -282,73 +254,6 @@ def cross_sample(
             if pressed > found[CONTACT_PEAK]:
                 found[CONTACT_PEAK], found[CONTACT_TIME] = pressed, moment
         start += duration
-
-
-@inlined
-def force_slope(motion: Motion, states: FloatArray, row: int, held: float, push: float, pressed: float) -> float:
-    """Return the rate of K_e x_p + B_e v_p per sample in a row of states, of which it is `pressed`.
-
-    The damper counts behind the surface only.
-    """
-    n, wall, flow = states.shape[1], motion.wall, motion.flow
-    slope = float(wall.stiffness * states[row, n - 1])
-    if wall.damping == 0.0 or states[row, n - 2] < 0.0:
-        return slope
-    change = flow[n - 1, n] * held + flow[n - 1, n + 1] * (push - max(0.0, pressed))
-    for j in range(n):
-        change += flow[n - 1, j] * states[row, j]
-    return float(slope + wall.damping * change)
-
-
-@inlined
-def leap_sample(
-    motion: Motion,
-    state: FloatArray,
-    commands: tuple[float, float],
-    push: float,
-    tick: int,
-    found: FloatArray,
-    work: FloatArray,
-) -> bool:
-    """Advance the plant over one sample by its exponentials; return False, nothing done, where something may happen.
-
-    That is where contact begins or ends, and where F_e turns inside a part of the sample so near to its largest value,
-    or to 0, that it may pass it. The plant's motion turns by less than half a radian in a sample. `work` is (3, n).
-    """
-    n, wall, leap, largest, moment = len(state), motion.wall, motion.leap, found[CONTACT_PEAK], -1.0
-    pressed, row = spring_force(wall, state[n - 2], state[n - 1]), 0
-    mode = IN_CONTACT if pressed > 0.0 else APART
-    for i in range(n):
-        work[row, i] = state[i]
-    for part in range(2):
-        duration = 1.0 - motion.fraction if part == 1 else motion.fraction
-        if duration == 0.0:
-            continue
-        held = commands[part]
-        before = force_slope(motion, work, row, held, push, pressed)
-        for i in range(n):
-            total = leap[mode, part, i, n] * held + leap[mode, part, i, n + 1] * push
-            for j in range(n):
-                total += leap[mode, part, i, j] * work[row, j]
-            work[row + 1, i] = total
-        row += 1
-        pressing = spring_force(wall, work[row, n - 2], work[row, n - 1])
-        if (pressing > 0.0) != (mode == IN_CONTACT):
-            return False
-        behind = force_slope(motion, work, row, held, push, pressing)
-        if before * behind <= 0.0:
-            reach = max(abs(before), abs(behind)) * duration
-            bar = largest if mode == IN_CONTACT else 0.0
-            if max(pressed, pressing) + reach > bar or (mode == IN_CONTACT and min(pressed, pressing) <= reach):
-                return False
-        if pressing > largest:
-            largest, moment = pressing, tick + (motion.fraction if part == 0 else 1.0)
-        pressed = pressing
-    for i in range(n):
-        state[i] = work[row, i]
-    if moment >= 0.0:
-        found[CONTACT_PEAK], found[CONTACT_TIME] = largest, moment
-    return True
 
 
 @compiled
@@ -416,7 +321,13 @@ def run_nonlinear(
         acts, pull = (held if motion.chain > motion.whole else newer, newer), BeforeAfter(pulls[k], pulls[k + 1])
         push = pull.before + (pushes.before if np.isnan(found[IMPACT_TIME]) else pushes.after)
         leaps = len(motion.leap) > 0 and pull.before == pull.after
-        if not (leaps and leap_sample(motion, state, acts, push, k, found, work)):
+        if leaps:
+            leaps = (
+                leap_three_states(motion, state, acts, push, k, found)
+                if n == 3
+                else leap_sample(motion, state, acts, push, k, found, work)
+            )
+        if not leaps:
             cross_sample(motion, state, acts, pushes, pull, k, found, work)
         acting = newer
         head = (head - 1) % places

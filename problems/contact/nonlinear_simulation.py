@@ -17,6 +17,7 @@ from ..model.difference import rest_states
 from ..model.plant import FREE_SPACE, Environment, Plant, build_plant_matrices
 from ..model.sampled import SampledPlant, build_loop, build_sampled_plant, spectral_radius
 from ..stability.margins import UnstableLoopError
+from .leaps import Motion
 from .nonlinear_kernel import (
     CLIPPED,
     COLLISION_TICK,
@@ -35,7 +36,6 @@ from .nonlinear_kernel import (
     BeforeAfter,
     KernelOutputs,
     Memory,
-    Motion,
     NonlinearController,
     blocks_at,
     damping_at,

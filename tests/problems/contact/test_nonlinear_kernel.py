@@ -6,7 +6,7 @@ import pytest
 from scipy.linalg import solve_discrete_lyapunov
 
 from problems.contact.kernel_types import Wall
-from problems.contact.nonlinear_kernel import Motion, wall_force
+from problems.contact.leaps import Motion, wall_force
 from problems.contact.nonlinearities import Nonlinearities
 from problems.contact.transient import Approach
 from problems.model.controller import AdmittanceController
