@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from autotune.errors import UsageError
-from autotune.formats.kinds import is_log
+from autotune.formats.kinds import check_kind, is_log
 from autotune.formats.schema import check_document, check_format
 from autotune.formats.yaml12 import load_document
 
@@ -100,6 +100,7 @@ def _of_table(path: Path) -> Iterator[LoggedRun]:
 
 
 def _of_document(path: Path) -> Iterator[LoggedRun]:
+    check_kind(path, ("campaign",))
     document = load_document(path, error=UsageError)
     check_format(document, "campaign")
     check_document(document, "campaign")

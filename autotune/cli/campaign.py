@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ._common import Output, output_options
-from ._options import GroupedCommand
+from ._options import SETTINGS, FilePath, GroupedCommand
 from ._report import check_report, print_report_path, report_option, write_report
 from ._terminal import print_message
 
@@ -27,7 +27,7 @@ Examples:
 
 
 @click.command("campaign", cls=GroupedCommand, epilog=_EPILOG)
-@click.argument("manifest", type=click.Path(path_type=Path, exists=True))
+@click.argument("manifest", type=FilePath(*SETTINGS, ".csv", dir_okay=True, exists=True))
 @click.option(
     "-o",
     "out",

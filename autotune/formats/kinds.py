@@ -26,6 +26,7 @@ _PICTURES = (
 _NOUNS: Mapping[str, str] = FrozenDict(
     {
         "c": "C export",
+        "campaign": "manifest of a campaign",
         "cell": "description of a cell",
         "identified": "identified plant",
         "map": "table of a map",
@@ -42,6 +43,7 @@ _COMMANDS: Mapping[str, str] = FrozenDict(
         "controller": "autotune validate {}",
         "schedule": "autotune validate {}",
         "pareto": "autotune report {}",
+        "campaign": "autotune campaign {}",
         "cell": "autotune identify LOG --cell {}",
         "problem": "autotune optimize identified.yaml --problem {}",
     }

@@ -75,5 +75,5 @@ def test_an_empty_folder_and_a_wrong_document_are_refused(tmp_path: Path) -> Non
     with pytest.raises(UsageError, match="names no logs"):
         read_manifest(tmp_path)
     (tmp_path / "runs.yaml").write_text("format: autotune/cell\nversion: 1\n", encoding="utf-8")
-    with pytest.raises(UsageError, match="format must be autotune/campaign"):
+    with pytest.raises(UsageError, match="is a description of a cell, not a manifest of a campaign"):
         read_manifest(tmp_path / "runs.yaml")
