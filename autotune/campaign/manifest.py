@@ -43,6 +43,8 @@ def read_manifest(path: Path) -> tuple[LoggedRun, ...]:
 
     Raises UsageError: the manifest cannot be read, names nothing, a file that is not there, or a run twice.
     """
+    if not path.exists():
+        raise UsageError(f"{path} is not there; name a folder of logs, a CSV or a YAML file that names them.")
     if path.is_dir():
         runs = list(_of_folder(path))
     elif path.suffix.lower() == ".csv":

@@ -27,9 +27,10 @@ Examples:
 
 
 @click.command("campaign", cls=GroupedCommand, epilog=_EPILOG)
-@click.argument("manifest", type=FilePath(*SETTINGS, ".csv", dir_okay=True, exists=True))
+@click.argument("manifest", type=FilePath(*SETTINGS, ".csv", dir_okay=True))
 @click.option(
     "-o",
+    "--out",
     "out",
     type=click.Path(path_type=Path, file_okay=False),
     default=Path("autotune-campaign"),
