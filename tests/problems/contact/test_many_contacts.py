@@ -11,6 +11,7 @@ from problems.contact.many_contacts import (
     LINEAR_CONTACT,
     LINEAR_SENSOR,
     REFUSED,
+    build_side,
     simulate_plants,
 )
 from problems.contact.nonlinear_simulation import DrawnNoise, NonlinearRun, needed_substeps, simulate_nonlinear
@@ -28,6 +29,7 @@ from problems.model.plant import Plant, WrenchFilter
 from problems.model.plant_arrays import build_plant_arrays
 from problems.model.plant_parameters import with_values
 from problems.model.robot import RobotModel
+from problems.model.sampled import build_sampled_plant
 from problems.stability.margins import UnstableLoopError
 from problems.stability.polynomials import STABLE, UNSTABLE
 from tests.problems.axes import PERIOD_S, PRESS, admittance, one_pole, paper_plant
@@ -176,6 +178,29 @@ def test_the_peaks_are_those_of_the_contacts_one_by_one(
             # Each kink inside a step, where a payload leaves the wall and comes back, costs the square of the step.
             np.testing.assert_allclose(found.traces_n[i], full.contact_force_n, atol=1e-3)
     assert stable > 0.5 * count
+
+
+@pytest.mark.parametrize(
+    "plant",
+    [
+        pytest.param(paper_plant(coupling_damping=100.0, environment_damping=50.0), id="slow, whole delay"),
+        pytest.param(paper_plant(robot=replace(TWO_POLES, delay_s=2.1e-3)), id="two poles, fraction"),
+        pytest.param(paper_plant(mass=0.5, stiffness=5e7, coupling_damping=2000.0), id="fast, in many pieces"),
+    ],
+)
+def test_the_parts_of_a_sample_make_the_sampled_plant(plant: Plant) -> None:
+    sampled = build_sampled_plant(plant, PERIOD_S)
+    side = build_side(*plant.robot.ascending(), plant.parameters(), PERIOD_S, sampled.fraction)
+    phi, gamma, gamma_old, gamma_push = side.step
+    for found, exact in (
+        (phi, sampled.phi),
+        (gamma, sampled.gamma),
+        (gamma_old, sampled.gamma_old),
+        (gamma_push, sampled.gamma_push),
+    ):
+        # Rounding, of the swing of 8 rad in a sample of the fast plant as well.
+        np.testing.assert_allclose(found, exact, rtol=1e-11, atol=1e-11 * np.max(np.abs(exact), initial=1e-9))
+    np.testing.assert_allclose(side.flow[:, :-2], sampled.rate)
 
 
 def test_a_plant_is_the_same_alone_and_among_others() -> None:
