@@ -201,12 +201,14 @@ def test_a_cell_that_turns_is_found_again(found_again: JointFit) -> None:
         "environment1_stiffness_n_per_m": wall.stiffness_n_per_m,
         "environment1_damping_n_s_per_m": wall.damping_n_s_per_m,
     }
+    usable = {"damping_n_s_per_m": 0.06, "environment1_damping_n_s_per_m": 0.35}
     for name, truth in truths.items():
         value, std = found_again.value(name)
         # Nine values, none beyond the quantile of 1e-4 in all of them: 4.4 deviations.
         assert abs(value - truth) < 4.4 * std, name
-        # Deviations that a tuner can use; a wall's damping is the hardest to tell.
-        assert std < (0.3 if "environment1_damping" in name else 0.03) * truth, name
+        # Deviations that a tuner can use; a wall's damping is the hardest to tell, and the coupling's holds what a part
+        # of the payload that no log shows may do to it.
+        assert std < usable.get(name, 0.03) * truth, name
     assert (found_again.quality.free_spans, found_again.quality.contacts) == (1, 2)
     (surface,) = found_again.surfaces
     k_s, k_e = spring.stiffness_n_per_m, wall.stiffness_n_per_m
