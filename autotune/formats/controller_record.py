@@ -206,7 +206,15 @@ class PeakPerSpeed:
 
     def largest_speed(self, force: float, hand: Hand) -> float:
         """Return the speed of the touch (m/s) up to which no contact exceeds `force` (N)."""
-        return force / float(getattr(self, hand))
+        peak = getattr(self, hand)
+        return 0.0 if peak is None else force / float(peak)
+
+    @classmethod
+    def of(cls, worst: Mapping[Hand, float], hand_mass_kg: float) -> "PeakPerSpeed":
+        """Return what was found; without `holds` where the loop is not stable with the mass of the hand."""
+        if math.isfinite(worst["holds"]):
+            return cls(**worst, hand_mass_kg=hand_mass_kg)
+        return cls(pushes_on=worst["pushes_on"], lets_go=worst["lets_go"])
 
 
 @dataclass(frozen=True, kw_only=True)

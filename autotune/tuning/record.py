@@ -34,10 +34,9 @@ from identification.axes.turning import LEVER_M
 from identification.errors import EstimateError
 from identification.result import Identified, Status
 from problems.contact.nonlinearities import DeadbandType
-from problems.contact.transient import transient_from
 from problems.design.evaluation import PlantMargins, build_scenarios
 from problems.design.problem import DesignProblem, Requirements
-from problems.design.requirements import HANDS, hand_approach, led_contacts, led_mass_kg, smallest_admittance
+from problems.design.requirements import HANDS, hand_approach, led_contacts, led_mass_kg, led_peak, smallest_admittance
 from problems.design.uncertainty import Scenario
 from problems.model.controller import AdmittanceController
 from problems.model.response import hand_force_per_speed
@@ -212,9 +211,9 @@ def _peak_per_speed(
     worst = dict.fromkeys(HANDS, 0.0)
     for hand, pair in itertools.product(HANDS, pairs):
         for led in led_contacts(pair, hand, mass):
-            run = transient_from(led, controller, hand_approach(_LED_M_S, hand))
-            worst[hand] = max(worst[hand], run.peak_contact_force_n / _LED_M_S)
-    return PeakPerSpeed(**worst, hand_mass_kg=mass)
+            peak = led_peak(led, controller, hand_approach(_LED_M_S, hand))
+            worst[hand] = max(worst[hand], peak / _LED_M_S)
+    return PeakPerSpeed.of(worst, mass)
 
 
 def build_domain(problem: DesignProblem) -> AxisDomain:

@@ -1,5 +1,6 @@
 """Replay the contacts that a certificate predicts: their peaks, the collision response, and the runtime's limits."""
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 
 from autotune.formats.certificate_record import AxisDomain
@@ -12,6 +13,7 @@ from problems.design.uncertainty import Scenario
 from problems.model.axis_kind import AxisKind
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Plant
+from problems.stability.margins import UnstableLoopError
 
 from .certified_requirements import limit_n
 from .false_triggers import describe_false_triggers, wrong_false_triggers
@@ -297,13 +299,18 @@ def verify_led(
 
 def _led_peak(plant: Plant, law: AdmittanceController, hand: Hand, h: float) -> float:
     """Return the peak contact force per speed of one contact of a payload that is led by hand."""
-    run = simulate_nonlinear(
-        plant,
-        law,
-        hand_approach(_LED_M_S, hand),
-        sample_time_s=h,
-        duration_s=h * settling_samples(plant, law, h, SHORTEST_AFTER_S),
-        substeps=needed_substeps(plant, h),
-    )
+    try:
+        run = simulate_nonlinear(
+            plant,
+            law,
+            hand_approach(_LED_M_S, hand),
+            sample_time_s=h,
+            duration_s=h * settling_samples(plant, law, h, SHORTEST_AFTER_S),
+            substeps=needed_substeps(plant, h),
+        )
+    except UnstableLoopError:
+        if hand != "holds":
+            raise
+        return math.inf
     rest = 0.0 if hand == "lets_go" else run.driving_force_n
     return max(run.peak_contact_force_n, rest) / _LED_M_S

@@ -1,5 +1,6 @@
 """The peak of a contact that is touched at a given speed, by a hand that pushes on, holds on or lets go."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Literal, get_args
@@ -8,9 +9,10 @@ from ..._checks import non_negative, positive
 from ...contact.transient import Approach, SampledContact, build_sampled_contact, transient_from
 from ...errors import ParameterError
 from ...frozen import FrozenDict
+from ...model.controller import AdmittanceController
 from ...model.plant import Plant
 from ...model.plant_parameters import PARAMETERS, with_values
-from ...model.sampled import build_sampled_plant
+from ...model.sampled import build_loop, build_sampled_plant, spectral_radius
 from ..hand import HandImpedance
 from ..stable_design import PreparedPlants, StableDesign
 from ..uncertainty import MASS, Scenario
@@ -98,6 +100,13 @@ def led_contacts(pair: SampledContact, hand: Hand, hand_mass_kg: float) -> tuple
     return pair, *(build_sampled_contact(build_sampled_plant(each, h)) for each in others)
 
 
+def led_peak(pair: SampledContact, law: AdmittanceController, approach: Approach) -> float:
+    """Return the peak force on the environment [N], infinite where the loop is not stable."""
+    if max(spectral_radius(build_loop(side, law)) for side in (pair.free, pair.contact)) >= 1.0:
+        return math.inf
+    return transient_from(pair, law, approach).peak_contact_force_n
+
+
 def led_mass_kg(asked: Mapping[str, Any], lever_m: float = 1.0) -> float:
     """Return the mass of the hand that is certified: the one that is asked, else the default at a lever [m]."""
     limit = asked.get("contact_at_speed")
@@ -153,7 +162,8 @@ class ContactAtSpeedLimit(Requirement[ContactAtSpeed]):
         """Return the peak force on the environment in one scenario [N]."""
         pair, key = design.prepared.pairs[row], (self.name, row, asked.hand, asked.hand_mass_kg)
         led = design.prepared.once(key, lambda: led_contacts(pair, asked.hand, asked.hand_mass_kg))
-        return max(transient_from(each, design.controller, asked.approach).peak_contact_force_n for each in led)
+        own = transient_from(pair, design.controller, asked.approach).peak_contact_force_n
+        return max(own, *(led_peak(each, design.controller, asked.approach) for each in led[1:]))
 
     def scenario(self, prepared: PreparedPlants, row: int) -> Scenario:
         """Return the scenario."""
