@@ -213,7 +213,7 @@ class PeakPerSpeed:
     def of(cls, worst: Mapping[Hand, float], hand_mass_kg: float) -> "PeakPerSpeed":
         """Return what was found; without `holds` where the loop is not stable with the mass of the hand."""
         if math.isfinite(worst["holds"]):
-            return cls(**worst, hand_mass_kg=hand_mass_kg)
+            return cls(**{str(hand): peak for hand, peak in worst.items()}, hand_mass_kg=hand_mass_kg)
         return cls(pushes_on=worst["pushes_on"], lets_go=worst["lets_go"])
 
 
