@@ -78,7 +78,7 @@ def identify_compensated_axes(
     except LogError as error:
         return CompensatedAxes(axes={}, findings=(Finding.warning("no-motion", str(error), ""),))
     motion = find_motion(log)
-    # What the sensor shows without a load is no force: the touches are told without it too.
+    # What the sensor shows without a load is no force, of the touches neither.
     offset = {each.axis: each.offset_n for each in axis_signals(recording)}
     force = np.asarray(log.force_S_n - np.array([offset.get(name, 0.0) for name in AXIS_NAMES]))
     cell = CellSignals(

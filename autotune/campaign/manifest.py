@@ -35,13 +35,14 @@ class LoggedRun:
         return f"{self.cell}/{self.run}"
 
 
-def read_manifest(path: Path) -> tuple[LoggedRun, ...]:
+def read_manifest(path: Path, *, may_be_empty: bool = False) -> tuple[LoggedRun, ...]:
     """Return the runs that a manifest names, in its order, or those of a folder, by their names.
 
     Of a folder every folder in it is a cell and its logs are runs of that cell; a log in the folder itself is a cell of
     its own. A `cell.yaml`, `problem.yaml` or `controller.yaml` beside the logs is used, else that of the folder itself.
 
-    Raises UsageError: the manifest cannot be read, names nothing, a file that is not there, or a run twice.
+    Raises UsageError: the manifest cannot be read, names nothing (unless it `may_be_empty`), a file that is not there,
+    or a run twice.
     """
     if not path.exists():
         raise UsageError(f"{path} is not there; name a folder of logs, a CSV or a YAML file that names them.")
@@ -51,7 +52,7 @@ def read_manifest(path: Path) -> tuple[LoggedRun, ...]:
         runs = list(_of_table(path))
     else:
         runs = list(_of_document(path))
-    if not runs:
+    if not (runs or may_be_empty):
         raise UsageError(f"{path} names no logs; a folder holds them or folders of them, a manifest a run in each row.")
     seen: set[str] = set()
     for run in runs:

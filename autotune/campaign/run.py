@@ -9,12 +9,16 @@ from pathlib import Path
 
 from autotune.errors import UsageError
 from autotune.processes import prepare_worker
-from problems.errors import require_extra
+from problems.errors import AutotuneError, require_extra
 
 from .manifest import LoggedRun
 from .work import RunOptions, RunOutcome, RunTask, build_task, read_outcome, work_on
 
 _MOST_DEATHS = 5
+_KILLED = (
+    f"The process that worked on it alone ended {_MOST_DEATHS} times without an answer: killed, or out of memory. It "
+    "is tried again by the next campaign."
+)
 
 
 def run_campaign(
@@ -50,7 +54,7 @@ def run_campaign(
     Raises
     ------
     UsageError
-        A result cannot be written; or a run has ended its process five times.
+        A file cannot be read, or a result cannot be written.
     """
     options = options or RunOptions()
     try:
@@ -58,57 +62,59 @@ def run_campaign(
     except OSError as error:
         raise UsageError(f"{folder} cannot be made: {error.strerror or error}.") from error
     done: dict[str, RunOutcome] = {}
-    tasks = [build_task(run, folder, options) for run in runs]
-    missing: deque[RunTask] = deque()
 
     def finish(task: RunTask, outcome: RunOutcome) -> None:
         done[task.run.name] = outcome
         if each is not None:
             each(outcome)
 
-    for task in tasks:
-        known = read_outcome(task.folder)
-        if known is not None and known.key == task.key:
-            finish(task, known)
-        else:
-            missing.append(task)
+    tasks = [build_task(run, folder, options) for run in runs]
+    missing = deque(task for task in tasks if not _is_written(task, finish))
+    suspects: deque[RunTask] = deque()
     deaths: Counter[str] = Counter()
-    while missing:
+    while missing or suspects:
+        # One by one, what had a worker when one died: so only the run that ends its process is counted.
+        queue, most = (suspects, 1) if suspects else (missing, jobs + 1)
         with _workers(executor, jobs) as workers:
-            for died in _drain(workers, missing, jobs, finish):
-                deaths[died.run.name] += 1
-                missing.append(died)
-        worst = next((name for name, count in deaths.items() if count >= _MOST_DEATHS), None)
-        if worst is not None:
-            raise UsageError(
-                f"{worst}: the process that worked on it ended {_MOST_DEATHS} times without an answer (killed, or out "
-                "of memory). What is finished is kept; leave that run out, or give it more memory."
-            )
+            for task in _drain(workers, queue, most, finish):
+                deaths[task.run.name] += most == 1
+                if deaths[task.run.name] < _MOST_DEATHS:
+                    suspects.append(task)
+                else:
+                    finish(task, task.refused("killed", _KILLED))
     return tuple(done[task.run.name] for task in tasks)
 
 
 def _drain(
-    workers: Executor, missing: deque[RunTask], jobs: int, finish: Callable[[RunTask, RunOutcome], None]
+    workers: Executor, queue: deque[RunTask], most: int, finish: Callable[[RunTask, RunOutcome], None]
 ) -> list[RunTask]:
-    """Work until nothing is missing or the workers are gone; return the tasks that they had then."""
+    """Work on at most so many tasks at a time until the workers are gone; return what they then had in work."""
     running: dict[Future[RunOutcome], RunTask] = {}
+    lost: list[RunTask] = []
     try:
-        while missing or running:
-            # One more than there are workers, so that none waits; few, because all of them are lost with the pool.
-            while missing and len(running) <= jobs:
-                task = missing.popleft()
-                running[workers.submit(work_on, task)] = task
+        while queue or running:
+            while queue and len(running) < most:
+                running[workers.submit(work_on, queue[0])] = queue[0]
+                queue.popleft()
             for future in wait(running, return_when=FIRST_COMPLETED).done:
-                finish(running[future], future.result())
+                task = running[future]
+                try:
+                    finish(task, future.result())
+                except (AutotuneError, BrokenExecutor):
+                    raise
+                except Exception:  # noqa: BLE001 - what is no answer of the work is a worker's end, as Dask says it
+                    lost.append(task)
                 del running[future]
     except BrokenExecutor:
+        if not running:
+            lost.append(queue.popleft())  # what workers that had nothing to do do not take
         # A worker may have written its folder and died before it answered.
-        lost = [task for task in running.values() if not _is_written(task, finish)]
-        return [task for task in lost if task not in missing]
-    return []
+        lost += [task for task in running.values() if not _is_written(task, finish)]
+    return lost
 
 
 def _is_written(task: RunTask, finish: Callable[[RunTask, RunOutcome], None]) -> bool:
+    """Return whether the task's folder holds its result, which is then known."""
     known = read_outcome(task.folder)
     if known is None or known.key != task.key:
         return False

@@ -9,7 +9,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from autotune.errors import CertificateError, InfeasibleError
+from autotune.errors import CertificateError, InfeasibleError, UsageError
 from autotune.formats.atomic import write_folder_atomic
 from autotune.formats.cell import read_cell
 from autotune.formats.controller import read_controller, write_controller
@@ -37,16 +37,6 @@ class RunOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RunTask:
-    """A run, where its results belong, and the key of all that they follow from."""
-
-    run: LoggedRun
-    folder: Path
-    key: str
-    options: RunOptions
-
-
-@dataclass(frozen=True, kw_only=True)
 class RunOutcome:
     """What came of a run.
 
@@ -71,6 +61,20 @@ class RunOutcome:
         return json.dumps(asdict(self), indent=1, allow_nan=False) + "\n"
 
 
+@dataclass(frozen=True, kw_only=True)
+class RunTask:
+    """A run, where its results belong, and the key of all that they follow from."""
+
+    run: LoggedRun
+    folder: Path
+    key: str
+    options: RunOptions
+
+    def refused(self, kind: str, reason: str) -> RunOutcome:
+        """Return the outcome of a run of which nothing else is known."""
+        return RunOutcome(cell=self.run.cell, run=self.run.run, key=self.key, refused=kind, reason=reason)
+
+
 def read_outcome(folder: Path) -> RunOutcome | None:
     """Return what a folder of results says; None where there is none, or one that this release does not know."""
     try:
@@ -84,14 +88,17 @@ def read_outcome(folder: Path) -> RunOutcome | None:
 
 
 def build_task(run: LoggedRun, folder: Path, options: RunOptions) -> RunTask:
-    """Return the task of a run; its key is the SHA-256 of version, options and the bytes of every file."""
+    """Return the task of a run; its key is the SHA-256 of version, options and the bytes of every file.
+
+    Raises UsageError where a file cannot be read.
+    """
     files = {key: getattr(run, key) for key in ("cell_file", "problem", "controller")}
-    said = {
-        "version": __version__,
-        "options": asdict(options),
-        "logs": [_digest(log) for log in run.logs],
-        **{key: None if path is None else _digest(path) for key, path in files.items()},
-    }
+    try:
+        digests = {key: None if path is None else _digest(path) for key, path in files.items()}
+        logs = [_digest(log) for log in run.logs]
+    except OSError as error:
+        raise UsageError(f"{error.filename} cannot be read: {error.strerror or error}.") from error
+    said = {"version": __version__, "options": asdict(options), "logs": logs, **digests}
     key = sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()
     return RunTask(run=run, folder=folder / "cells" / run.cell / run.run, key=key, options=options)
 
@@ -113,10 +120,12 @@ def work_on(task: RunTask) -> RunOutcome:
         try:
             outcome = _identify_and_tune(task, Path(scratch))
         except Exception as error:  # noqa: BLE001 - one log must not end the work on all others
-            reason = f"Unforeseen {type(error).__name__}: {error}"
-            return RunOutcome(cell=task.run.cell, run=task.run.run, key=task.key, refused="unforeseen", reason=reason)
+            return task.refused("unforeseen", f"Unforeseen {type(error).__name__}: {error}")
         files = {each.name: each.read_text(encoding="utf-8") for each in sorted(Path(scratch).iterdir())}
-    task.folder.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        task.folder.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(f"{task.folder.parent} cannot be made: {error.strerror or error}.") from error
     write_folder_atomic(task.folder, {**files, RESULT: outcome.text()})
     return outcome
 

@@ -70,6 +70,7 @@ def command(
     is a result with its reason. Exit code 4: no run was identified. 6: a controller that the manifest names is no
     longer certified for what its cell's newest run shows.
     """
+    from autotune.campaign.text import outcome_text
     from autotune.campaign.work import RunOptions
     from autotune.errors import UsageError
     from autotune.processes import count_processors
@@ -86,11 +87,11 @@ def command(
             executor, dashboard = stack.enter_context(dask_executor(scheduler, count))
             output.note(f"dashboard: {dashboard}")
         while True:
-            outcomes = _once(output, manifest, out, options, count, executor)
+            outcomes = _once(output, manifest, out, options, count, executor, may_be_empty=watch is not None)
             tree = _tree(output, out, outcomes, report)
             if watch is None:
                 break
-            output.note(f"{len(outcomes)} runs; looking again in {watch:g} s (Ctrl-C ends it)")
+            output.note(f"{outcome_text(outcomes)} Looking again in {watch:g} s (Ctrl-C ends it).")
             time.sleep(watch)
     output.result(tree, lambda: _print(out, outcomes, report))
     _require(outcomes)
@@ -99,14 +100,21 @@ def command(
 
 
 def _once(
-    output: Output, manifest: Path, out: Path, options: "RunOptions", jobs: int, executor: "Executor | None"
+    output: Output,
+    manifest: Path,
+    out: Path,
+    options: "RunOptions",
+    jobs: int,
+    executor: "Executor | None",
+    *,
+    may_be_empty: bool,
 ) -> "tuple[RunOutcome, ...]":
     """Work on what is missing, and write the tables of all."""
     from autotune.campaign.manifest import read_manifest
     from autotune.campaign.run import run_campaign
     from autotune.campaign.tables import write_tables
 
-    runs = read_manifest(manifest)
+    runs = read_manifest(manifest, may_be_empty=may_be_empty)
     with output.progress("campaign", float(len(runs))) as advance:
         outcomes = run_campaign(
             runs,

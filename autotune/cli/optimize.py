@@ -185,7 +185,8 @@ def command(
             )  # fmt: skip
             found = first_feasible(specs_for(wanted, spec), search)
         if wanted is not None:
-            found, rendered = _designed_for(output, wanted, found, out, plant, present, spec, search)
+            certify = partial(_certified_for, output, wanted, out=out, plant=plant, present=present)
+            found, rendered = _designed_for(output, wanted, found, spec, search, certify)
         fronts.trace(output, found)
         with output.replacing(out, "controller"):
             checksum = write_controller(out, found.controller)
@@ -223,11 +224,9 @@ def _designed_for(
     output: Output,
     target: "ExportTarget",
     found: "Optimized",
-    out: Path,
-    plant: "IdentifiedFile",
-    present: "PresentGains | None",
     spec: "ProblemSpec",
     search: "Callable[[ProblemSpec], Optimized]",
+    certify: "Callable[..., tuple[Optimized, Rendered]]",
 ) -> "tuple[Optimized, Rendered]":
     """Certify the design as the target runs it, that with the admittance that the target can have where it has one."""
     from autotune.errors import CertificateError, InfeasibleError
@@ -240,16 +239,17 @@ def _designed_for(
         try:
             with output.progress("searching with that", 1.0):
                 again = first_feasible(specs_for(target, more), search)
-            return _certified_for(output, target, again, out, plant, present, note)
+            return certify(again, note=note)
         except (InfeasibleError, CertificateError):
             pass
-    return _certified_for(output, target, found, out, plant, present)
+    return certify(found)
 
 
 def _certified_for(
     output: Output,
     target: "ExportTarget",
     found: "Optimized",
+    *,
     out: Path,
     plant: "IdentifiedFile",
     present: "PresentGains | None",

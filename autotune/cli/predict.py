@@ -230,7 +230,7 @@ def _compared(output: Output, identified: Path, options: dict[str, Any]) -> "Tou
     logs = options["logs"]
     with output.progress(f"comparing with {', '.join(log.name for log in logs)}", 2.0) as advance:
         reading = {name: options[name] for name in ("urdf", "tip", "start", "stop")}
-        # What was touched, a wall or a hand, is told by the speed that the gains make of F^d.
+        # A wall differs from a hand by the speed that the gains make of F^d.
         said = () if options["axis"] in ROTATIONAL_AXES else ("mass", "damping", "lead")
         ran = {name: float(gains[name]) for name in said if name in gains} or None
         of_cell = None if cell is None else read_cell(cell)

@@ -92,14 +92,14 @@ def raised_default(
     least = usual if reach >= usual else float(f"{_SHARE_OF_REACH * reach:.2g}")
     if least <= used:
         return None
-    wish = AdmittanceTarget(min_m_s_per_n=least, band_hz=band)
+    raised = AdmittanceTarget(min_m_s_per_n=least, band_hz=band)
     can = f"can have in this cell ({reach:.3g}); the usual {usual:g} cannot be had with it"
     note = (
         f"Axis {', '.join(lowered)}: nobody asked for a free-space admittance, so {least:g} m/s/N are asked from "
         f"{band[0]:g} to {band[1]:g} Hz, "
         + (f"as usual, which {target.name} can have" if least == usual else f"four fifths of what {target.name} {can}")
     )
-    return replace(spec, requirements=replace(spec.requirements, free_space_admittance=wish)), f"{note}."
+    return replace(spec, requirements=replace(spec.requirements, free_space_admittance=raised)), f"{note}."
 
 
 def plant_for(target: ExportTarget | None, plant: IdentifiedFile) -> IdentifiedFile:

@@ -1,12 +1,11 @@
 """Work on many runs: once each, the same whatever is killed meanwhile, by any executor."""
 
-import contextlib
 import json
 import os
 import signal
 import threading
 import time
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
 from multiprocessing import active_children
 from pathlib import Path
 from typing import Any
@@ -112,9 +111,8 @@ def test_the_same_tables_come_of_a_campaign_whose_workers_are_killed(logs: Path,
     outcomes: tuple[RunOutcome, ...] = ()
     try:
         # Who is hit five times is named; the same command then goes on, as a user's would.
-        while not outcomes:
-            with contextlib.suppress(UsageError):
-                outcomes = run_campaign(runs, tmp_path / "wild", jobs=2)
+        while not outcomes or any(each.refused == "killed" for each in outcomes):
+            outcomes = run_campaign(runs, tmp_path / "wild", jobs=2)
     finally:
         over.set()
         killer.join()
@@ -129,6 +127,33 @@ def test_the_same_tables_come_of_a_campaign_whose_workers_are_killed(logs: Path,
     assert (tmp_path / "calm-tables" / "campaign.csv").read_text() == (
         tmp_path / "wild-tables" / "campaign.csv"
     ).read_text()
+
+
+class Deadly(Executor):
+    """A pool whose worker dies of one run, at once or when it is asked for the next."""
+
+    def __init__(self, deadly: str, refuses: bool) -> None:
+        self.deadly, self.refuses, self.worked = deadly, refuses, list[str]()
+
+    def submit(self, fn: Any, /, *arguments: Any, **named: Any) -> Future[Any]:
+        name, future = arguments[0].run.name, Future[Any]()
+        self.worked.append(name)
+        if name != self.deadly:
+            future.set_result(fn(*arguments, **named))
+        elif self.refuses:
+            raise BrokenExecutor("gone")
+        else:
+            future.set_exception(BrokenExecutor("gone"))
+        return future
+
+
+@pytest.mark.parametrize("refuses", [False, True])
+def test_only_the_run_that_ends_its_process_is_given_up(logs: Path, tmp_path: Path, refuses: bool) -> None:
+    pool = Deadly("cell1/run4", refuses)
+    outcomes = run_campaign(read_manifest(logs), tmp_path / "out", executor=pool, jobs=3)
+    assert [f"{each.cell}/{each.run}" for each in outcomes if each.refused == "killed"] == ["cell1/run4"]
+    assert {each.refused for each in outcomes} == {"log", "killed"}
+    assert read_outcome(tmp_path / "out" / "cells" / "cell1" / "run4") is None
 
 
 def test_a_dask_cluster_gives_the_same(logs: Path, tmp_path: Path) -> None:
