@@ -1,5 +1,6 @@
 """The bounds of a design problem as a unit cube."""
 
+import math
 from collections.abc import Iterable
 
 import numpy as np
@@ -41,7 +42,7 @@ class Box:
         """Return the point of the unit cube that `design` comes from; 0 where the bounds coincide."""
         span = np.where(self.high > self.low, self.high - self.low, 1.0)
         floor = np.where(self.logarithmic, self.low, 1.0)
-        ratio = np.where(self.high > self.low, np.log(np.where(self.logarithmic, self.high, np.e) / floor), 1.0)
+        ratio = np.where(self.high > self.low, np.log(np.where(self.logarithmic, self.high, math.e) / floor), 1.0)
         geometric = np.log(np.where(self.logarithmic, design, 1.0) / floor) / np.where(ratio > 0.0, ratio, 1.0)
         return np.clip(np.where(self.logarithmic, geometric, (design - self.low) / span), 0.0, 1.0)
 
