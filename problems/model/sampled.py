@@ -1,6 +1,5 @@
 """The exact sampled loop: held plant by matrix exponential, delay as a shift chain."""
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -74,7 +73,7 @@ class SampledPlant:
 def split_delay(delay_s: float, sample_time_s: float) -> tuple[int, float]:
     """Return the whole samples and the remaining fraction of a sample in `delay_s`."""
     samples = delay_s / sample_time_s
-    whole = math.floor(samples + _WHOLE)
+    whole = int(np.floor(samples + _WHOLE))
     fraction = samples - whole
     return whole, fraction if fraction > _WHOLE else 0.0
 
