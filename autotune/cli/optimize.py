@@ -1,7 +1,7 @@
 """`autotune optimize`: a validated controller from identified parameters."""
 
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -157,7 +157,7 @@ def command(
     not change the controller. Exit code 5: no controller meets the requirements. 6: a claim could not be verified, or
     the compared file is altered. Nothing is written then.
     """
-    from autotune.export.designing import example_export, first_feasible, plant_for, specs_for
+    from autotune.export.designing import example_export, plant_for, specs_for
     from autotune.formats.atomic import check_target
     from autotune.formats.canonical import short
     from autotune.formats.controller import write_controller
@@ -178,12 +178,9 @@ def command(
         spec = asked.with_options(
             payload_mass=payload_mass, environment_stiffness=environment_stiffness, with_unit=fields_with_unit()
         )
-        with output.progress("searching", float(len(specs_for(wanted, spec)))) as advance:
-            search = partial(
-                optimize, plant, seed=seed, problem_path=problem, present=present, proof=proof, replays=wanted is None,
-                step=lambda doing: advance(0.0, f"searching {doing}".rstrip()), progress=advance,
-            )  # fmt: skip
-            found = first_feasible(specs_for(wanted, spec), search)
+        search = partial(optimize, plant, seed=seed, problem_path=problem, present=present, proof=proof)
+        search = partial(search, replays=wanted is None)
+        found = _searched(output, specs_for(wanted, spec), search)
         if wanted is not None:
             certify = partial(_certified_for, output, wanted, out=out, plant=plant, present=present)
             found, rendered = _designed_for(output, wanted, found, spec, search, certify)
@@ -203,6 +200,18 @@ def command(
         output.next_command("validate", out, *(() if is_said else ("--identified", identified)))
     else:
         output.next_line(example_export(wanted, out))
+
+
+def _searched(output: Output, specs: "Sequence[ProblemSpec]", search: "Callable[..., Optimized]") -> "Optimized":
+    """Return the design of the first specification that has one, under a bar that names what is searched."""
+    from autotune.export.designing import first_feasible
+
+    with output.progress("searching", float(len(specs))) as advance:
+
+        def name(doing: str) -> None:
+            advance(0.0, f"searching {doing}".rstrip())
+
+        return first_feasible(specs, partial(search, step=name, progress=advance))
 
 
 def _tree(

@@ -22,8 +22,7 @@ from autotune.validation.report import ValidationReport
 from autotune.validation.verify import verify
 from identification.errors import LogError
 from identification.evidence import Evidence
-from identification.logs.containers.formats import sha256_of
-from identification.logs.opened import digests
+from identification.logs.containers.formats import digests, sha256_of
 from identification.logs.summary import LogSummary
 from problems.progress import Progress, no_progress
 

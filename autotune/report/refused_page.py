@@ -10,7 +10,7 @@ from autotune.formats.canonical import checksum, short
 from autotune.formats.identified import IdentifiedFile
 from autotune.formats.yaml12 import load_document
 from identification.errors import LogError
-from identification.logs.opened import digests
+from identification.logs.containers.formats import digests
 from identification.logs.read import read_recording
 from identification.signals.recording import Recording
 

@@ -14,9 +14,10 @@ from .checks.clocks import ChannelClock, clock_findings, compare_clocks, measure
 from .checks.robot_state import without_zero_torques
 from .checks.samples import role_faults
 from .containers.channel import Channel, ChannelInfo
+from .containers.formats import digests
 from .messages.decode import Series, Wanted
 from .numbers import number_fields, number_findings
-from .opened import OpenedLogs, digests, open_logs
+from .opened import OpenedLogs, open_logs
 from .read import WHOLE, LogSpan, cut_series, read_checked_recording
 from .roles.cell import Cell, WrenchSource
 from .roles.choose import Choice, candidates_of, choose, open_questions, source_of, spelled_as_in

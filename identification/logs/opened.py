@@ -15,7 +15,7 @@ from ..errors import LogError, listed
 from ..result import Finding
 from ..signals.recording import StampArray
 from .containers.channel import Batch, Channel, ChannelInfo, Container, Held, Survey
-from .containers.formats import is_table, open_container, sha256_of
+from .containers.formats import is_table, open_container
 from .messages.decode import (
     HEADER,
     ROS_ENCODINGS,
@@ -42,9 +42,10 @@ Number = TypeVar("Number", np.int64, np.float64)
 class ContainerLog:
     """A log of messages."""
 
-    def __init__(self, path: Path, *, salvage: bool) -> None:
+    def __init__(self, path: Path, *, salvage: bool, recorded_ns: tuple[int, int] | None = None) -> None:
         self.path = path
         self._container: Container = open_container(path, salvage=salvage)
+        self._container.recorded_ns = recorded_ns
         try:
             self.survey = self._container.survey()
             self.infos = build_infos(self.survey)
@@ -185,8 +186,13 @@ class OpenedLogs:
 
 
 @contextmanager
-def open_logs(paths: Sequence[Path], cell: Cell, *, salvage: bool) -> Iterator[OpenedLogs]:
-    """Open files or folders of any known format; raises LogError if one is none or damaged."""
+def open_logs(
+    paths: Sequence[Path], cell: Cell, *, salvage: bool, recorded_ns: tuple[int, int] | None = None
+) -> Iterator[OpenedLogs]:
+    """Open files or folders of any known format; raises LogError if one is none or damaged.
+
+    With `recorded_ns` only what was recorded from the first instant on and before the second is read.
+    """
     if not paths:
         raise LogError("At least one log must be named, found none.")
     if len({path.resolve() for path in paths}) < len(paths):
@@ -195,7 +201,7 @@ def open_logs(paths: Sequence[Path], cell: Cell, *, salvage: bool) -> Iterator[O
     try:
         for path in paths:
             # What was opened is closed when the next one fails.
-            parts.append(_opened(path, cell, salvage=salvage))  # noqa: PERF401
+            parts.append(_opened(path, cell, salvage, recorded_ns))  # noqa: PERF401
         check_time_units([part for part in parts if isinstance(part, TableLog)])
         yield OpenedLogs(parts=tuple(parts))
     finally:
@@ -203,15 +209,10 @@ def open_logs(paths: Sequence[Path], cell: Cell, *, salvage: bool) -> Iterator[O
             part.close()
 
 
-def _opened(path: Path, cell: Cell, *, salvage: bool) -> OpenedLog:
+def _opened(path: Path, cell: Cell, salvage: bool, recorded_ns: tuple[int, int] | None) -> OpenedLog:
     if not path.is_dir() and is_table(path):
-        return TableLog(path, cell.table_of(path.name))
-    return ContainerLog(path, salvage=salvage)
-
-
-def digests(paths: Sequence[Path]) -> dict[str, str]:
-    """Return the SHA-256 in hexadecimal of each log; of a folder that of its files' names and digests."""
-    return {str(path): sha256_of(path) for path in paths}
+        return TableLog(path, cell.table_of(path.name), recorded_ns)
+    return ContainerLog(path, salvage=salvage, recorded_ns=recorded_ns)
 
 
 def _merged(one: ChannelInfo, other: ChannelInfo) -> ChannelInfo:
@@ -343,12 +344,13 @@ def gather(
     container: Container, decoders: Mapping[Channel, Callable[[Batch], Series]], wanted: Mapping[Channel, Wanted]
 ) -> dict[Channel, Series]:
     """Read the channels once and put together what their decoders make of each batch."""
-    counted = {held.channel: held.count for held in container.survey().held}
+    counted = {} if container.recorded_ns else {held.channel: held.count for held in container.survey().held}
     gatherings = {channel: _Gathering(each, counted.get(channel, 0)) for channel, each in wanted.items()}
     counts = dict.fromkeys(wanted, 0)
 
     def handle(batch: Batch) -> tuple[int, Series]:
-        return batch.count, decoders[batch.channel](_holding(batch, wanted[batch.channel].only))
+        asked = _holding(container.recorded(batch), wanted[batch.channel].only)
+        return batch.count, decoders[batch.channel](asked)
 
     try:
         for channel, (count, part) in container.read(tuple(wanted), handle):
@@ -368,7 +370,7 @@ def _holding(batch: Batch, block: bytes) -> Batch:
     if not block:
         return batch
     keep = np.array([block in message for message in messages_of(batch)], dtype=np.bool_)
-    return replace(batch, log_ns=batch.log_ns[keep], starts=batch.starts[keep], sizes=batch.sizes[keep])
+    return batch.part(keep)
 
 
 def build_infos(survey: Survey) -> tuple[ChannelInfo, ...]:

@@ -19,10 +19,11 @@ from .checks.clocks import ChannelTimes, check_clocks
 from .checks.payload import check_payload
 from .checks.robot_state import drop_idle_command, drop_zero_torques
 from .checks.samples import joined
+from .containers.formats import digests
 from .joints import joint_findings, poses_of_joints, resolve_joints
 from .messages.decode import Series
 from .numbers import number_fields
-from .opened import OpenedLogs, digests, open_logs
+from .opened import OpenedLogs, open_logs
 from .recording import build_recording, chosen_clocks, refuse, role_stamps, sample_findings
 from .roles.cell import Cell, Clock
 from .roles.choose import Choice, choose_all, open_questions, spelled_as_in, with_meanings
@@ -60,11 +61,14 @@ def _parsed(name: str, instant: Instant | None) -> tuple[int, bool] | None:
 class LogSpan:
     """From `start` to `stop`; None is the log's own. A log starts where both its wrench and its pose have begun.
 
+    Of a window of a long log, `recorded_ns` are the instants on the recording clock between which messages are read.
+
     Raises ParameterError for what is no time, and where `stop` is not after `start`.
     """
 
     start: Instant | None = None
     stop: Instant | None = None
+    recorded_ns: tuple[int, int] | None = None
 
     def __post_init__(self) -> None:
         first, last = _parsed("from", self.start), _parsed("to", self.stop)
@@ -233,7 +237,7 @@ def _read(
 ) -> tuple[Recording, list[ChannelTimes]]:
     """Return a recording, and the header and recording stamps of the channels that have clocks of their own."""
     files = (paths,) if isinstance(paths, Path) else tuple(paths)
-    with open_logs(files, cell, salvage=salvage) as logs:
+    with open_logs(files, cell, salvage=salvage, recorded_ns=span.recorded_ns) as logs:
         cell = spelled_as_in(cell, logs.infos)
         choices = choose_all(logs.infos, cell, logs.name, logs.frames_of)
         choices, cell, chain = resolve_joints(choices, cell, logs)

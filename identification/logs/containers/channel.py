@@ -3,7 +3,7 @@
 import os
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Lock
 from typing import Self, TypeVar
@@ -127,6 +127,10 @@ class Batch:
         """Count the messages."""
         return int(self.log_ns.size)
 
+    def part(self, keep: NDArray[np.bool_]) -> "Batch":
+        """Return the messages that a mask (n,) keeps."""
+        return replace(self, log_ns=self.log_ns[keep], starts=self.starts[keep], sizes=self.sizes[keep])
+
 
 def pack(messages: Sequence[bytes]) -> tuple[StampArray, ByteArray]:
     """Return the sizes of messages and their bytes one behind the other."""
@@ -135,7 +139,25 @@ def pack(messages: Sequence[bytes]) -> tuple[StampArray, ByteArray]:
 
 
 class Container(ABC):
-    """An opened log file (or folder of files) of one format; a context manager."""
+    """An opened log file (or folder of files) of one format; a context manager.
+
+    `recorded_ns` are the instants on the recording clock between which messages are wanted, all where it is None:
+    chunks that lie outside need not be read, other messages from outside are the caller's to leave out.
+    """
+
+    recorded_ns: tuple[int, int] | None = None
+
+    def may_want(self, start_ns: int, end_ns: int) -> bool:
+        """Return whether messages recorded from `start_ns` to `end_ns`, 0 and 0 where nobody knows, may be wanted."""
+        if self.recorded_ns is None or (start_ns, end_ns) == (0, 0):
+            return True
+        return start_ns < self.recorded_ns[1] and end_ns >= self.recorded_ns[0]
+
+    def recorded(self, batch: Batch) -> Batch:
+        """Return the messages of a batch that were recorded from the first instant on and before the second."""
+        if self.recorded_ns is None:
+            return batch
+        return batch.part((batch.log_ns >= self.recorded_ns[0]) & (batch.log_ns < self.recorded_ns[1]))
 
     @abstractmethod
     def survey(self) -> Survey:

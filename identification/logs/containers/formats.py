@@ -2,8 +2,9 @@
 
 import hashlib
 import stat
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Protocol
 
@@ -165,6 +166,24 @@ def sha256_of(path: Path) -> str:
 def _digest(path: Path) -> str:
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def digests(paths: Sequence[Path]) -> dict[str, str]:
+    """Return the SHA-256 in hexadecimal of each log; of a folder that of its files' names and digests."""
+    return {str(path): _digest_in_state(path, *_state(path)) for path in paths}
+
+
+def _state(path: Path) -> tuple[int, int]:
+    """Return size and time of the last change, of a folder those of all that is in it."""
+    states = [each.stat() for each in ([path, *path.iterdir()] if path.is_dir() else [path])]
+    return sum(each.st_size for each in states), max(each.st_mtime_ns for each in states)
+
+
+@lru_cache(maxsize=64)
+def _digest_in_state(path: Path, size: int, changed_ns: int) -> str:
+    """Return the SHA-256 of a log; one that is read in many windows is not digested for each."""
+    del size, changed_ns
+    return sha256_of(path)
 
 
 def _what_else(path: Path, head: bytes) -> str:

@@ -366,7 +366,9 @@ class McapContainer(Container):
             opened = opener.open(chunk)
             return opened.definitions, [(batch.channel, handle(batch)) for batch in selection.batches(opened)]
 
-        for definitions, results in map_in_order(work, filter(selection.is_in, layout.chunks)):
+        chunks = (chunk for chunk in layout.chunks if selection.is_in(chunk))
+        asked = (chunk for chunk in chunks if self.may_want(chunk.start_ns, chunk.end_ns))
+        for definitions, results in map_in_order(work, asked):
             for definition in definitions:
                 layout.definitions.add(*definition)
             yield from results

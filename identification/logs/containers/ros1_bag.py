@@ -116,7 +116,8 @@ class Ros1BagContainer(Container):
         channels = {number: channel for number, channel in self._connections.items() if channel in chosen}
         with self._refusing():
             for record in self._chunks:
-                if self._salvage or record.counts.keys() & channels.keys():
+                is_asked = record.counts.keys() & channels.keys() and self.may_want(record.start_ns, record.end_ns)
+                if self._salvage or is_asked:
                     for batch in self._batches(record, channels):
                         yield batch.channel, handle(batch)
 

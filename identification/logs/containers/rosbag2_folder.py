@@ -186,9 +186,10 @@ class Rosbag2FolderContainer(Container):
         chosen = set(wanted)
         for part, survey in self._surveys.items():
             here = {held.channel for held in survey.held if held.channel in chosen}
-            if not here:
+            if not here or not self.may_want(survey.start_ns, survey.end_ns):
                 continue
             with self._opened(part) as container:
+                container.recorded_ns = self.recorded_ns
                 yield from container.read(here, self._handler(part, handle))
                 self._part_findings.extend(container.findings())
 

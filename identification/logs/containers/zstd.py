@@ -51,6 +51,7 @@ class ZstdFileContainer(Container):
 
     def read(self, wanted: Collection[Channel], handle: Callable[[Batch], T]) -> Iterator[tuple[Channel, T]]:
         """Read the unpacked file; see `Container.read`."""
+        self._inner.recorded_ns = self.recorded_ns
         return self._inner.read(wanted, handle)
 
     def findings(self) -> tuple[Finding, ...]:

@@ -157,8 +157,9 @@ def find_rounding(stamp_ns: StampArray) -> RoundedTimes | None:
 class TableLog:
     """A CSV or Parquet file; without a declared time its columns can be listed but not read."""
 
-    def __init__(self, path: Path, layout: TableLayout | None) -> None:
+    def __init__(self, path: Path, layout: TableLayout | None, recorded_ns: tuple[int, int] | None = None) -> None:
         self.path = path
+        self._recorded_ns = recorded_ns
         self._layout = layout or TableLayout()
         self._is_timed = self._layout.time is not None or self._layout.sample_rate_hz is not None
         self.columns = list_columns(path, self._layout)
@@ -216,12 +217,16 @@ class TableLog:
             read_table(self.path, self._layout)  # says what is to be declared
         # The times are read once; with `poses` nothing is asked of them.
         bare = replace(self._layout, time=None, sample_rate_hz=None, rows="poses")
-        return {
+        read = {
             channel: replace(read_table(self.path, replace(bare, columns=wanted.fields)), log_ns=self._times.log_ns)
             if wanted.fields
             else self._times
             for channel, wanted in channels.items()
         }
+        if self._recorded_ns is None:
+            return read
+        first, last = self._recorded_ns
+        return {channel: each.part((each.log_ns >= first) & (each.log_ns < last)) for channel, each in read.items()}
 
     def frames(self, channel: Channel) -> tuple[tuple[str, str], ...]:
         """List no transforms: a table has none."""
