@@ -204,7 +204,7 @@ class Running:
         self._first = {name: int(self.model.joint(name).dofadr[0]) for name in ("cx", "crx")}
         whole, self._early = divmod(cell.delay_s / cell.period_s, 1.0)
         self._queue = deque([np.zeros(6)] * (int(whole) + 2), maxlen=int(whole) + 2)
-        self._filtered: np.ndarray[Any, np.dtype[np.float64]] | None = None
+        self._filtered: np.ndarray[Any, np.dtype[np.float64]] = np.zeros(6)
         self._last: np.ndarray[Any, np.dtype[np.float64]] = np.zeros(6)
         self.settle(2.0)
 
@@ -212,7 +212,7 @@ class Running:
         """Let weight and springs come to rest, unseen."""
         for _ in range(round(duration_s / self.cell.period_s)):
             self._advance()
-        self.ticks, self._filtered = 0, None
+        self.ticks = 0
 
     def command_pose(self, displacement_m: tuple[float, ...], rotation_rad: tuple[float, ...]) -> tuple[float, ...]:
         """Return the commanded pose, x y z and quaternion x y z w, of a way and a turn in the first tool frame."""
@@ -242,7 +242,8 @@ class Running:
         """Return what is measured now."""
         mujoco.mj_forward(self.model, self.data)
         cell, noise, data = self.cell, self._rng.standard_normal, self.data
-        wrench = self._filter(self._coupling_wrench()) + np.array(cell.bias)
+        felt = self._coupling_wrench() if cell.filter_hz is None else self._filtered
+        wrench = felt + np.array(cell.bias)
         wrench += np.repeat([cell.force_noise_n, cell.torque_noise_n_m], 3) * noise(6)
         if cell.resolution_n > 0.0:
             step = np.repeat([cell.resolution_n, 0.1 * cell.resolution_n], 3)
@@ -271,7 +272,9 @@ class Running:
             self.data.ctrl[:] = command
             if self.hand is not None:
                 self._hold(self.hand)
-            mujoco.mj_step(self.model, self.data, nstep=steps)
+            for _ in range(steps if self.cell.filter_hz else 1):
+                mujoco.mj_step(self.model, self.data, nstep=1 if self.cell.filter_hz else steps)
+                self._filter(self.model.opt.timestep)
 
     def _hold(self, hand: Hand) -> None:
         """Pull payload and hand together with the grip."""
@@ -295,17 +298,16 @@ class Running:
         force, torque, shift = joints[slide : slide + 3], joints[hinge : hinge + 3], data.qpos[slide : slide + 3]
         return -np.concatenate([force, torque + np.cross(shift, force)])
 
-    def _filter(self, wrench: np.ndarray[Any, np.dtype[np.float64]]) -> np.ndarray[Any, np.dtype[np.float64]]:
-        """Return the wrench behind the sensor's filter of first order, its input straight between the periods."""
+    def _filter(self, duration_s: float) -> None:
+        """Let a step of the physics pass through the sensor's filter of first order, its input straight in the step."""
         if self.cell.filter_hz is None:
-            return wrench
-        if self._filtered is None:
-            self._filtered, self._last = wrench.copy(), wrench
-        share = 2.0 * math.pi * self.cell.filter_hz * self.cell.period_s
+            return
+        mujoco.mj_forward(self.model, self.data)
+        wrench = self._coupling_wrench()
+        share = 2.0 * math.pi * self.cell.filter_hz * duration_s
         slope = (wrench - self._last) / share
         self._filtered = wrench - slope + (self._filtered - self._last + slope) * math.exp(-share)
         self._last = wrench
-        return self._filtered.copy()
 
 
 def _hinges(rotation_rad: tuple[float, ...]) -> np.ndarray[Any, np.dtype[np.float64]]:

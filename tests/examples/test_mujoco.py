@@ -96,6 +96,24 @@ def test_dry_friction_in_the_coupling_stands_against_the_motion_with_its_whole_f
     assert felt == pytest.approx([-2.0, 2.0], rel=1e-9)
 
 
+def felt(cell: MujocoCell) -> list[float]:
+    """Return the force along z every 4 ms, where the robot is sent back and forth by a millimetre every 8 ms."""
+    running, seen = Running(cell, Wall()), []
+    ticks = round(8e-3 / cell.period_s)
+    for k in range(10 * ticks):
+        running.send((0.0, 0.0, 1e-3 * (k // ticks % 2)))
+        if (k + 1) % (ticks // 2) == 0:
+            seen.append(running.read().wrench_S[2])
+    return seen
+
+
+def test_the_filter_of_the_sensor_is_the_same_however_often_the_computer_reads_it() -> None:
+    slow, fast = (felt(replace(CLEAN, filter_hz=60.0, delay_s=4e-3, period_s=each)) for each in (4e-3, 5e-4))
+    straight = felt(replace(CLEAN, delay_s=4e-3, period_s=4e-3))
+    assert np.ptp(slow) < 0.9 * np.ptp(straight)
+    np.testing.assert_allclose(slow, fast, atol=2e-3 * np.ptp(slow))
+
+
 def test_a_hand_on_the_handle_is_carried_by_the_sensor() -> None:
     hand = Hand()
     running = Running(CLEAN, Wall(), hand=hand)
