@@ -150,6 +150,7 @@ def _complete(recording: Recording) -> Recording:
             pose,
             position_m=np.nan_to_num(pose.position_m),
             quaternion_xyzw=level if unknown else pose.quaternion_xyzw,
+            measured_axes=tuple(axis for axis in AXES if axis in AXES[:3] or axis in pose.measured_axes),
         ),
         command=None if command is None else replace(command, position_m=np.nan_to_num(command.position_m)),
     )

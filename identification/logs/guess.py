@@ -88,7 +88,7 @@ def guess_cell(paths: Sequence[Path], *, salvage: bool = False) -> CellGuess:
             if channel is None:
                 continue
             vectors += [(channel, vector) for vector in channel.named.vectors]
-            asked += [(channel, vector) for vector in channel.named.asked]
+            asked += [(channel, vector) for vector in channel.named.asked if vector.kind is Meaning.FORCE]
             trace = guess_trace(channel)
             if trace:
                 traces.append(trace)
@@ -101,13 +101,12 @@ def guess_cell(paths: Sequence[Path], *, salvage: bool = False) -> CellGuess:
             left = () if trace else tuple(_ranges(channel, angles))
             if left:
                 others[found.topic] = left
-    if len(traces) == 1 and not vectors:
-        is_displacement = any("displacement" in each.evidence for each in traces[0][Role.POSE])
-        return CellGuess(roles=traces[0], tables=tables, others=others, is_displacement=is_displacement)
-    roles = dict(_roles(vectors))
+    is_trace = len(traces) == 1 and not vectors
+    is_displacement = is_trace and any("displacement" in each.evidence for each in traces[0][Role.POSE])
+    roles = traces[0] if is_trace else dict(_roles(vectors))
     if len(asked) == 1 and Role.DESIRED_FORCE not in roles:
         roles[Role.DESIRED_FORCE] = tuple(_asked_entries(*asked[0]))
-    return CellGuess(roles=roles, tables=tables, others=others, joints=joints)
+    return CellGuess(roles=roles, tables=tables, others=others, is_displacement=is_displacement, joints=joints)
 
 
 def _channel(logs: OpenedLogs, found: NumberFields, units: Sequence[str]) -> NamedChannel | None:

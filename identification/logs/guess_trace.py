@@ -1,7 +1,7 @@
 """Guess the displacement and the force of a test along one axis, with the evidence beside each guess."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -39,7 +39,10 @@ class NamedChannel:
 
 
 def guess_trace(channel: NamedChannel) -> dict[Role, tuple[Entry, ...]]:
-    """Guess the displacement and the force of a test along one axis, from two names or from two columns without any."""
+    """Guess the displacement and the force of a test along one axis, from two names or from two columns without any.
+
+    What names say of a commanded place or a desired force along the same axis comes with them.
+    """
     named = channel.named
     places, forces = (
         [each for each in named.singles if each.kind is kind] for kind in (Meaning.POSITION, Meaning.FORCE)
@@ -104,7 +107,16 @@ def _trace_entries(
     if abs(float(load[0])) < UNLOADED_SHARE * float(np.ptp(load)):
         evidence = "it begins near 0, whatever the payload weighs"
         wrench.append(Entry(key="gravity_compensated", value=True, evidence=evidence))
-    return {Role.POSE: tuple(pose), Role.WRENCH: tuple(wrench)}
+    roles = {Role.POSE: tuple(pose), Role.WRENCH: tuple(wrench)}
+    commands = [each for each in channel.named.asked if each.kind is Meaning.POSITION]
+    if len(commands) == 1 and commands[0].components == (place.components or force.components):
+        fields = Entry(
+            key="fields",
+            value={"position": along(commands[0])},
+            evidence=f"by name; {span_text(channel, commands[0].paths)}",
+        )
+        roles[Role.COMMAND] = (topic, fields, replace(pose[2], evidence="as of the displacement"))
+    return roles
 
 
 def span_text(channel: NamedChannel, paths: Sequence[str]) -> str:

@@ -137,7 +137,7 @@ class Named:
     """The vectors among the names, the columns that may be the time with their units, and the names of the others.
 
     `singles` are forces and displacements along one axis that no name says, as of a test of a surface; `asked` are
-    commanded forces along one axis.
+    commanded forces and places along one axis.
     """
 
     vectors: tuple[NamedVector, ...]
@@ -201,12 +201,7 @@ def _one_component(words: tuple[str, ...], group: _Group) -> Iterator[NamedVecto
     """Yield the force or the place along one axis, where x, y or z stands alone."""
     known = [word for word in words if word in _KNOWN]
     kind = _kind_of_three(known[-1] if known else "", words)
-    is_asked = bool({*words} & _COMMANDS)
-    if (
-        kind in (Meaning.FORCE, Meaning.POSITION)[: 1 if is_asked else 2]
-        and len(group.paths) == 1
-        and not {*words} & _OTHER
-    ):
+    if kind in (Meaning.FORCE, Meaning.POSITION) and len(group.paths) == 1 and not {*words} & _OTHER:
         [(component, path)], [unit] = group.paths.items(), group.units
         if component in ("x", "y", "z"):
             found = NamedVector(kind=kind, paths=(path,), words=words, unit=UNITS.get(unit, ""), components=component)

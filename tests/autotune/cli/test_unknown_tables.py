@@ -309,3 +309,34 @@ def test_a_height_that_begins_elsewhere_is_a_place(tmp_path: Path) -> None:
     cell = read_cell(tmp_path / "cell.yaml").cell
     assert cell.displacement is None
     assert cell.pose is not None
+
+
+def test_a_test_along_one_axis_with_its_command_shows_the_robot_too(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Three presses on a spring behind a pole of 25 rad/s and 8 ms of delay: nothing to edit, and no warning."""
+    pole, delay_s, step_s = 25.0, 8e-3, 1e-3
+    time = np.arange(0.0, 12.0, step_s)
+    within = time % 4.0
+    command = np.interp(within, [0.0, 0.5, 1.5, 2.5, 3.3, 4.0], [0.0, 0.0, 0.03, 0.03, 0.0, 0.0])
+    late = np.interp(time - delay_s, time, command)
+    travel = np.zeros_like(time)
+    for i in range(1, len(time)):
+        travel[i] = late[i - 1] + (travel[i - 1] - late[i - 1]) * np.exp(-pole * step_s)
+    noise = 0.1 * np.random.default_rng(5).standard_normal(len(time))
+    values = np.column_stack([time, travel, command, noise - 3e3 * np.maximum(travel - 0.022, 0.0)])[::4]
+    log = columns(tmp_path / "test.csv", "t,z,z_cmd,Fz", values)
+    cell, out = tmp_path / "cell.yaml", tmp_path / "identified.yaml"
+    assert main(["inspect", str(log), "--write-cell", str(cell), "--quiet"]) == 0
+    assert "position: [null, null, z_cmd]}  # by name; 0 to 0.03" in cell.read_text(encoding="utf-8")
+    capsys.readouterr()
+    assert main(["identify", str(log), "--cell", str(cell), "-o", str(out), "--allow-partial"]) == 0
+    assert "warning(s) of the numerical libraries" not in capsys.readouterr().err
+    axis = read_identified(out).result.axes["z"]
+    bandwidth, delay = axis.robot.bandwidth_hz, axis.robot.delay_s
+    assert bandwidth.value is not None
+    assert delay.value is not None
+    assert delay.std is not None
+    assert bandwidth.value == pytest.approx(pole / (2.0 * np.pi), rel=0.01)
+    assert abs(delay.value - delay_s) < 3.0 * delay.std + 1e-3
+    assert axis.environments
