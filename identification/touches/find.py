@@ -16,8 +16,8 @@ from .signals import AxisSignals
 
 _APPROACH_S, _SHORTEST_APPROACH_S = 0.1, 0.02
 SMALLEST_SPEED_M_S = 2e-3
-_STILL_M_S = 1e-3
-_SHORTEST_STILL_S = 0.4
+STILL_M_S = 1e-3
+SHORTEST_STILL_S = 0.4
 BEFORE_S, _SKIPPED_S = 0.3, 0.015
 _QUIET_S, _RISING_SAMPLES = 1.0, 2
 _FEWEST_SECONDS, _QUIET_SHARE = 8, 0.2
@@ -199,9 +199,7 @@ def find_presses(pressing: FloatArray, level: float, longest: int, swing: int) -
 
 def _parts(span: Span, speed: FloatArray, period_s: float) -> Iterator[tuple[Span, bool]]:
     """Yield a span in parts that move and parts of 0.4 s or more that do not."""
-    still = without_short(
-        np.asarray(np.abs(speed[span.slice]) < _STILL_M_S), max(1, round(_SHORTEST_STILL_S / period_s))
-    )
+    still = without_short(np.asarray(np.abs(speed[span.slice]) < STILL_M_S), max(1, round(SHORTEST_STILL_S / period_s)))
     for mask, is_still in ((still, True), (~still, False)):
         for part in spans_of(np.asarray(mask)):
             yield Span(start=span.start + part.start, stop=span.start + part.stop), is_still
@@ -423,8 +421,8 @@ def touch_peak(axis: AxisSignals, pressing: FloatArray, onset: int, peak: int) -
 
 def find_hold(axis: AxisSignals, pressing: FloatArray, span: Span) -> Span | None:
     """Return the longest rest of 0.4 s or more under force."""
-    still = np.asarray((np.abs(axis.speed_m_s()[span.slice]) < _STILL_M_S) & (pressing[span.slice] > axis.level_n))
-    found = spans_of(without_short(still, max(1, round(_SHORTEST_STILL_S / axis.period_s))))
+    still = np.asarray((np.abs(axis.speed_m_s()[span.slice]) < STILL_M_S) & (pressing[span.slice] > axis.level_n))
+    found = spans_of(without_short(still, max(1, round(SHORTEST_STILL_S / axis.period_s))))
     if not found:
         return None
     longest = max(found, key=len)

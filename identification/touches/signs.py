@@ -4,14 +4,17 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from problems.arrays import BoolArray
+from problems.arrays import BoolArray, FloatArray
 
 from ..errors import EstimateError
+from ..signals.aligned import Span
 from ..signals.contact_rule import CONTACT
 from .find import (
     BEFORE_S,
     LONGEST_SWING_S,
+    SHORTEST_STILL_S,
     SMALLEST_SPEED_M_S,
+    STILL_M_S,
     AxisTouches,
     approach_speed,
     desired_speed,
@@ -100,12 +103,25 @@ def _holds(axis: AxisSignals, free: BoolArray) -> Iterator[tuple[float, float, f
         pressing = -sign * axis.force_n
         for span in find_presses(pressing, axis.level_n, longest, swing):
             before = slice(int(np.searchsorted(axis.time_s, axis.time_s[span.start] - BEFORE_S)), span.start)
-            hold, speed = find_hold(axis, pressing, span), approach_speed(axis, span.start, sign)
+            hold = find_hold(axis, pressing, span) or _swinging_hold(axis, pressing, span)
+            speed = approach_speed(axis, span.start, sign)
             if hold is None or speed is None or before.stop == before.start or not np.all(free[before]):
                 continue
             force = float(np.median(pressing[hold.slice]))
             if abs(speed) >= SMALLEST_SPEED_M_S and force >= _SMALLEST_HELD_N:
                 yield float(axis.time_s[hold.start]), speed, force
+
+
+def _swinging_hold(axis: AxisSignals, pressing: FloatArray, span: Span) -> Span | None:
+    """Return the first 0.4 s under force at whose end the tool is where it was, as on a wall on which it swings."""
+    count = max(1, round(SHORTEST_STILL_S / axis.period_s))
+    travel = axis.travel_m[span.slice]
+    back = np.abs(travel[count:] - travel[:-count]) < STILL_M_S * SHORTEST_STILL_S
+    pressed = np.asarray(pressing[span.slice] > axis.level_n)
+    for start in np.flatnonzero(back).tolist():
+        if bool(np.all(pressed[start : start + count])):
+            return Span(start=span.start + start, stop=span.start + start + count)
+    return None
 
 
 def _is_driven_at(axis: AxisSignals, onset: int, sign: int, turned: float) -> bool:

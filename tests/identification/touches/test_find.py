@@ -111,6 +111,19 @@ def test_a_wrench_of_the_other_sign_is_refused_where_a_wall_held_the_tool(stiffn
     check_force_sign((*right, *wrong))
 
 
+def test_a_wrench_of_the_other_sign_is_refused_where_the_tool_swings_on_the_wall_all_the_time() -> None:
+    """It is never still for 0.4 s, but stays where it met what pushes with 12 to 28 N."""
+    time = np.arange(0.0, 4.0, 1e-3)
+    held = np.clip((time - 1.5) / 0.1, 0.0, 1.0)
+    travel = 0.02 * np.minimum(time, 1.5) + 2e-4 * held * np.sin(2.0 * np.pi * 4.0 * time)
+    force = held * (20.0 + 8.0 * np.sin(2.0 * np.pi * 4.0 * time))
+    with pytest.raises(EstimateError, match=r"stands still.*exerted_by: sensor"):
+        identify_touches(logged(travel, force, 1e-3, 0.0))
+    identify_touches(logged(travel, -force, 1e-3, 0.0))
+    # What is pushed on and on is led by a hand.
+    identify_touches(logged(0.02 * time, force, 1e-3, 0.0))
+
+
 @pytest.mark.parametrize("stiffness", [5e3, 4e4])
 def test_a_desired_force_of_the_other_sign_is_refused_where_it_would_drive_as_fast(stiffness: float) -> None:
     log = recorded(Program(force_n=wall(stiffness, 0.02)))
