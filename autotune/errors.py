@@ -10,6 +10,10 @@ from problems.errors import AutotuneError
 class UsageError(AutotuneError):
     """The request contradicts itself or names something that does not exist."""
 
+    def __init__(self, message: str, *, to_paste: tuple[str, ...] = ()) -> None:
+        super().__init__(message)
+        self.to_paste = to_paste
+
 
 class InfeasibleError(AutotuneError):
     """No controller within the bounds meets the requirements.
@@ -28,9 +32,11 @@ class InfeasibleError(AutotuneError):
         bare: str | None = None,
         missed: float = math.inf,
         suggestion: Mapping[str, Any] | None = None,
+        to_paste: tuple[str, ...] = (),
     ) -> None:
         super().__init__(message)
         self.relaxations, self.missed, self.suggestion = relaxations, missed, dict(suggestion or {})
+        self.to_paste = to_paste
         self.bare = message.removesuffix(".") if bare is None else bare
 
 

@@ -7,8 +7,10 @@ class AutotuneError(Exception):
     """Base of every error that this project raises on purpose.
 
     The text is one sentence for the user: what must hold, what was found, what to do.
-    Subclasses carry the numbers as attributes.
+    Subclasses carry the numbers as attributes. `to_paste` are parts of the text that are commands, as they stand in it.
     """
+
+    to_paste: tuple[str, ...] = ()
 
 
 class ParameterError(AutotuneError, ValueError):

@@ -48,6 +48,7 @@ def limits_of(output: Output, found: "Optimized", *, with_trade: bool = False) -
     An axis of which the convex programs find nothing is left out, and said so.
     """
     from autotune.formats.controller_record import admittance_controller
+    from autotune.formats.units import axis_units
     from autotune.limit.limit import find_limit, hardest
     from autotune.limit.noise_trade import trade_noise
     from autotune.limit.programs import NoSolutionError
@@ -58,7 +59,8 @@ def limits_of(output: Output, found: "Optimized", *, with_trade: bool = False) -
             problem, law = search.problem, admittance_controller(found.controller, name)
             scenarios = [each.scenario() for each in found.controller.predicted[name].scenarios]
             try:
-                limit = find_limit(problem, law, hardest(problem, law, scenarios, 1), progress=advance)
+                worst = hardest(problem, law, scenarios, 1, units=axis_units(name))
+                limit = find_limit(problem, law, worst, progress=advance)
             except NoSolutionError as error:
                 output.note(f"The limit of axis {name} was not found: {error}")
                 continue

@@ -116,7 +116,7 @@ def _wider_bound(problem: "DesignProblem", variable: str, side: str, *, turning:
     low, high = problem.bounds[variable]
     low, high = (low / _WIDER, high) if side == "lower" else (low, high * _WIDER)
     line = f"{'bounds' if variable in VARIABLES else 'free'}: {{{variable}: [{low:g}, {high:g}]}}"
-    return f"accept it, or widen it in problem.yaml: {f'rotational: {{{line}}}' if turning else line}"
+    return f"accept it, or widen it in problem.yaml:\n    {f'rotational: {{{line}}}' if turning else line}"
 
 
 def _optimality_lines(report: "OptimalityReport", unit: str, digits: tuple[str, str], has_soft: bool) -> Iterator[str]:

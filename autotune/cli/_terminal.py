@@ -22,6 +22,7 @@ _FIXED = "\N{NO-BREAK SPACE}"
 
 _NUMBER = re.compile(r"([+-]?\d+|-)((?:\.\d+)?(?:e[+-]?\d+)?)$")
 _GAP = "  "
+_TO_PASTE = "    "
 _NARROWEST_TEXT = 24
 
 # Every word that judges, with its colour; errors are in bold as well.
@@ -131,14 +132,28 @@ def print_message(text: str = "", *, verdict: str = "", indent: str = "") -> Non
 def wrap_lines(
     text: str, *, verdict: str = "", indent: str = "", columns: int | None = None, error: bool = False
 ) -> list[str]:
-    """Return the lines of `print_message` for a width of `columns`, None for any; `error`: for standard error."""
+    """Return the lines of `print_message` for a width of `columns`, None for any; `error`: for standard error.
+
+    Further lines of the text are lines of their own; what is indented there, to be pasted, is not folded.
+    """
+    text, *further = text.split("\n")
     whole = f"{indent}{verdict}{text}".rstrip()
     before = len(indent + verdict) if verdict else len(whole) - len(whole.lstrip()) + 2
     lines = [whole] if columns is None else _folded(whole, " " * before, columns)
     head = indent + verdict
     if verdict and lines[0].startswith(head):
         lines[0] = indent + painted(verdict, error=error) + lines[0][len(head) :]
+    for each in further:
+        lines += [each] if columns is None or each.startswith(_TO_PASTE) else _folded(each, "  ", columns)
     return lines
+
+
+def set_apart(text: str, to_paste: Sequence[str]) -> str:
+    """Return a text with each of its parts that are to be pasted on an indented line of its own."""
+    for each in to_paste:
+        text = text.replace(each, f"\n{_TO_PASTE}{each}\n")
+    lines = (each if each.startswith(_TO_PASTE) else each.strip("; ") for each in text.split("\n"))
+    return "\n".join(each for each in lines if each not in {"", "."})
 
 
 def _folded(text: str, under: str, columns: int) -> list[str]:

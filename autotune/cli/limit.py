@@ -108,6 +108,7 @@ def _found(
     from autotune.explore.source import read_exploration
     from autotune.formats.controller import read_controller
     from autotune.formats.controller_record import admittance_controller
+    from autotune.formats.units import axis_units
     from autotune.formats.yaml12 import kind_of_file
     from autotune.limit.limit import find_limit, hardest
     from problems.progress import ProgressSlice
@@ -130,7 +131,7 @@ def _found(
             law = start.problem.controller(start.design) if given is None else admittance_controller(given, name)
             portion = ProgressSlice(advance, (1.0 - share) / len(names))
             found[name] = find_limit(
-                start.problem, law, hardest(start.problem, law, start.scenarios, plants),
+                start.problem, law, hardest(start.problem, law, start.scenarios, plants, units=axis_units(name)),
                 noise_factor=noise, progress=portion,
             )  # fmt: skip
             portion.finish()

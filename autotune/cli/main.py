@@ -19,9 +19,9 @@ import click
 from click.shell_completion import CompletionItem
 
 from autotune.cli._common import Delivery, discard_output, json_text, say
-from autotune.cli._terminal import detect_terminal, wrap_lines
+from autotune.cli._terminal import detect_terminal, set_apart, wrap_lines
 from autotune.cli.completion import COMPLETE_VARIABLE
-from autotune.errors import CertificateError, InfeasibleError, UsageError
+from autotune.errors import AutotuneError, CertificateError, InfeasibleError, UsageError
 from autotune.formats.kinds import check_kind
 from autotune.version import __version__
 from identification.errors import EstimateError, LogError
@@ -270,7 +270,7 @@ def _report(error: BaseException, arguments: Sequence[str], delivery: Delivery) 
     hint = _hint(error, code)
     ended = f"{message.rstrip('.')}." if delivery.remark else message
     text = " ".join(part for part in (ended, hint, delivery.remark) if part)
-    columns = detect_terminal(sys.stderr).columns
+    text, columns = set_apart(text, _to_paste(error)), detect_terminal(sys.stderr).columns
     say("\n".join(wrap_lines(text, verdict=f"{PROGRAM}: ", columns=columns, error=True)))
     if _has_option("--json", arguments) and not delivery.done:
         tree: dict[str, Any] = {
@@ -281,6 +281,17 @@ def _report(error: BaseException, arguments: Sequence[str], delivery: Delivery) 
             click.echo(json_text(tree))
             sys.stdout.flush()
     return code
+
+
+def _to_paste(error: BaseException) -> tuple[str, ...]:
+    """Return the parts of an error's sentence that are lines of `problem.yaml`, or commands."""
+    if not isinstance(error, AutotuneError):
+        return ()
+    if not isinstance(error, InfeasibleError) or not error.suggestion:
+        return error.to_paste
+    from autotune.formats.canonical import flow_text
+
+    return (flow_text(error.suggestion), *error.to_paste)
 
 
 def _details(error: BaseException) -> dict[str, Any]:

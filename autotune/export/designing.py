@@ -159,6 +159,7 @@ def certify_for(
             f"With {target.name}: {error} {lines_for(controller)}: {flow_text(error.suggestion)} and run {command}",
             error.relaxations,
             suggestion=error.suggestion,
+            to_paste=(command,),
         ) from error
 
 

@@ -126,7 +126,7 @@ def export_controller(
         rendered = kind.render(request)
     except MissingOrientationError as error:
         command = export_command(kind, source.path, out, {**given, **DOWNWARDS})
-        raise UsageError(f"{error} For a tool that points down run {command}") from error
+        raise UsageError(f"{error} For a tool that points down run {command}", to_paste=(command,)) from error
     except InfeasibleError as error:
         raise _with_commands(error, kind, request) from error
     if kind.is_folder:
@@ -151,10 +151,12 @@ def _check_period(target: ExportTarget, request: ExportRequest) -> None:
     own, h = target.sample_time_s, request.source.controller.sample_time_s
     if own is not None and abs(h / own - 1.0) > _SAME_PERIOD:
         problem = request.source.controller.provenance.get("options", {}).get("problem")
+        commands = _commands(target, request, problem)
         raise UsageError(
             f"{target.name} runs every {own * 1e3:g} ms whatever the cell does, and {request.source.path} is for "
             f"{h * 1e3:g} ms; what is certified for one period is not for another. Design for it: run "
-            f"{_commands(target, request, problem)}"
+            f"{'; '.join(commands)}",
+            to_paste=commands,
         )
 
 
@@ -163,17 +165,19 @@ def _with_commands(error: InfeasibleError, target: ExportTarget, request: Export
     if not error.suggestion:
         return error
     lines = f"{lines_for(request.source.controller)}: {flow_text(error.suggestion)}"
+    commands = _commands(target, request, "problem.yaml")
     return InfeasibleError(
-        f"{error} {lines} and run {_commands(target, request, 'problem.yaml')}",
+        f"{error} {lines} and run {'; '.join(commands)}",
         error.relaxations,
         suggestion=error.suggestion,
+        to_paste=commands,
     )
 
 
-def _commands(target: ExportTarget, request: ExportRequest, problem: str | None) -> str:
+def _commands(target: ExportTarget, request: ExportRequest, problem: str | None) -> tuple[str, str]:
     """Return the two commands that design for the target and export to it, with the options that were given."""
     design = design_command(target, request.source.controller, problem)
-    return f"{design}; {export_command(target, DESIGNED, request.out, request.options)}"
+    return design, export_command(target, DESIGNED, request.out, request.options)
 
 
 def _check_folder(out: Path, source: Path | str) -> tuple[Path, ...]:

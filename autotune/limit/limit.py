@@ -10,6 +10,7 @@ import numpy as np
 from autotune.charts.chart import Chart, Line, Panel, Role, Scale
 from autotune.charts.chart import Limit as ChartLimit
 from autotune.errors import InfeasibleError
+from autotune.text import scenario_text
 from problems.arrays import FloatArray
 from problems.contact.linear_controller_contact import trace_linear_contact
 from problems.contact.transient import (
@@ -23,6 +24,7 @@ from problems.design.objectives import PeakObjective
 from problems.design.problem import DesignProblem
 from problems.design.requirements import MARGINS, Requirements, band_frequencies
 from problems.design.uncertainty import Scenario
+from problems.model.axis_kind import STRAIGHT, AxisKind
 from problems.model.controller import AdmittanceController
 from problems.model.linear_controllers import LinearController
 from problems.model.response import free_space_admittance, loop_response
@@ -221,7 +223,12 @@ def _margins(plant: SampledPlant, law: Controller) -> RawMargins:
 
 
 def hardest(
-    problem: DesignProblem, law: AdmittanceController, scenarios: Sequence[Scenario], count: int
+    problem: DesignProblem,
+    law: AdmittanceController,
+    scenarios: Sequence[Scenario],
+    count: int,
+    *,
+    units: AxisKind = STRAIGHT,
 ) -> tuple[Scenario, ...]:
     """Return the `count` scenarios of the largest peaks; raises InfeasibleError where the law is unstable on one."""
     peaks = []
@@ -230,7 +237,9 @@ def hardest(
         try:
             trace = simulate_contact(pair, law, problem.approach)
         except UnstableLoopError as error:
-            raise InfeasibleError(f"The design is unstable at {each.name} ({error}), so it has no peak.") from error
+            raise InfeasibleError(
+                f"The design is unstable at {scenario_text(each, units)} ({error}), so it has no peak."
+            ) from error
         place = problem.objective.place if isinstance(problem.objective, PeakObjective) else "contact"
         peaks.append((trace.peak_contact_force_n if place == "contact" else trace.peak_sensor_force_n, each))
     return tuple(each for _, each in sorted(peaks, key=lambda pair: -pair[0])[:count])

@@ -15,6 +15,8 @@ from autotune.formats.controller_record import (
     file_deadband,
 )
 from autotune.formats.limits import VariableDampingSettings
+from autotune.formats.units import axis_units
+from autotune.text import scenario_text
 from autotune.validation.disturbances import simulated_damping
 from problems.arrays import FloatArray
 from problems.contact.nonlinear_simulation import NonlinearRun, needed_substeps, simulate_nonlinear
@@ -22,8 +24,6 @@ from problems.contact.nonlinearities import Collision, Deadband, Nonlinearities,
 from problems.contact.transient import Approach
 from problems.design.uncertainty import Scenario
 from problems.model.controller import AdmittanceController
-
-from .record import scenario_name
 
 # Peaks at the contact and at the sensor, N.
 Pair = tuple[float, float]
@@ -182,7 +182,7 @@ def predictions(
     known = {each.scenario() for each in predicted.scenarios}
     worst = {max(runs, key=lambda each: peaks_of(runs[each])[kind]) for kind in (0, 1)}
     return tuple(
-        ScenarioPrediction.of(scenario_name(name, scenario), scenario, run)
+        ScenarioPrediction.of(scenario_text(scenario, axis_units(name)), scenario, run)
         for scenario, run in runs.items()
         if scenario in known or scenario in worst
     )

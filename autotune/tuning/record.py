@@ -29,6 +29,7 @@ from autotune.formats.controller_record import (
 from autotune.formats.limits import CollisionResponse
 from autotune.formats.proof_records import BouncingProof, HeldProof, PeakProof
 from autotune.formats.units import ROTATIONAL_AXES, axis_units
+from autotune.text import scenario_text
 from autotune.validation.validation_samples import sampled_claims
 from identification.axes.turning import LEVER_M
 from identification.errors import EstimateError
@@ -168,15 +169,6 @@ def admittance_band_hz(requirements: Requirements) -> tuple[float, float]:
     return target.band_hz if target is not None else _DEFAULT_BAND_HZ
 
 
-def scenario_name(axis: str, scenario: Scenario) -> str:
-    """Return a short label with the units of the axis."""
-    units = axis_units(axis)
-    return (
-        f"K_e {scenario.environment_stiffness_n_per_m:.4g} {units.stiffness}, "
-        f"{scenario.payload_mass_kg:.4g} {units.mass}{scenario.off_nominal}"
-    )
-
-
 def _prediction(name: str, result: SearchResult, controller: AdmittanceController) -> AxisPrediction:
     """Predict a grid of contacts of the nominal plant, and the worst ones that the search found anywhere."""
     problem = result.problem
@@ -190,7 +182,7 @@ def _prediction(name: str, result: SearchResult, controller: AdmittanceControlle
     band = admittance_band_hz(problem.requirements)
     return AxisPrediction(
         scenarios=tuple(
-            ScenarioPrediction.of(scenario_name(name, peak.scenario), peak.scenario, peak) for peak in peaks
+            ScenarioPrediction.of(scenario_text(peak.scenario, axis_units(name)), peak.scenario, peak) for peak in peaks
         ),
         free_space_admittance=FreeSpaceAdmittance(
             band_hz=band,

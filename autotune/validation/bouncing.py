@@ -147,7 +147,7 @@ def search_bouncing(
             pair = build_sampled_contact(build_sampled_plant(scenario.plant(nominal), sample_time_s))
             window, impacts = settling_window(pair, law), impacts_of(scenario, pair, domain, law, of_plant)
         except (ParameterError, UnstableLoopError) as error:
-            where = f"K_e {scenario.environment_stiffness_n_per_m:.4g}, M_p {scenario.payload_mass_kg:.4g}"
+            where = scenario_text(scenario, axis_units(axis))
             return BounceSearch(axis=axis, runs=done, plants=len(plants), refusal=f"{where}: {error}")
         for impact in impacts:
             seen, done = follow_contact(pair, law, impact.approach, window=window), done + 1

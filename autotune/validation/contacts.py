@@ -7,6 +7,7 @@ from autotune.formats.certificate_record import AxisDomain
 from autotune.formats.controller_record import Controller, ScenarioPrediction
 from autotune.formats.limits import CollisionResponse
 from autotune.formats.units import ROTATIONAL_AXES, axis_units
+from autotune.text import scenario_text
 from problems.contact.nonlinear_simulation import needed_substeps, simulate_nonlinear
 from problems.design.requirements import Hand, hand_approach, led_plants
 from problems.design.uncertainty import Scenario
@@ -54,8 +55,8 @@ def verify_peaks(
         found = replays.play(other).peak_contact_force_n
         if found > promised + replays.tolerance_n(other, promised):
             wrong.append(
-                f"{other.name}: the peak contact {units.force_name} is {found:.2f} {units.force}, more than the "
-                f"largest predicted, {promised:.2f} {units.force}"
+                f"{scenario_text(other, units)}: the peak contact {units.force_name} is {found:.2f} {units.force}, "
+                f"more than the largest predicted, {promised:.2f} {units.force}"
             )
     if limit_n is not None:
         # The limit is promised for the whole domain, whatever contacts the file lists.

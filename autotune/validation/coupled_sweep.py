@@ -10,6 +10,7 @@ import numpy as np
 
 from autotune.formats.coupled_record import CoupledBody, CoupledCertificate, PointContact, TogetherMargins, Vector
 from autotune.formats.units import AXES, ROTATIONAL_AXES, axis_units
+from autotune.text import stiffness_text
 from problems.arrays import FloatArray
 from problems.contact.bouncing import Ending
 from problems.contact.coupled_contact import CoupledPair, build_coupled_pair, simulate_coupled_contact
@@ -132,7 +133,7 @@ def _plants(cell: CoupledCell) -> Iterator[tuple[tuple[str, ...], str, CoupledPl
         yield group, f"in free space, M_p {mass:.4g} kg", cell.plant(group, mass)
         for name in group:
             for stiffness in cell.stiffnesses(name) if name in cell.domains else ():
-                where = f"touching along {name}, K_e {stiffness:.4g} {axis_units(name).stiffness}, M_p {mass:.4g} kg"
+                where = f"touching along {name}, K_e {stiffness_text(stiffness, axis_units(name))}, M_p {mass:.4g} kg"
                 yield group, where, cell.plant(group, mass, cell.surface(group, name, stiffness))
 
 
@@ -259,7 +260,7 @@ def _whole_plants(cell: CoupledCell) -> Iterator[tuple[str, CoupledPlant]]:
         yield f"in free space, M_p {mass:.4g} kg", cell.plant(cell.names, mass)
         for name in cell.domains:
             for stiffness in cell.domains[name].environment_stiffness_n_per_m:
-                where = f"touching along {name}, K_e {stiffness:.4g} {axis_units(name).stiffness}, M_p {mass:.4g} kg"
+                where = f"touching along {name}, K_e {stiffness_text(stiffness, axis_units(name))}, M_p {mass:.4g} kg"
                 yield where, cell.plant(cell.names, mass, cell.surface(cell.names, name, stiffness))
 
 
@@ -330,7 +331,9 @@ def _touch(cell: CoupledCell, name: str) -> tuple[PointContact, ...] | CoupledFa
         for mass, stiffness in touching.plants:
             pair = touching.pair(point, mass, stiffness)
             at = "(" + ", ".join(f"{each:.3g}" for each in point) + ") m"
-            where = f"touching along {name} at {at}, K_e {stiffness:.4g} N/m, M_p {mass:.4g} kg"
+            where = (
+                f"touching along {name} at {at}, K_e {stiffness_text(stiffness, axis_units(name))}, M_p {mass:.4g} kg"
+            )
             cases = [
                 _Case(group=cell.names, where=where, sampled=pair.contact, loop=pair.contact_loop),
                 _Case(group=cell.names, where=where, sampled=pair.free, loop=pair.free_loop),

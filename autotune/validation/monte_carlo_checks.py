@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Sequence
 
 from autotune.formats.units import ROTATIONAL_AXES, axis_units
+from autotune.text import scenario_text
 from problems.design.uncertainty import Scenario
 from problems.model.plant_parameters import PARAMETERS
 
@@ -21,7 +22,8 @@ def monte_carlo_checks(found: Sequence[AxisMonteCarlo]) -> tuple[Check, ...]:
 
 def _axis_checks(found: AxisMonteCarlo) -> Iterator[Check]:
     if found.unstable is not None:
-        message = f"the loop is not stable at {found.unstable.name}; {violations_text(found)}"
+        where = scenario_text(found.unstable, axis_units(found.axis))
+        message = f"the loop is not stable at {where}; {violations_text(found)}"
         yield Check(axis=found.axis, name="sampled peaks", passed=False, message=message)
     elif found.is_left_out:
         message = (
@@ -41,8 +43,8 @@ def _linear_check(found: AxisMonteCarlo, both: Sequence[tuple[str, SampledPeaks]
     """Hold the peaks of the file's own model, without disturbances, against the predicted ones."""
     units = axis_units(found.axis)
     above = [
-        f"the peak {what} {units.force_name} is {of.linear.largest:.2f} {units.force} at {of.linear.plant.name}, more "
-        f"than the largest predicted, {of.predicted:.2f} {units.force}"
+        f"the peak {what} {units.force_name} is {of.linear.largest:.2f} {units.force} at "
+        f"{scenario_text(of.linear.plant, units)}, more than the largest predicted, {of.predicted:.2f} {units.force}"
         for what, of in both
         if of.linear.largest > of.predicted + SAME_PEAK * max(of.predicted, found.driving_force)
     ]
@@ -60,9 +62,9 @@ def _full_check(found: AxisMonteCarlo, both: Sequence[tuple[str, SampledPeaks]])
     """Hold the peaks with disturbances against what these explain."""
     units = axis_units(found.axis)
     above = [
-        f"the peak {what} {units.force_name} is {of.observed.largest:.2f} {units.force} at {of.observed.plant.name}; "
-        f"{of.predicted:.2f} {units.force} is predicted, and {_describe_effects(found)} explain {of.limit:.2f} "
-        f"{units.force} at most"
+        f"the peak {what} {units.force_name} is {of.observed.largest:.2f} {units.force} at "
+        f"{scenario_text(of.observed.plant, units)}; {of.predicted:.2f} {units.force} is predicted, "
+        f"and {_describe_effects(found)} explain {of.limit:.2f} {units.force} at most"
         for what, of in both
         if of.observed.largest > of.limit
     ]
@@ -71,8 +73,8 @@ def _full_check(found: AxisMonteCarlo, both: Sequence[tuple[str, SampledPeaks]])
         for what, of in both
     )
     above += [
-        f"the contact at {each.plant.name} peaks at {each.contact:.3f} {units.force}, and in steps of Runge–Kutta "
-        f"alone at {each.repeated:.3f} {units.force}"
+        f"the contact at {scenario_text(each.plant, units)} peaks at {each.contact:.3f} {units.force}, and in steps of "
+        f"Runge–Kutta alone at {each.repeated:.3f} {units.force}"
         for each in found.worst
         if abs(each.repeated - each.contact) > _SAME_CONTACT * each.contact
     ]
@@ -108,11 +110,11 @@ def monte_carlo_tree(found: Sequence[AxisMonteCarlo]) -> dict[str, object]:
 
 
 def _axis_tree(found: AxisMonteCarlo) -> dict[str, object]:
-    effects = found.effects
+    effects, units = found.effects, axis_units(found.axis)
     return {
         "samples": found.count,
         "seed": found.seed,
-        "unit": axis_units(found.axis).force,
+        "unit": units.force,
         "effects": {
             "deadband": effects.deadband.width_n if effects.deadband is not None else 0.0,
             "noise_rms": effects.force_noise_rms_n,
@@ -122,7 +124,7 @@ def _axis_tree(found: AxisMonteCarlo) -> dict[str, object]:
             "collision_threshold": None if effects.collision is None else effects.collision.threshold_n,
             "damping": None if effects.variable_damping is None else list(effects.variable_damping.bounds_n_s_per_m),
         },
-        "unstable": None if found.unstable is None else found.unstable.name,
+        "unstable": None if found.unstable is None else scenario_text(found.unstable, units),
         "refusal": found.refusal or None,
         "violating": found.violating,
         "largest_share": found.largest_share,
@@ -134,7 +136,7 @@ def _axis_tree(found: AxisMonteCarlo) -> dict[str, object]:
                 **{
                     model: {
                         "largest": peaks.largest,
-                        "plant": peaks.plant.name,
+                        "plant": scenario_text(peaks.plant, units),
                         "quantiles": {
                             f"{share:g}": value for share, value in zip(QUANTILES, peaks.quantiles, strict=True)
                         },
@@ -148,7 +150,7 @@ def _axis_tree(found: AxisMonteCarlo) -> dict[str, object]:
         "worst": [
             {
                 "index": each.index,
-                "plant": each.plant.name,
+                "plant": scenario_text(each.plant, units),
                 "parameters": _parameters(found.axis, each.plant),
                 "contact": each.contact,
                 "sensor": each.sensor,

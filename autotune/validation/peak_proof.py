@@ -10,6 +10,7 @@ from autotune.certificate.peaks import PeakOutcome, prove_peak
 from autotune.formats.controller_record import Controller, is_linear
 from autotune.formats.proof_records import PeakProof
 from autotune.formats.units import axis_units
+from autotune.text import scenario_text
 from problems.contact.transient import Approach
 from problems.design.uncertainty import PlantSet
 from problems.errors import ParameterError
@@ -65,8 +66,8 @@ def prove_peaks(
     if found.refuted_by is not None:
         units = axis_units(name)
         raise RefutedError(
-            f"Axis {name}: a first contact of {found.refuted_by.name} exceeds {limit:.4g} {units.force}, the largest "
-            f"{units.force_name} that was found plus {100.0 * options.slack:g} %.",
+            f"Axis {name}: a first contact of {scenario_text(found.refuted_by, units)} exceeds {limit:.4g} "
+            f"{units.force}, the largest {units.force_name} that was found plus {100.0 * options.slack:g} %.",
             axis=name,
             scenario=found.refuted_by,
         )
@@ -102,7 +103,7 @@ def check_peaks(controller: Controller, name: str, law: AdmittanceController, pr
         yield check(passed=False, message=str(error))
         return
     if found.refuted_by is not None:
-        yield check(passed=False, message=f"{bound}: refuted at {found.refuted_by.name}")
+        yield check(passed=False, message=f"{bound}: refuted at {scenario_text(found.refuted_by, units)}")
         return
     if stated.share > found.share + _SAME_NUMBER or stated.staying > found.staying + _SAME_NUMBER:
         message = f"{bound}: claimed for the share {stated.share:.4g}, proved for {found.share:.4g}"

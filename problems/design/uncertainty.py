@@ -51,16 +51,6 @@ class Scenario:
     wrench_time_constant_s: float | None = None
     wrench_delay_s: float | None = None
 
-    @property
-    def name(self) -> str:
-        """A short label for tables and files."""
-        return f"K_e {self.environment_stiffness_n_per_m:.4g} N/m, {self.payload_mass_kg:.4g} kg{self.off_nominal}"
-
-    @property
-    def off_nominal(self) -> str:
-        """What is said beyond K_e and M_p, as `, K_s 3.1e+05, T_d 0.0024`; empty if nothing is."""
-        return "".join(f", {SYMBOLS[name]} {value:.4g}" for name, value in self.further().items())
-
     def further(self) -> dict[str, float]:
         """Return what is said beyond K_e and M_p."""
         values = ((name, getattr(self, name)) for name in FURTHER_UNCERTAIN)

@@ -26,7 +26,7 @@ def with_active(*active: ActiveConstraint) -> Optimized:
             ActiveConstraint(name="upper bound of lead_s", price=0.25),
             (
                 "the upper bound of K_l, 30 ms, is active: 1 % wider saves 0.25 N; "
-                "accept it, or widen it in problem.yaml: bounds: {lead_s: [0.01, 0.06]}"
+                "accept it, or widen it in problem.yaml:\n    bounds: {lead_s: [0.01, 0.06]}"
             ),
         ),
         (

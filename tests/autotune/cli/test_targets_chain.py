@@ -58,12 +58,14 @@ def test_a_controller_reaches_every_target_by_the_commands_that_a_refusal_names(
         return
     # No law without a lead does what this one does.
     error = json.loads(done.stdout)["error"]
+    pasted = [line.removeprefix("    ") for line in done.stderr.splitlines() if line.startswith("    ")]
     assert error["exit_code"] == (5 if TARGETS[target].sample_time_s is None else 2)
     assert not (tmp_path / out).exists()
     if error["exit_code"] == 5:
         (tmp_path / "problem.yaml").write_text(json.dumps(error["suggestion"]), encoding="utf-8")
     found = re.search(r"run (autotune optimize .*); (autotune export .*)$", error["message"].rstrip("."))
     assert found is not None
+    assert pasted[-2:] == list(found.groups())
     for command in found.groups():
         done = run_cli(*shlex.split(command)[1:])
         assert done.returncode == 0, f"{command}\n{done.stderr}"

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from autotune.cli._common import Output, clock, remaining_s
-from autotune.cli._terminal import detect_terminal, painted
+from autotune.cli._terminal import detect_terminal, painted, set_apart, wrap_lines
 from autotune.cli.main import main
 from autotune.cli.optimize import print_optimized
 from autotune.formats.controller import write_controller
@@ -237,3 +237,24 @@ def test_a_page_of_several_files_shows_how_far_it_is(controller_file: Path, monk
     monkeypatch.setattr("autotune.validation.verify.validate_controller", passed)
     from_files.report_files([plant.path, controller_file], progress=shares.append)
     assert shares == pytest.approx([0.5, 0.125, 0.125, 0.125, 0.125])
+
+
+def test_lines_to_be_pasted_stand_on_their_own_and_are_not_folded() -> None:
+    lines, commands = (
+        "requirements: {modulus_margin: 0.4}",
+        ("autotune optimize a.yaml -o b.yaml", "autotune export b.yaml"),
+    )
+    said = f"That controller cannot. Put into problem.yaml: {lines} and run {'; '.join(commands)}."
+    apart = set_apart(said, (lines, *commands))
+    assert apart.splitlines() == [
+        "That controller cannot. Put into problem.yaml:",
+        f"    {lines}",
+        "and run",
+        *(f"    {each}" for each in commands),
+    ]
+    folded = wrap_lines(apart, verdict="autotune: ", columns=20)
+    assert [line for line in folded if line.startswith("    ") and line[4] != " "] == [
+        f"    {lines}",
+        *(f"    {each}" for each in commands),
+    ]
+    assert wrap_lines(apart) == apart.splitlines()

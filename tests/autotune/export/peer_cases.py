@@ -23,6 +23,8 @@ from autotune.formats.controller_record import (
     ScenarioPrediction,
 )
 from autotune.formats.limits import CollisionResponse
+from autotune.formats.units import axis_units
+from autotune.text import scenario_text
 from autotune.validation.law import AxisTask
 from problems.contact.nonlinearities import DeadbandType
 from problems.contact.transient import Approach, build_sampled_contact, simulate_contact
@@ -142,7 +144,7 @@ def predicted(gains: AxisGains, domain: AxisDomain) -> AxisPrediction:
     return AxisPrediction(
         scenarios=(
             ScenarioPrediction(
-                name=stiffest.name,
+                name=scenario_text(stiffest, axis_units("x")),
                 environment_stiffness_n_per_m=stiffest.environment_stiffness_n_per_m,
                 payload_mass_kg=stiffest.payload_mass_kg,
                 peak_sensor_force_n=seen.peak_sensor_force_n,

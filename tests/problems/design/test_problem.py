@@ -168,8 +168,7 @@ def test_feedback_damping_too_small_to_be_seconds_is_none(asked: float, found: f
     assert paper_problem().controller([13.0, 1000.0, 0.02, asked]).feedback_damping_s == found
 
 
-def test_a_scenario_has_a_readable_name() -> None:
-    assert Scenario(environment_stiffness_n_per_m=5e5, payload_mass_kg=16.0).name == "K_e 5e+05 N/m, 16 kg"
+def test_the_approach_of_the_paper_is_driven_by_a_force() -> None:
     assert paper_problem().approach == Approach(force_n=30.0)
 
 

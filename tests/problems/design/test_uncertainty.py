@@ -198,7 +198,6 @@ def test_a_scenario_is_the_nominal_plant_with_its_values() -> None:
     assert plant.robot.delay_s == 3e-3
     # A one-pole robot's bandwidth is its pole.
     np.testing.assert_allclose(plant.robot.denominator, [1.0, 8.0 * np.pi], rtol=1e-9)
-    assert everything.name == "K_e 7e+04 N/m, 9 kg, K_s 2.8e+05, B_s 50, B_p 300, B_e 20, T_d 0.003, f_b 4"
 
 
 @LAW
