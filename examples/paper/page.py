@@ -1,4 +1,4 @@
-"""Tables and pictures of the page `docs/paper.md`: what a study is, how it is printed, drawn and put on the page."""
+"""Tables and pictures of `docs/paper.md`: what a study is, how it is printed, drawn, and put on `paper_tables.md`."""
 
 import math
 import re
@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 PICTURES = Path(__file__).resolve().parents[2] / "docs" / "paper"
-PAGE = PICTURES.parent / "paper.md"
+PAGE = PICTURES.parent / "paper_tables.md"
 # Text stays text and ids stay the same from run to run, so that a picture is small and its bytes are reproducible.
 SETTINGS: Any = {
     "svg.fonttype": "none",

@@ -1,4 +1,4 @@
-"""Recompute everything of the paper: print the tables, draw the pictures, and put the tables on `docs/paper.md`.
+"""Recompute everything of the paper: print the tables, draw the pictures, and put the tables on `docs/paper_tables.md`.
 
 With a folder the pictures go there instead and the page stays as it is.
 Usage: python examples/paper/run_all.py [FOLDER]
