@@ -1,6 +1,6 @@
 """The search for a controller: how good, how fast, beside which others, and how it grows.
 
-Usage: python benchmarks/bench_optimize.py [--write docs/optimizer.md]
+Usage: python benchmarks/bench_optimize.py [--write docs/optimizer_measured.md]
 
 Five parts (`--parts`), one process, one compiled evaluator:
 - problems: problems drawn at random; each is solved, held to a long differential evolution and checked at random on a
