@@ -46,7 +46,7 @@ _OTHER = frozenset(
 )
 _TRANSLATION_OR_TORQUE = "t"
 _KNOWN = _FORCE | _TORQUE | _WRENCH | _POSITION | _DISPLACEMENT | _TURN | _VELOCITY | _OTHER | {_TRANSLATION_OR_TORQUE}
-_COMMANDS = COMMAND_WORDS | {"des", "ref", "set", "sp", "soll", "rsol", "tgt"}
+_COMMANDS = COMMAND_WORDS | {"set", "sp", "soll", "rsol", "tgt"}
 # German compounds: `Sollkraft` is a commanded force.
 _BEFORE = ("soll", "ist")
 _MEASURED = frozenset({"actual", "measured", "meas", "act", "ist", "rist", "current", "cur", "real"})

@@ -36,7 +36,8 @@ _POSE_FIELDS = tuple(f"pose.{name}" for name in (*(f"position.{axis}" for axis i
 UNDECLARED = frozenset({JOINT_STATE, FLOAT_ARRAY})
 """Types that hold numbers whose meaning must be declared."""
 
-COMMAND_WORDS = frozenset({"command", "cmd", "commanded", "desired", "target", "reference", "setpoint", "goal"})
+_COMMANDS = frozenset({"command", "cmd", "desired", "target", "reference", "setpoint", "goal", "ref"})
+COMMAND_WORDS = _COMMANDS | {f"{word}s" for word in _COMMANDS} | {"commanded", "des"}
 PROCESSED_WORDS = frozenset(
     {"compensated", "filtered", "filter", "unbiased", "zeroed", "tared", "external", "ext", "contact", "processed"}
 )

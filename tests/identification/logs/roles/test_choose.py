@@ -70,14 +70,14 @@ def refused(infos: list[ChannelInfo], cell: Cell | None = None) -> str:
 @pytest.mark.parametrize(
     "topic",
     ["/robot/pose_command", "/cmd_pose", "/commanded", "/x_desired", "/targetFrame", "/ee/reference/pose", "/setpoint1",
-     "/set_point", "/setPoint", "/goal"],
+     "/set_point", "/setPoint", "/goal", "/joint_commands", "/targets", "/setpoints", "/pose_ref", "/des_pose"],
 )  # fmt: skip
 def test_command_words_are_recognised(topic: str) -> None:
     assert is_command_name(topic)
 
 
 @pytest.mark.parametrize(
-    "topic", ["/robot/pose", "/recommended", "/goalkeeper/pose", "/offset/point_pose", "/set/of/point"]
+    "topic", ["/robot/pose", "/recommended", "/goalkeeper/pose", "/offset/point_pose", "/set/of/point", "/design/pose"]
 )
 def test_words_are_whole(topic: str) -> None:
     assert not is_command_name(topic)
