@@ -123,9 +123,8 @@ def print_message(text: str = "", *, verdict: str = "", indent: str = "") -> Non
 
     On a terminal the line is folded between words, what follows indented to its beginning.
     """
-    for line in wrap_lines(
-        printable(text), verdict=verdict, indent=indent, columns=detect_terminal(sys.stdout).columns
-    ):
+    text = "\n".join(map(printable, text.split("\n")))
+    for line in wrap_lines(text, verdict=verdict, indent=indent, columns=detect_terminal(sys.stdout).columns):
         echo(line)
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from autotune.cli._common import Output, clock, remaining_s
-from autotune.cli._terminal import detect_terminal, painted, set_apart, wrap_lines
+from autotune.cli._terminal import detect_terminal, painted, print_message, set_apart, wrap_lines
 from autotune.cli.main import main
 from autotune.cli.optimize import print_optimized
 from autotune.formats.controller import write_controller
@@ -239,7 +239,7 @@ def test_a_page_of_several_files_shows_how_far_it_is(controller_file: Path, monk
     assert shares == pytest.approx([0.5, 0.125, 0.125, 0.125, 0.125])
 
 
-def test_lines_to_be_pasted_stand_on_their_own_and_are_not_folded() -> None:
+def test_lines_to_be_pasted_stand_on_their_own_and_are_not_folded(capsys: pytest.CaptureFixture[str]) -> None:
     lines, commands = (
         "requirements: {modulus_margin: 0.4}",
         ("autotune optimize a.yaml -o b.yaml", "autotune export b.yaml"),
@@ -258,3 +258,5 @@ def test_lines_to_be_pasted_stand_on_their_own_and_are_not_folded() -> None:
         *(f"    {each}" for each in commands),
     ]
     assert wrap_lines(apart) == apart.splitlines()
+    print_message(apart)
+    assert capsys.readouterr().out == f"{apart}\n"
