@@ -348,17 +348,22 @@ def mean_square(of: ExtendedProblem, at: PayloadFit) -> float:
     return float(np.mean(np.concatenate(of.errors(at.theta, at.own, at.kind)) ** 2))
 
 
+def beyond_noise(of: ExtendedProblem, at: PayloadFit) -> float:
+    """Return what a fit leaves of the force beyond the noise at rest [N²], 0 up to three deviations of it."""
+    squares = np.concatenate(of.errors(at.theta, at.own, at.kind)) ** 2
+    left = float(np.mean(squares))
+    # At rest and in motion n samples each show a mean of squares, each with a deviation of √(2/n) of it.
+    known = _BEYOND_DEVIATIONS * 2.0 * left / np.sqrt(len(squares))
+    return left - of.quiet_rms_n**2 if left - of.quiet_rms_n**2 > known else 0.0
+
+
 def explains_misfit(of: ExtendedProblem, more: PayloadFit, less: PayloadFit) -> bool:
     """Whether `more` explains a quarter at least of what `less` leaves beyond the noise, and more than its path may.
 
-    Nothing is left beyond the noise that is not three deviations of a mean of squares above it. Without a held command
-    the path is not known within a sample, and a force on its mean there is off by h² F''/24.
+    Without a held command the path is not known within a sample, and a force on its mean there is off by h² F''/24.
     """
-    squares = np.concatenate(of.errors(less.theta, less.own, less.kind)) ** 2
-    left = float(np.mean(squares))
-    beyond, explained = left - of.quiet_rms_n**2, left - mean_square(of, more)
-    # At rest and in motion n samples each show a mean of squares, each with a deviation of √(2/n) of it.
-    if beyond <= _BEYOND_DEVIATIONS * 2.0 * left / np.sqrt(len(squares)) or explained <= _LEAST_EXPLAINED * beyond:
+    beyond, explained = beyond_noise(of, less), mean_square(of, less) - mean_square(of, more)
+    if beyond == 0.0 or explained <= _LEAST_EXPLAINED * beyond:
         return False
     if of.is_held:
         return True

@@ -16,6 +16,7 @@ from .extended_fit import (
     PayloadKind,
     Score,
     beginning,
+    beyond_noise,
     descended,
     explains_misfit,
     gained,
@@ -38,6 +39,8 @@ _START_SHARE, _START_RATIO, _START_FRICTION_N, _NUDGE, _NUDGE_N = 0.08, 0.03, 0.
 _STEPS, _TRIED = 15, 2
 # −2 log L: a first look, what is kept open, and what is reported.
 _WORTH_A_LOOK, _OPEN, _TOLD = 8.0, 30.0, 60.0
+# What tells a part behind a held command where one mass leaves no more than the noise at rest may be.
+_CLEAR = 200.0
 # Of what a part moves, and of what friction does, whose law is not known, how well the move is known at best.
 _MOVED_BY_PART, _MOVED_BY_FRICTION = 0.1, 0.8
 # How well share, frequency, damping ratio and F_c are known at best: as far off they were in simulated cells, the path
@@ -96,16 +99,21 @@ def extend_payload(
         is_held=is_held,
     )
     begun = here = beginning(of)
-    moves = _moved_by_yielding(of, begun)
+    moves, lags_s = _moved_by_yielding(of, begun), list[float]()
     rubbing = _friction(of, here)
     if rubbing is not None:
-        moves.append(_open_share(of, rubbing, begun, _MOVED_BY_FRICTION) * _moved(of, rubbing, begun))
+        share = _open_share(of, rubbing, begun, _MOVED_BY_FRICTION)
+        moves.append(share * _moved(of, rubbing, begun))
+        lags_s.append(share * _later_s(of, rubbing, begun))
         here = rubbing
     looks = _looks(of, here)
     unseen = unseen_by_log(of, here, looks)
     swinging, gain = _part(of, here, looks)
     if swinging is not None:
-        is_part = gain >= _TOLD and not _is_at_bound(of, swinging) and explains_misfit(of, swinging, here)
+        # A shifted force is not exact between its samples, which looks like a part.
+        is_clear = is_held and latency.applied_s == 0.0 and gain >= _CLEAR and beyond_noise(of, here) == 0.0
+        is_needed = is_clear or explains_misfit(of, swinging, here)
+        is_part = gain >= _TOLD and not _is_at_bound(of, swinging) and is_needed
         share = 1.0
         if is_part and rubbing is None:
             share = _open_share(of, swinging, here, _MOVED_BY_PART)
@@ -113,9 +121,11 @@ def extend_payload(
             # What friction leaves has no law either: a part counts by what it explains of that.
             share = float(np.sqrt(max(1.0 - unexplained(of, swinging, here), 0.0)))
         moves.append(share * _moved(of, swinging, here))
+        lags_s.append(share * _later_s(of, swinging, here))
         here = swinging if is_part else here
     unseen = np.zeros(of.shared) if here.kind.part else unseen
-    found = _extended(of, here, moves, _latency(of, here, latency))
+    open_s = float(np.linalg.norm(lags_s)) if latency.is_filter else 0.0
+    found = _extended(of, here, moves, replace(latency, std_s=float(np.hypot(latency.std_s, open_s))))
     found = replace(found, unseen=unseen, left_n=mean_square(of, here) ** 0.5, is_wider=bool(moves))
     # A filter that a driver computes leaves something, too, of which a part may explain most: none explains a filter.
     is_one = here.kind.part != here.kind.friction and (here.kind.friction or not latency.is_filter)
@@ -208,15 +218,23 @@ def _open_share(of: ExtendedProblem, more: PayloadFit, less: PayloadFit, least: 
 
 
 def _is_at_bound(of: ExtendedProblem, candidate: PayloadFit) -> bool:
-    """Whether what swings is so light, so heavy, or damped so much, that it is no part."""
+    """Whether what swings is so light, so heavy, or damped so much, that it is no part; behind a filter, so little.
+
+    What a driver's filter does between the samples looks like a part without any damping.
+    """
     found = of.extension(candidate.theta, candidate.kind)
-    is_light = found.mass_share < _LEAST_SHARE
+    is_light = found.mass_share < _LEAST_SHARE or (of.lags == 2 and found.damping_ratio == 0.0)
     return is_light or found.mass_share > _AT_BOUND * MOST_SHARE or found.damping_ratio > _AT_BOUND * MOST_RATIO
 
 
 def _moved(of: ExtendedProblem, to: PayloadFit, since: PayloadFit) -> FloatArray:
     """Return by how much the shared parameters (a,) move from one fit to another [SI]."""
     return of.values(to.theta) - of.values(since.theta)
+
+
+def _later_s(of: ExtendedProblem, to: PayloadFit, since: PayloadFit) -> float:
+    """Return by how much the wrench's latency or time constant grows from one fit to another [s]."""
+    return of.problem.signals.period_s * float(to.theta[of.shared] - since.theta[of.shared])
 
 
 def _extended(of: ExtendedProblem, here: PayloadFit, moves: list[FloatArray], latency: WrenchLatency) -> Extended:
@@ -237,7 +255,7 @@ def _extended(of: ExtendedProblem, here: PayloadFit, moves: list[FloatArray], la
     return Extended(
         move=of.values(here.theta) - of.point.values[: of.shared],
         covariance=covariance + spread[: of.shared, : of.shared] * np.outer(units, units) + np.diag(_least(of) ** 2),
-        latency=latency,
+        latency=_latency(of, here, latency, float(stds[of.shared])),
         unseen=np.zeros(of.shared),
         left_n=0.0,
         is_wider=True,
@@ -271,17 +289,21 @@ def _spread(of: ExtendedProblem, at: PayloadFit) -> FloatArray:
     return left * widened(blocks, len(at.theta), of.problem.signals.period_s).covariance
 
 
-def _latency(of: ExtendedProblem, here: PayloadFit, before: WrenchLatency) -> WrenchLatency:
-    """Return the wrench's latency as it is beside what is reported, with its move in its deviation."""
-    if before.is_whole or here.kind == PayloadKind():
+def _latency(of: ExtendedProblem, here: PayloadFit, before: WrenchLatency, std_samples: float) -> WrenchLatency:
+    """Return the wrench's latency as it is beside what is reported, with the deviation that it has there.
+
+    That of a clock holds the whole move: it is taken out only where nothing else may be what looks like it.
+    """
+    period = of.problem.signals.period_s
+    if before.is_whole:
         return before
     if before.is_filter:
-        sensor = of.sensor_dynamics(here.theta)
+        sensor, std_s = of.sensor_dynamics(here.theta), period * std_samples
         beside = replace(before, seconds=sensor.time_constant_s, advanced_s=-sensor.delay_s)
     else:
-        further = float(here.theta[of.shared]) * of.problem.signals.period_s
-        beside = replace(before, seconds=before.applied_s + further)
-    return replace(beside, std_s=float(np.hypot(before.std_s, beside.seconds - before.seconds)))
+        beside = replace(before, seconds=before.applied_s + float(here.theta[of.shared]) * period)
+        std_s = beside.seconds - before.seconds
+    return replace(beside, std_s=float(np.hypot(before.std_s, std_s)))
 
 
 def with_extension(fit: JointFit, found: Extended) -> JointFit:
@@ -303,7 +325,9 @@ def with_extension(fit: JointFit, found: Extended) -> JointFit:
         # The misfit of one mass on one spring, which made its deviations wider, is gone.
         covariance = covariance - follows @ mine @ follows.T
     beside = follows @ found.unseen
-    covariance = covariance + np.outer(beside, beside) + np.diag(_unseen_in_contact(fit, found.unseen) ** 2)
+    # Contacts were fitted without the part, told or not.
+    apart = _unseen_in_contact(fit, found.unseen if found.part is None else found.move)
+    covariance = covariance + np.outer(beside, beside) + np.diag(apart**2)
     stds = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     ci95 = {}
     for name, interval in fit.ci95.items():
@@ -331,7 +355,7 @@ def with_extension(fit: JointFit, found: Extended) -> JointFit:
 
 
 def _unseen_in_contact(fit: JointFit, unseen: FloatArray) -> FloatArray:
-    """Return by how much a part that the log cannot show may move each parameter (p,) in contact alone [SI].
+    """Return by how much a part that contacts do not hold may move each parameter (p,) in contact alone [SI].
 
     What makes K_s softer by a share ε makes the payload heavier by ε (K_s + K_e)/K_s where it swings on both springs:
     M_e takes that, or, from how fast the swing decays, the dampings do, of which contacts show B_e alone.

@@ -403,7 +403,8 @@ def find_wrench_filter(
     late = {
         name: latency
         for name, latency in whole.items()
-        if is_significant_latency(latency.seconds, latency.std_s, period_s)
+        # A filter was one when it was taken in; that it is known badly since takes it out of no loop.
+        if latency.is_filter or is_significant_latency(latency.seconds, latency.std_s, period_s)
     }
     if not late:
         return None, ()
@@ -426,7 +427,8 @@ def find_wrench_filter(
         found = WrenchFilterEstimate(delay_s=Estimate(value=seconds, std=std, status=status, method=_METHOD, note=why))
         described = f"comes {1e3 * seconds:.3f} ± {1e3 * std:.2g} ms late"
     message = f"The wrench {described} (axis {', '.join(alike)}){f': {why}' if why else ''}. It is in the loop, and in "
-    about = Finding.warning if why else Finding.info
+    is_known = not why and Status.IDENTIFIED in {each.status for each in (found.corner_hz, found.delay_s) if each}
+    about = Finding.info if is_known else Finding.warning
     return found, (about("wrench-filter", f"{message}`sensor.wrench_filter`.", ""),)
 
 

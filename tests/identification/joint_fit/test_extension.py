@@ -7,19 +7,29 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from identification.axis_findings import latency_findings, payload_findings
+from identification.joint_fit import extension
 from identification.joint_fit.data import JointData, usual_coupling
 from identification.joint_fit.extended_fit import Score, explains_misfit
 from identification.joint_fit.extended_payload import Extension, extended_force
 from identification.joint_fit.extension import Extended, extend_payload, unseen_by_log, with_extension
 from identification.joint_fit.fit import identify_joint
-from identification.joint_fit.free_motion import fit_free_motion, fit_robot
-from identification.joint_fit.latency import WrenchLatency
+from identification.joint_fit.free_motion import fit_free_motion, fit_robot, with_fitted_noise
+from identification.joint_fit.latency import WrenchLatency, find_wrench_filter, fit_filter
 from identification.joint_fit.model import COUPLING_NAMES, SURFACE_NAMES, robot_model
 from identification.joint_fit.noise import Smoother
-from identification.joint_fit.path import measured_path
-from identification.joint_fit.result import JointFit, JointSurface, PayloadPart, with_robot_of_pose
+from identification.joint_fit.path import SensorDynamics, measured_path
+from identification.joint_fit.result import (
+    JointFit,
+    JointSurface,
+    PayloadPart,
+    with_robot_of_pose,
+    with_unexplained,
+)
+from identification.joint_fit.solve import Point, Problem
+from identification.result import Status
 from identification.signals.segments import Span
 from problems.arrays import FloatArray
 
@@ -35,6 +45,7 @@ class Cell:
     part_hz: float = 38.0
     ratio: float = 0.03
     friction_n: float = 0.0
+    filter_hz: float | None = None
 
     def run(self, x: FloatArray) -> FloatArray:
         """Return the coupling's force (n,) under a flange's path given FINER times a sample, semi-implicit Euler."""
@@ -56,7 +67,10 @@ class Cell:
             v_p += dt * (pulled - elastic - rubbed - DRAG * v_p) / heavy
             v_2 -= dt * pulled / light if light else 0.0
             x_p, x_2 = x_p + dt * v_p, x_2 + dt * v_2
-        return out
+        if self.filter_hz is None:
+            return out
+        kept = float(np.exp(-2.0 * np.pi * self.filter_hz * dt))
+        return np.asarray(lfilter([1.0 - kept], [1.0, -kept], out))
 
 
 def sweep(duration_s: float = 9.0, rest_s: float = 2.0) -> FloatArray:
@@ -70,7 +84,7 @@ def sweep(duration_s: float = 9.0, rest_s: float = 2.0) -> FloatArray:
     return np.concatenate([rest, way * np.sin(2.0 * np.pi * 0.5 * (np.exp(rate * t) - 1.0) / rate), rest])
 
 
-def logged(cell: Cell, seed: int = 3) -> JointData:
+def logged(cell: Cell, seed: int = 3, noise_n: float = 0.1) -> JointData:
     rng, x = np.random.default_rng(seed), sweep()
     force, position = cell.run(x)[::FINER], x[::FINER]
     count, rest = len(position), round(2.0 / PERIOD_S)
@@ -78,7 +92,7 @@ def logged(cell: Cell, seed: int = 3) -> JointData:
     return JointData(
         period_s=PERIOD_S,
         position_m=position + 5e-7 * rng.standard_normal(count),
-        force_n=force + 0.1 * rng.standard_normal(count),
+        force_n=force + noise_n * rng.standard_normal(count),
         command=None,
         rests=(Span(start=0, stop=rest - 300), Span(start=count - rest + 500, stop=count)),
         moving=moving,
@@ -161,6 +175,11 @@ def test_a_part_that_the_log_cannot_show_is_in_the_damping_and_the_mass_of_a_sur
     gained = np.diag(with_extension(touched, found).covariance - touched.covariance)
     expected = np.array([0.01 * k_s, *[0.0] * (size - 3), 0.015 * (b_s + b_p + b_e), 0.015 * mass])
     np.testing.assert_allclose(gained, expected**2, atol=1e-12)
+    # Contacts do not hold one that is told either.
+    part = PayloadPart(mass_share=(0.1, 0.03), frequency_hz=(38.0, 1.0), damping_ratio=(0.03, 0.02))
+    told = replace(found, part=part, move=-found.unseen, unseen=np.zeros(4))
+    gained = np.diag(with_extension(touched, told).covariance - touched.covariance)
+    np.testing.assert_allclose(gained, [*[0.0] * (size - 2), *expected[-2:] ** 2], atol=1e-12)
 
 
 def test_a_part_is_not_reported_beside_a_larger_misfit() -> None:
@@ -172,6 +191,57 @@ def test_a_part_is_not_reported_beside_a_larger_misfit() -> None:
     assert fit.part is None
     assert fit.friction_n is None
     assert fit.unexplained[0] > 10.0
+
+
+@cache
+def behind_a_filter() -> tuple[Problem, Point, WrenchLatency]:
+    """Return one mass on one spring behind a filter, fitted to a payload of which 18 % swing, behind one of 72 Hz."""
+    data = logged(Cell(share=0.18, filter_hz=72.0), noise_n=0.04)
+    base, start = fit_robot(data)
+    problem, point = fit_free_motion(data, base, start[:-3])
+    behind = replace(problem.signals, sensor_dynamics=SensorDynamics(time_constant_s=2.7e-3))
+    problem, point, std = fit_filter(replace(problem, signals=behind), point)
+    latency = WrenchLatency(
+        seconds=problem.signals.sensor_dynamics.time_constant_s, std_s=std, applied_s=0.0, is_filter=True
+    )
+    return with_fitted_noise(problem, point), point, latency
+
+
+@pytest.mark.parametrize("is_told", [True, False])
+def test_a_filter_and_a_part_are_fitted_together(monkeypatch: pytest.MonkeyPatch, is_told: bool) -> None:
+    """A filter takes the place of a part all but for what the noise hides; untold, the part is in its deviation."""
+    problem, point, latency = behind_a_filter()
+    known_s = 1.0 / (2.0 * np.pi * 72.0)
+    monkeypatch.setattr(extension, "beyond_noise", lambda *_: 0.0)
+    monkeypatch.setattr(extension, "explains_misfit", lambda *_: False)
+    # A force that was shifted has no exact samples, and shows no part that the noise hides.
+    latency = latency if is_told else replace(latency, applied_s=1e-3)
+    found = extend_payload(problem, point, latency, quiet_rms_n=0.05, is_held=True)
+    assert abs(found.latency.seconds - known_s) < 1.5 * found.latency.std_s
+    if not is_told:
+        assert found.part is None
+        assert found.latency.std_s > 1.5 * latency.std_s
+        return
+    assert found.part is not None
+    assert found.latency.seconds == pytest.approx(known_s, rel=0.01)
+    assert abs(found.part.mass_share[0] - 0.18) < 2.0 * found.part.mass_share[1] < 0.12
+    assert abs(found.part.frequency_hz[0] - 38.0) < 2.0 * found.part.frequency_hz[1] < 3.0
+
+
+def test_a_filter_that_is_known_badly_stays_in_the_loop() -> None:
+    late = WrenchLatency(seconds=2e-3, std_s=0.8e-3, applied_s=0.0, is_filter=True, evidence=400.0)
+    said, (finding,) = find_wrench_filter({"z": late}, 0.0, PERIOD_S)
+    assert said is not None
+    assert said.corner_hz is not None
+    assert (said.corner_hz.status, finding.severity) == (Status.WEAK, "warning")
+
+
+def test_a_filter_is_known_less_where_nothing_explains_what_is_left() -> None:
+    late = WrenchLatency(seconds=2e-3, std_s=1e-4, applied_s=0.0, is_filter=True)
+    fit = replace(plain(), latency=late)
+    assert with_unexplained(fit, 0.2, 0.1, 0.1).latency.std_s == 1e-4
+    assert with_unexplained(fit, 0.7, 0.1, 0.1).latency.std_s == pytest.approx(7e-4)
+    assert with_unexplained(replace(fit, latency=replace(late, is_filter=False)), 0.7, 0.1, 0.1).latency.std_s == 1e-4
 
 
 def test_friction_in_the_coupling_is_reported_and_widens_what_it_moves() -> None:
