@@ -19,7 +19,7 @@ from .joint_fit.result import JointFit, with_longer_delay, with_robot_shift
 from .payload.gravity import GravityFit
 from .result import RobotEstimate
 from .robot.coupling import CouplingFit
-from .robot.logged_command import LoggedRobot, identify_logged_robot
+from .robot.logged_command import MODEL_STD_SHARE, LoggedRobot, identify_logged_robot
 from .signals.aligned import AlignedLog
 from .signals.recording import PoseSignal, Recording
 from .signals.segments import MotionSpans, Span
@@ -76,17 +76,23 @@ class CommandedFit:
     """The data of an axis under the command that took part, if one did, and their fit.
 
     What the robot behind that command leaves open moves r(s), T_d by `robot_shift` (p,), its joints' friction, and the
-    delay by `longer_s` (mean, standard deviation), how long each command was held and a second pole.
+    delay by `longer_s` (mean, standard deviation), how long each command was held and a second pole. Where it is not
+    known how the command went between its samples, `pole_share` of the pole is open.
     """
 
     data: JointData
     fit: JointFit
     robot_shift: FloatArray | None
     longer_s: tuple[float, float]
+    pole_share: float = 0.0
 
     def with_robot_errors(self, fit: JointFit) -> JointFit:
         """Return a fit to these data with what is left open of the robot in its values and deviations."""
         moved = fit if self.robot_shift is None else with_robot_shift(fit, self.robot_shift)
+        if self.pole_share and fit.robot is not None:
+            shift = np.zeros(fit.robot.order + 1)
+            shift[0] = self.pole_share * fit.values[fit.names.index("delay_s") - fit.robot.order]
+            moved = with_robot_shift(moved, shift)
         return with_longer_delay(moved, *self.longer_s)
 
 
@@ -137,7 +143,13 @@ class _Axis:
             longer_s = robot.longer_than_samples_s if is_smooth else robot.longer_s
             longer_s = (longer_s[0], float(np.hypot(longer_s[1], robot_fit.second_pole_std_s)))
             shift = robot_fit.friction_shift
-        return CommandedFit(data=data, fit=identify_joint(data, self.progress), robot_shift=shift, longer_s=longer_s)
+        return CommandedFit(
+            data=data,
+            fit=identify_joint(data, self.progress),
+            robot_shift=shift,
+            longer_s=longer_s,
+            pole_share=0.0 if robot is None or robot.is_held else MODEL_STD_SHARE,
+        )
 
     def served(self, robot: LoggedRobot, command: PoseSignal) -> CommandedFit | None:
         """Return the fit under a command as it was held, or as a smooth one; None where neither explains the motion."""

@@ -33,7 +33,7 @@ from .joint_fit.result import JointFit, with_gain_error
 from .joint_fit.segments import find_holds
 from .result import AxisEstimate, CouplingEstimate, Finding, RobotEstimate, Status
 from .robot.coupling import CouplingFit, Noise, identify_coupling
-from .robot.logged_command import LoggedRobot
+from .robot.logged_command import MODEL_STD_SHARE, LoggedRobot
 from .signals.contact_rule import CONTACT
 from .signals.segments import Span
 from .timeline.payload import AxisContacts
@@ -49,8 +49,6 @@ from .verdicts import (
 )
 
 _OBLIQUE_CONTACT_DEG = 10.0
-# The continuous model is fitted to signals sampled behind a hold: measured on simulated cells, this is what it costs.
-_MODEL_STD_SHARE = 0.003
 _EXACT_SHARE = 1e-6
 _MOST_LAG_STDS = 3.0
 _REBUILT = "under the command that the known gains make of the wrench"
@@ -269,7 +267,7 @@ def _logged_robot(found: LoggedRobot, period_s: float) -> RobotEstimate:
     """Return the verdicts on what the command shows of the robot alone."""
     fit, between = found.fit, "behind a hold" if found.is_held else "behind a command that is smooth between samples"
     method = f"output error of r(s) {between}, residual {significant(100.0 * fit.fit_error)} % of the motion"
-    bandwidth_std = float(np.hypot(fit.bandwidth_std_hz, _MODEL_STD_SHARE * fit.bandwidth_hz))
+    bandwidth_std = float(np.hypot(fit.bandwidth_std_hz, MODEL_STD_SHARE * fit.bandwidth_hz))
     return RobotEstimate(
         numerator=vector(fit.model.numerator, fit.numerator_std, method=method),
         denominator=vector(fit.model.denominator, fit.denominator_std, method=method),

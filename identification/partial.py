@@ -79,7 +79,7 @@ def identify_partial(
     ]
     offset = offset_findings(axis_signals(recording), recording.wrench.topic)
     findings = [_removed(recording, mass), *led.findings, *about, *offset, *touched.findings]
-    if recording.wrench.measured_axes and not (led.robots or touched.surfaces or mass.value is not None):
+    if recording.wrench.measured_axes and not (led.robots or touched.shows_a_wall or mass.value is not None):
         findings.append(_assumed_sign(recording))
     has_wrench = bool(recording.wrench.measured_axes)
     if has_wrench and not any(finding.code == "coupling" for finding in about):

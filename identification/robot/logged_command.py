@@ -17,6 +17,8 @@ _SLOWEST_CONTROLLER_S = 4e-3
 # The spline through the samples of a smooth command: measured on simulated robots, this is what it costs.
 _SPLINE_SHARE, _SPLINE_DELAY_SHARE = 0.01, 0.01
 
+# What fits of a pole to sampled signals leave open of it besides: measured on simulated cells.
+MODEL_STD_SHARE = 0.003
 # In the note of a delay with half a control period in it that nobody gave.
 UNKNOWN_PERIOD = "give `sample_time_s`"
 # In the note of a delay that may be a second pole of the robot in part.

@@ -71,6 +71,11 @@ class Touched:
         freeze(self, "surfaces")
 
     @property
+    def shows_a_wall(self) -> bool:
+        """Return whether something is touched that is no hand, if only until F^d turns away."""
+        return any(touch.cause is TouchCause.WALL for touch in self.timeline.touches)
+
+    @property
     def shows_more_than_a_hand(self) -> bool:
         """Return whether there is a surface, or touches into which no hand led."""
         touches = self.timeline.touches
@@ -396,53 +401,44 @@ def _between_samples(axis: AxisTouches) -> list[Finding]:
     ]
 
 
+def _listed(touches: Sequence[Touch]) -> str:
+    shown = ", ".join(
+        f"{touch.peak_s:.2f} s ({touch.axis}, {touch.peak_force:.1f} N"
+        f"{', led' if touch.is_led and touch.cause is not TouchCause.WALL else ''})"
+        for touch in touches[:_MOST_LISTED]
+    )
+    return shown + (f" and {len(touches) - _MOST_LISTED} more" if len(touches) > _MOST_LISTED else "")
+
+
 def _undetermined(touches: Sequence[Touch]) -> list[Finding]:
     """Return the finding on touches that may be a hand's."""
     left = [touch for touch in touches if touch.cause is not TouchCause.WALL]
-    if not left:
-        return []
-    shown = ", ".join(
-        f"{touch.peak_s:.2f} s ({touch.axis}, {touch.peak_force:.1f} N{', led' if touch.is_led else ''})"
-        for touch in left[:_MOST_LISTED]
+    message = (
+        f"What was touched at {_listed(left)} cannot be distinguished from a hand: a hand led the payload or the force "
+        "came without motion."
     )
-    more = f" and {len(left) - _MOST_LISTED} more" if len(left) > _MOST_LISTED else ""
-    return [
-        Finding.warning(
-            "touch-undetermined",
-            f"What was touched at {shown}{more} cannot be distinguished from a hand: a hand led the payload or the"
-            " force came without motion.",
-            "Approach under a desired force or a command, hands off.",
-        )
-    ]
+    advice = "Approach under a desired force or a command, hands off."
+    return [Finding.warning("touch-undetermined", message, advice)] if left else []
 
 
 def _withdrawn(touches: Sequence[Touch]) -> list[Finding]:
     """Return the finding on touches that were withdrawn before their peak."""
     left = [touch for touch in touches if touch.is_withdrawn]
-    if not left:
-        return []
-    shown = ", ".join(f"{touch.peak_s:.2f} s ({touch.axis}, {touch.peak_force:.1f} N)" for touch in left[:_MOST_LISTED])
-    more = f" and {len(left) - _MOST_LISTED} more" if len(left) > _MOST_LISTED else ""
-    return [
-        Finding.warning(
-            "touch-withdrawn",
-            f"F^d turned away before the peak of the touch at {shown}{more}: no whole blow, so no surface is "
-            "identified from it.",
-            "Keep pressing for a second after the touch.",
-        )
-    ]
+    message = (
+        f"F^d turned away before the peak of the touch at {_listed(left)}: no whole blow, so no surface is identified "
+        "from it."
+    )
+    return [Finding.warning("touch-withdrawn", message, "Keep pressing for a second after the touch.")] if left else []
 
 
 def no_contact(touched: Touched) -> Finding:
     """Return why a log shows no surface."""
-    if touched.timeline.touches:
-        return missing(
-            "no-contact",
-            "None of the touches of the log can be distinguished from a hand, so no environment is identified.",
-            "Record contacts that are approached under a desired force or a command, hands off.",
-        )
-    return missing(
-        "no-contact",
-        "Nothing presses against the motion in this log, so no environment is identified.",
-        "Record contacts that are approached under a desired force or a command, hands off.",
-    )
+    advice = "Record contacts that are approached under a desired force or a command, hands off."
+    if touched.shows_a_wall:
+        message = "The log shows no whole blow of what it touches, so no environment is identified."
+        advice = "Keep pressing for a second after the touch."
+    elif touched.timeline.touches:
+        message = "None of the touches of the log can be distinguished from a hand, so no environment is identified."
+    else:
+        message = "Nothing presses against the motion in this log, so no environment is identified."
+    return missing("no-contact", message, advice)

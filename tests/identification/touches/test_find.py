@@ -17,7 +17,7 @@ from identification.signals.recording import GainsSignal, PoseSignal, Recording,
 from identification.touches.find import find_touches
 from identification.touches.signals import axis_signals, offset_findings
 from identification.touches.signs import check_force_sign
-from identification.touches.surfaces import identify_touches, left_out_error, pooled
+from identification.touches.surfaces import identify_touches, left_out_error, no_contact, pooled
 from identification.verdicts import unidentifiable
 from problems.arrays import FloatArray
 
@@ -156,6 +156,9 @@ def test_a_touch_is_withdrawn_where_the_desired_force_turns_before_its_peak(shar
     assert touch.is_withdrawn is (share < 1.0)
     assert any(each.code == "touch-withdrawn" for each in found.findings) is (share < 1.0)
     assert ("z" in found.surfaces) is (share > 1.0)
+    # It is met by no hand all the same.
+    assert found.shows_a_wall
+    assert "shows no whole blow of what it touches" in no_contact(found).message
 
 
 def test_a_logged_desired_force_that_turns_before_the_peak_shows_a_withdrawn_touch() -> None:
