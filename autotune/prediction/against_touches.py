@@ -394,6 +394,14 @@ def compare_touches(
         if progress is not None:
             progress(1.0 / len(touches))
     if not found:
-        why = "; ".join(passed) if passed else "it holds no touch; record the approach and a second of holding"
+        why = _by_reason(passed) if passed else "it holds no touch; record the approach and a second of holding"
         raise EstimateError(f"No contact of the log can be predicted: {why}")
     return TouchComparison(contacts=tuple(found), passed_over=tuple(passed))
+
+
+def _by_reason(passed: Sequence[str]) -> str:
+    """Return the reasons (each `where: why`), each once behind all places that it holds at."""
+    places: dict[str, list[str]] = {}
+    for where, _, why in (each.partition(": ") for each in passed):
+        places.setdefault(why, []).append(where)
+    return " ".join(f"{', '.join(where)}: {why}" for why, where in places.items())

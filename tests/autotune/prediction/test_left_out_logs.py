@@ -70,3 +70,7 @@ def test_what_may_be_no_wall_is_held_against_no_prediction(cause: TouchCause, wh
 
     with pytest.raises(EstimateError, match=f"No contact of the log can be predicted: x at 2.00 s: .*{why}"):
         compare_touches(source, [("", touch) for touch in known.timelines[0].touches], unasked)
+    # What holds of several is said once.
+    later = [replace(touch, peak_s=touch.peak_s + 3.0) for touch in known.timelines[0].touches]
+    with pytest.raises(EstimateError, match=f"predicted: x at 2.00 s, x at 5.00 s: [^:]*{why}[^:]*$"):
+        compare_touches(source, [("", touch) for touch in (*known.timelines[0].touches, *later)], unasked)
