@@ -30,6 +30,8 @@ _DRAG_FACTOR, _DRAG_SCATTER = 1.25, 0.2
 TO_DEVIATION = float(1.4826 / np.sqrt(2.0))
 _FEWEST, _FEWEST_FOR_NOISE = 4, 100
 _BEGINNING_S, _STATED_N = 0.5, 0.5
+# Where the flange rests at the same place, a compensated force differs by less; a held contact presses harder.
+_SAME_PLACE_M, _DRIFTED_N, _HARDEST_N = 1e-3, 1.0, 5.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -202,17 +204,41 @@ def _constant(force: FloatArray) -> float:
 
 
 def offset_findings(signals: Sequence[AxisSignals], topic: str) -> tuple[Finding, ...]:
-    """Say which constant force was taken off a wrench whose weight had been removed."""
+    """Say which constant force was taken off a wrench whose weight had been removed, and where it was not constant."""
     taken = [f"{each.offset_n:+.2g} N along {each.axis}" for each in signals if abs(each.offset_n) >= _STATED_N]
+    drifted = [text for each in signals if (text := _drift(each, signals))]
+    drift = Finding.warning(
+        "wrench-drift",
+        f"At rest where it began, the wrench of topic {topic} shows another force: {'; '.join(drifted)}. Its zero "
+        "drifts, or something touches it: forces and peaks may be off by as much, and a wall be taken for a hand.",
+        "Let the sensor warm up, set it to zero before each contact, or read the log in parts with --from and --to.",
+    )
     if not taken:
-        return ()
+        return (drift,) if drifted else ()
     return (
+        *((drift,) if drifted else ()),
         Finding.info(
             "wrench-offset",
             f"Without contact the wrench of topic {topic} shows {', '.join(taken)}: taken off all forces and peaks.",
             "Set the sensor to zero, or correct the load that the robot's estimate takes into account, before the run.",
         ),
     )
+
+
+def _drift(axis: AxisSignals, signals: Sequence[AxisSignals]) -> str:
+    """Return the force at the first and the last rest at one place as text, nothing where they agree."""
+    time = axis.time_s
+    rest = np.all([np.abs(mean_speed(each.travel_m, time)) <= _MOVING_M_S for each in signals], axis=0)
+    first = rest & (time <= time[0] + _BEGINNING_S)
+    if not np.any(first):
+        return ""
+    places = [np.abs(each.travel_m - np.median(each.travel_m[first])) <= _SAME_PLACE_M for each in signals]
+    there = rest & np.all(places, axis=0)
+    last = there & (time >= time[there][-1] - _BEGINNING_S)
+    before, after = (float(np.median(axis.force_n[each])) + axis.offset_n for each in (first, last))
+    if abs(after - before) < _DRIFTED_N or max(abs(before), abs(after)) > _HARDEST_N:
+        return ""
+    return f"{before:+.2g} N along {axis.axis} at first, {after:+.2g} N at {time[last][-1]:.1f} s"
 
 
 def _travel(pose: PoseSignal, stamps: StampArray) -> FloatArray:

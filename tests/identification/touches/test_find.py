@@ -226,6 +226,22 @@ def test_a_constant_force_across_the_motion_hides_no_wall() -> None:
     assert "+3 N along x" in offset_findings(tuple(signals.values()), "w")[0].message
 
 
+@pytest.mark.parametrize(("drift_n_per_s", "held_n"), [(0.3, 0.0), (0.0, 0.0), (0.0, 20.0)])
+def test_a_zero_that_drifts_is_said(drift_n_per_s: float, held_n: float) -> None:
+    """The flange goes 3 cm out and back and rests where it began; what presses there in the end is no drift."""
+    time = np.arange(0.0, 10.0, 1e-2)
+    travel = np.interp(time, [0.0, 1.0, 3.0, 6.0, 8.0, 10.0], [0.0, 0.0, 0.03, 0.03, 0.0, 0.0])
+    force = drift_n_per_s * time + np.where(time > 8.5, held_n, 0.0)
+    force += 0.1 * np.random.default_rng(1).standard_normal(len(time))
+    drift = [
+        each.message
+        for each in offset_findings(axis_signals(logged(travel, force, 1e-2, 0.0)), "w")
+        if each.code == "wrench-drift"
+    ]
+    assert len(drift) == (drift_n_per_s > 0.0)
+    assert not drift or "N along z at first, +2.9 N at 10.0 s" in drift[0]
+
+
 @pytest.mark.parametrize(("stiffness", "mass"), [(2e4, 16.0), (2e4, 0.5), (5e3, 16.0)])
 def test_travel_counts_from_where_a_payload_on_a_coupling_meets_the_wall(stiffness: float, mass: float) -> None:
     """K_s and K_e in series hold F^d, though the sensor of M (s² + ω_e²)/(s² + 2ζω s + ω²) feels the wall late."""
