@@ -1,23 +1,35 @@
 """From log files to an identified plant with its provenance."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+from autotune.drift import identified_values
+from autotune.errors import UsageError
 from autotune.formats.cell import CellFile
 from autotune.processes import map_in_processes
 from autotune.results import Identification
 from autotune.version import __version__
+from autotune.windows import Window, most_telling, window_findings
 from identification.advice import advise
 from identification.axis_findings import CLOCKS_AGREE
 from identification.errors import EstimateError, LogError, OutsideSpanError
 from identification.evidence import Evidence
 from identification.given import Given, check_names
 from identification.identify import identify_with_evidence
-from identification.logs.containers.formats import sha256_of
-from identification.logs.read import Instant, LogSpan, read_checked_recording, separate_runs
+from identification.logs.containers.formats import is_table, sha256_of
+from identification.logs.read import (
+    LONGEST_WHOLE_S,
+    WINDOW_S,
+    Instant,
+    LogSpan,
+    read_checked_recording,
+    recorded_spans,
+    separate_runs,
+    window_bounds,
+)
 from identification.logs.recording import build_frames
 from identification.logs.roles.cell import Cell
 from identification.merging.combine import NamedResult, combine_identified
@@ -27,7 +39,7 @@ from problems.frozen import freeze
 from problems.progress import no_progress
 
 _READING_SHARE = 0.25
-_ONLY_WHERE_GIVEN = ("urdf", "tip", "start", "stop", "gains")
+_ONLY_WHERE_GIVEN = ("urdf", "tip", "start", "stop", "gains", "windows_s")
 """Options that a file without them was identified without."""
 
 
@@ -55,6 +67,9 @@ class IdentifyOptions:
         What is known from elsewhere, by name as in `mass_kg` or `x.delay_s` [SI].
     gains
         The gains that ran, in the place of numbers in `cell.yaml`: `mass`, `damping` and `lead` [SI].
+    windows_s
+        Identify windows of this length [s] each on its own, and take those that say most; None reads a log whole up to
+        twenty minutes, a longer one in windows of ten.
 
     """
 
@@ -70,6 +85,7 @@ class IdentifyOptions:
     stop: Instant | None = None
     given: Mapping[str, Given] = field(default_factory=dict)
     gains: Mapping[str, float] | None = None
+    windows_s: float | None = None
 
     def __post_init__(self) -> None:
         freeze(self, "given")
@@ -118,7 +134,9 @@ def identify_log(
     """Read logs and identify the cell.
 
     Logs that follow each other within a second are one recording; each recording is identified on its own, and the
-    results are combined with each other and with what is given from elsewhere.
+    results are combined with each other and with what is given from elsewhere. A recording of over twenty minutes, and
+    one whose options say so, is identified in windows, of which no more is held in memory than is worked on; no signals
+    of them are kept.
 
     Parameters
     ----------
@@ -149,21 +167,21 @@ def identify_log(
     report = progress or no_progress
     files = (paths,) if isinstance(paths, Path) else tuple(paths)
     cell, given = options.declared(), options.given
-    runs = separate_runs(files, cell, salvage=options.salvage)
+    pieces = _pieces(files, cell, options, is_read=recording is not None)
     work = partial(
-        _identify_run,
+        _identify_piece,
         cell=cell,
         salvage=options.salvage,
-        span=options.span,
         # Of several recordings each is identified without: what is known from elsewhere counts once; a period is exact.
-        given={**_given_by_cell(cell), **(given if len(runs) == 1 else {})},
-        is_one_of_many=len(runs) > 1,
+        given={**_given_by_cell(cell), **(given if len(pieces) == 1 else {})},
+        is_one_of_many=len(pieces) > 1,
         with_evidence=with_evidence,
     )
-    if len(runs) == 1:
-        done = _inside([work(runs[0], recording=recording, report=report)])
+    if len(pieces) == 1:
+        outcomes = [work(pieces[0], recording=recording, report=report)]
     else:
-        done = _inside(map_in_processes(work, runs, processes, each=lambda: report(1.0 / len(runs))))
+        outcomes = map_in_processes(work, pieces, processes, each=lambda: report(1.0 / len(pieces)))
+    done, windows = _telling(pieces, outcomes) if any(piece.window for piece in pieces) else (_inside(outcomes), ())
     check_names(given, [axis for run in done for axis in run.named.result.axes])
     parts = [run.named for run in done]
     result = combine_identified(parts, given)
@@ -172,10 +190,11 @@ def identify_log(
 
         result = with_left_out_logs(result, parts, partial(combine_identified, given=given))
     payload = replace(result.payload, contact_points_m=cell.payload.contact_points_m)
-    result = replace(result, payload=payload, findings=(*result.findings, *advise(result)))
+    about_windows = window_findings(windows) if windows else ()
+    result = replace(result, payload=payload, findings=(*about_windows, *result.findings, *advise(result)))
     found = Identification(
         result=result,
-        provenance=_provenance([run.source for run in done], options),
+        provenance=_provenance([run.source for run in done], options, windows),
         evidence=tuple(run.evidence for run in done if run.evidence is not None),
         names=tuple(path.name for path in files),
     )
@@ -208,7 +227,77 @@ class _Run:
     evidence: Evidence | None
 
 
-def _inside(done: Sequence[_Run | OutsideSpanError]) -> list[_Run]:
+_Outcome = _Run | EstimateError | LogError
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Piece:
+    """What is identified on its own: a recording, or a window of it."""
+
+    files: tuple[Path, ...]
+    span: LogSpan
+    window: Window | None = None
+
+    @property
+    def name(self) -> str:
+        """How findings call it."""
+        return ", ".join(path.name for path in self.files) if self.window is None else self.window.name
+
+
+def _pieces(files: tuple[Path, ...], cell: Cell, options: IdentifyOptions, *, is_read: bool) -> list[_Piece]:
+    """Return the recordings that logs are; their windows where these are asked for, or one that is unread is long."""
+    if options.windows_s is not None and not options.span.is_whole:
+        raise UsageError("Windows are those of a whole log; leave out the part (--from, --to), or the windows.")
+    runs = separate_runs(files, cell, salvage=options.salvage)
+    spans = [recorded_spans(run, cell, salvage=options.salvage) for run in runs]
+    lengths_s = [(max(stop for _, stop in each) - min(start for start, _ in each)) / 1e9 for each in spans]
+    are_long = max(lengths_s) > LONGEST_WHOLE_S and options.span.is_whole and not any(map(is_table, files))
+    if options.windows_s is None and (is_read or not are_long):
+        return [_Piece(files=run, span=options.span) for run in runs]
+    width_s = options.windows_s or WINDOW_S
+    several = len(runs) > 1
+    return [
+        piece
+        for run, held in zip(runs, spans, strict=True)
+        for piece in _windows(run, held, width_s, run[0].name if several else "")
+    ]
+
+
+def _windows(run: tuple[Path, ...], spans: Sequence[tuple[int, int]], width_s: float, log: str) -> Iterator[_Piece]:
+    """Yield the windows of a recording, each with the files that hold something of it."""
+    begin, end = min(start for start, _ in spans), max(stop for _, stop in spans)
+    for start, stop in window_bounds(begin, end, width_s):
+        inside = tuple(file for file, (first, last) in zip(run, spans, strict=True) if first < stop and last >= start)
+        window = Window(log=log, start_s=(start - begin) / 1e9, stop_s=(stop - begin) / 1e9)
+        yield _Piece(files=inside, span=LogSpan(recorded_ns=(start, stop)), window=window)
+
+
+def _telling(pieces: Sequence[_Piece], outcomes: Sequence[_Outcome]) -> tuple[list[_Run], tuple[Window, ...]]:
+    """Return the windows that give the result, without what is only worth knowing of each, and all of them in short."""
+    windows = []
+    for piece, outcome in zip(pieces, outcomes, strict=True):
+        if piece.window is None:
+            continue
+        if isinstance(outcome, _Run):
+            windows.append(replace(piece.window, values=identified_values(outcome.named.result)))
+        else:
+            windows.append(replace(piece.window, refused=str(outcome)))
+    used = most_telling(windows)
+    windows = [replace(each, is_used=k in used) for k, each in enumerate(windows)]
+    known = {name.partition(".")[0] for k in used for name in windows[k].values}
+    runs = [each for k, each in enumerate(outcomes) if k in used and isinstance(each, _Run)]
+    return [_of_a_window(run, known) for run in runs], tuple(windows)
+
+
+def _of_a_window(run: _Run, axes: Collection[str]) -> _Run:
+    """Return a window's result without what is only worth knowing of it, and without axes of which no window knows."""
+    result = run.named.result
+    found = {name: axis for name, axis in result.axes.items() if name in axes}
+    kept = tuple(finding for finding in result.findings if finding.severity != "info")
+    return replace(run, named=replace(run.named, result=replace(result, axes=found, findings=kept)))
+
+
+def _inside(done: Sequence[_Outcome]) -> list[_Run]:
     """Return what was identified, with a finding for each recording that lies outside the span that was asked for."""
     found = [each for each in done if isinstance(each, _Run)]
     outside = [each for each in done if isinstance(each, OutsideSpanError)]
@@ -226,42 +315,46 @@ def _without_withdrawn(read: Sequence[Finding], found: Sequence[Finding]) -> tup
     return tuple(finding for finding in read if not (agree and finding.code == "clock-offset"))
 
 
-def _identify_run(
-    run: tuple[Path, ...],
+def _identify_piece(
+    piece: _Piece,
     *,
     cell: Cell,
     salvage: bool,
-    span: LogSpan,
     given: Mapping[str, Given],
     is_one_of_many: bool,
     with_evidence: bool,
     recording: Recording | None = None,
     report: Callable[[float], None] | None = None,
-) -> _Run | OutsideSpanError:
+) -> _Outcome:
     """Read and identify one recording; where it is one of many, errors bear its name.
 
-    One of many that lies outside a span of stamps is no error yet.
+    A window that identifies nothing, and one of many that lies outside a span of stamps, are no errors yet.
     """
-    report = report or no_progress
-    name = ", ".join(path.name for path in run)
+    report, name = report or no_progress, piece.name
     try:
         if recording is None:
-            recording = read_checked_recording(run, cell, salvage=salvage, span=span)
+            recording = read_checked_recording(piece.files, cell, salvage=salvage, span=piece.span)
         report(_READING_SHARE)
         found, evidence = identify_with_evidence(
             recording, build_frames(cell), given, lambda share: report((1.0 - _READING_SHARE) * share)
         )
     except OutsideSpanError as error:
-        if not is_one_of_many or not span.has_stamps:
+        if not is_one_of_many or not (piece.span.has_stamps or piece.window):
             raise
         return error
     except (EstimateError, LogError) as error:
+        if piece.window is not None:
+            return error
         if not is_one_of_many or name in str(error):
             raise
         raise type(error)(f"{name}: {error}") from error
     read = _without_withdrawn(recording.findings, found.findings)
     found = replace(found, findings=(*read, *found.findings))
-    kept = None if evidence is None or not with_evidence else replace(evidence, log=name, reading=recording.findings)
+    kept = (
+        None
+        if evidence is None or piece.window or not with_evidence
+        else replace(evidence, log=name, reading=recording.findings)
+    )
     share = 0.0 if evidence is None else evidence.gain_error_share
     named = NamedResult(name=name, result=found, gain_error_share=share)
     return _Run(named=named, source=_source(recording), evidence=kept)
@@ -283,11 +376,11 @@ def _source(recording: Recording) -> _Source:
     )
 
 
-def _provenance(sources: Sequence[_Source], options: IdentifyOptions) -> dict[str, Any]:
+def _provenance(sources: Sequence[_Source], options: IdentifyOptions, windows: Sequence[Window]) -> dict[str, Any]:
     """Return where the numbers come from; channels and clocks are those of the first recording."""
     first, spans = sources[0], [list(source.span_s) for source in sources]
     cell, joints = options.cell, options.declared().joints
-    logs = [(path, digest) for source in sources for path, digest in source.sha256.items()]
+    logs = dict.fromkeys((path, digest) for source in sources for path, digest in source.sha256.items())
     return {
         "tool": f"autotune {__version__}",
         "logs": [{"path": path, "sha256": digest} for path, digest in logs],
@@ -297,5 +390,6 @@ def _provenance(sources: Sequence[_Source], options: IdentifyOptions) -> dict[st
         "clocks": dict(first.clocks),
         "time_span_s": spans[0],
         **({"recordings": spans} if len(spans) > 1 else {}),
+        **({"windows": [each.tree() for each in windows]} if windows else {}),
         "options": options.tree(),
     }

@@ -24,6 +24,7 @@ _UNITS: Mapping[str, Mapping[str, float]] = {
     "torque": {"Nm": 1.0, "kNm": 1e3, "Nmm": 1e-3},
     "rotational damping": {"Nms/rad": 1.0},
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6},
+    "duration": {"s": 1.0, "min": 60.0, "h": 3600.0},
 }
 _EMPTY_GRIPPER = (
     " Even empty, the sensor carries the gripper: its mass, as identified from a log without a part, is the least; "

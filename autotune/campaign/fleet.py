@@ -8,29 +8,14 @@ from functools import cache
 
 import numpy as np
 
+from autotune.drift import Change, differences
 from problems.arrays import FloatArray
 
 from .work import RunOutcome
 
-_CHANGED_STDS = 3.0
 _UNUSUAL_FLEETS, _DRAWN_FLEETS = 0.01, 400
 _FEWEST_CELLS, _CELLS_PER_PARAMETER = 5, 5
 _TO_STD = 1.4826  # of a normal distribution: standard deviation over median absolute deviation
-# Changes below these shares of the value matter to no controller, however well they are known.
-_LEAST_CHANGE = 0.002
-
-
-@dataclass(frozen=True, kw_only=True)
-class Change:
-    """What changed in a cell from one run to the next: `stds` deviations of the difference."""
-
-    cell: str
-    before: str
-    after: str
-    name: str
-    old: float
-    new: float
-    stds: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,24 +42,13 @@ def by_cell(outcomes: Sequence[RunOutcome]) -> dict[str, tuple[RunOutcome, ...]]
 
 
 def changes(outcomes: Sequence[RunOutcome]) -> tuple[Change, ...]:
-    """Return what differs between a run and the one before it by more than three deviations and 0.2 %."""
+    """Return what differs between each run of a cell and the one before it."""
     return tuple(
         change
         for cell, runs in by_cell(outcomes).items()
         for before, after in itertools.pairwise(runs)
-        for change in _between(cell, before, after)
+        for change in differences(cell, (before.run, before.values), (after.run, after.values))
     )
-
-
-def _between(cell: str, before: RunOutcome, after: RunOutcome) -> Iterator[Change]:
-    for name in before.values:
-        if name not in after.values:
-            continue
-        (old, old_std), (new, new_std) = before.values[name], after.values[name]
-        std = math.hypot(old_std, new_std)
-        stds = abs(new - old) / std if std > 0.0 else math.inf
-        if stds > _CHANGED_STDS and abs(new - old) > _LEAST_CHANGE * abs(old):
-            yield Change(cell=cell, before=before.run, after=after.run, name=name, old=old, new=new, stds=stds)
 
 
 def unusual(outcomes: Sequence[RunOutcome]) -> tuple[Unusual, ...]:

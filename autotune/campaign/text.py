@@ -2,14 +2,10 @@
 
 from collections.abc import Sequence
 
-from autotune.formats.units import axis_units
-from problems.model.axis_kind import for_people
-from problems.model.plant_parameters import PARAMETERS
+from autotune.drift import parameter_text
 
-from .fleet import Change, Unusual, changes, unusual
+from .fleet import Unusual, changes, unusual
 from .work import RunOutcome
-
-_MASS = "payload.mass_kg"
 
 
 def outcome_text(outcomes: Sequence[RunOutcome]) -> str:
@@ -25,31 +21,6 @@ def outcome_text(outcomes: Sequence[RunOutcome]) -> str:
 
 def _counted(number: int, noun: str) -> str:
     return f"{number} {noun}{'' if number == 1 else 's'}"
-
-
-def parameter_name(name: str) -> tuple[str, float, str]:
-    """Return what a parameter is called for people, and factor and unit in which it is shown."""
-    axis, _, key = name.rpartition(".")
-    if name == _MASS:
-        label, unit = "payload mass", "kg"
-    elif key in PARAMETERS:
-        label, unit = f"{axis}: {PARAMETERS[key].symbol}", axis_units(axis).unit(PARAMETERS[key].kind)
-    else:
-        label, unit = f"{axis.replace('.', ': ')}: K_e", axis_units(axis.partition(".")[0]).stiffness
-    return label, *for_people(unit)
-
-
-def parameter_text(name: str, *values: float) -> tuple[str, ...]:
-    """Return a parameter's name for people, its unit, and the values in that unit."""
-    label, scale, unit = parameter_name(name)
-    return label, unit, *(f"{scale * value:.4g}" for value in values)
-
-
-def change_text(change: Change) -> str:
-    """Say what changed in a cell in a sentence."""
-    label, unit, old, new = parameter_text(change.name, change.old, change.new)
-    runs = f"{change.cell}: from {change.before} to {change.after}"
-    return f"{runs}, {label} went from {old} to {new} {unit}, {change.stds:.1f} standard deviations."
 
 
 def unusual_text(found: Unusual) -> str:

@@ -9,6 +9,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from autotune.drift import identified_values
 from autotune.errors import CertificateError, InfeasibleError, UsageError
 from autotune.formats.atomic import write_folder_atomic
 from autotune.formats.cell import read_cell
@@ -138,7 +139,7 @@ def _identify_and_tune(task: RunTask, scratch: Path) -> RunOutcome:
         found = identify_log(run.logs, IdentifyOptions(cell=cell))
         write_identified(scratch / "identified.yaml", found.result, found.provenance)
         recorded = float(found.provenance["time_span_s"][0])
-        outcome = replace(outcome, recorded_s=recorded, values=_values(found.result))
+        outcome = replace(outcome, recorded_s=recorded, values=identified_values(found.result))
         if run.controller is not None:
             outcome = replace(outcome, outside=_outside(run.controller, found.result))
         if task.options.optimize:
@@ -147,17 +148,6 @@ def _identify_and_tune(task: RunTask, scratch: Path) -> RunOutcome:
         kind = next((name for of, name in _STEPS.items() if isinstance(error, of)), "usage")
         return replace(outcome, refused=kind, reason=str(error))
     return outcome
-
-
-def _values(result: Identified) -> dict[str, tuple[float, float]]:
-    """Return what is identified of payload, axes and surfaces; what has no value or deviation is left out."""
-    named = {"payload.mass_kg": result.payload.mass_kg}
-    for name, axis in result.axes.items():
-        named |= {f"{name}.{key}": each for key, each in axis.plant_estimates().items()}
-        named |= {f"{name}.{each.name}.stiffness_n_per_m": each.stiffness_n_per_m for each in axis.environments}
-    return {
-        name: (each.value, each.std) for name, each in named.items() if each.value is not None and each.std is not None
-    }
 
 
 def _outside(controller: Path, result: Identified) -> tuple[str, ...]:

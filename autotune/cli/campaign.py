@@ -142,7 +142,8 @@ def _tree(output: Output, out: Path, outcomes: "Sequence[RunOutcome]", report: P
 
 def _print(out: Path, outcomes: "Sequence[RunOutcome]", report: Path | None) -> None:
     from autotune.campaign.fleet import changes, unusual
-    from autotune.campaign.text import change_text, outcome_text, unusual_text
+    from autotune.campaign.text import outcome_text, unusual_text
+    from autotune.drift import change_text
 
     print_message(outcome_text(outcomes))
     for each in outcomes:

@@ -1,5 +1,6 @@
 """`autotune identify`: plant parameters from a log."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from autotune.pipeline import IdentifyOptions
     from autotune.report.page import Page
     from autotune.results import Identification
+    from autotune.windows import Window
     from identification.result import Identified, Timeline
 
 _EPILOG = """\b
@@ -36,11 +38,27 @@ Examples:
   autotune identify run7.mcap --annotate run7.annotated.mcap
   autotune identify part1.bag part2.bag --cell cell.yaml
   autotune identify monday.mcap friday.mcap --given mass_kg=16.2±0.1
+  autotune identify run7.mcap --windows 10min
 """
 _GROUPS = {
     "Settings of the cell": ("cell_path", "wrench_topic", "pose_topic", "command_topic", "urdf", "tip", "given"),
-    "Parts of logs, damaged logs and missing parameters": ("start", "stop", "allow_partial", "salvage"),
+    "Parts of logs, damaged logs and missing parameters": ("start", "stop", "windows_s", "allow_partial", "salvage"),
 }
+
+
+def _duration(_context: click.Context, _option: click.Parameter, text: str | None) -> float | None:
+    if text is None:
+        return None
+    from autotune.quantities import parse_quantity
+    from autotune.windows import SHORTEST_S
+
+    try:
+        seconds = parse_quantity(text, "duration").value
+    except ValueError as error:
+        raise click.BadParameter(str(error)) from None
+    if not SHORTEST_S <= seconds < math.inf:
+        raise click.BadParameter(f"must be {SHORTEST_S:g} s or longer, for example 10min.")
+    return seconds
 
 
 @click.command("identify", cls=GroupedCommand, groups=_GROUPS, epilog=_EPILOG)
@@ -57,6 +75,14 @@ _GROUPS = {
 )
 @urdf_options
 @span_options
+@click.option(
+    "--windows",
+    "windows_s",
+    metavar="DURATION",
+    callback=_duration,
+    help="For long logs: identify each window of this length (600, 600s, 10min, 1h) on its own, tell what changed, and "
+    "take the windows that tell most.",
+)
 @salvage_option
 @click.option(
     "--given",
@@ -97,6 +123,7 @@ def command(
     from autotune.pipeline import IdentifyOptions, identify_log
     from autotune.processes import count_processors
     from autotune.quantities import parse_given
+    from autotune.windows import windows_of
 
     sources = [*logs, *([] if cell_path is None else [cell_path])]
     check_target(out, sources, kind="identified")
@@ -126,6 +153,7 @@ def command(
     tree = {**identified_tree(found.result, found.provenance), **write_report(output, report, seen.page)}
 
     def text() -> None:
+        print_windows(windows_of(found.provenance))
         print_identified(found.result, out)
         print_report_path(report)
         if annotate is not None:
@@ -173,6 +201,15 @@ class _Seen:
         if self.found is None:
             return refused_log_page(error, self.logs, self.options)
         return refused_estimate_page(error, self.page())
+
+
+def print_windows(windows: "Sequence[Window]") -> None:
+    """Print what each window of a long log says of the payload; those that are refused alike are one row."""
+    from autotune.windows import window_columns, window_rows
+
+    if windows:
+        print_table([window_columns(), *window_rows(windows)], left=(0, 4), point=(1, 2))
+        print_message()
 
 
 def print_identified(result: "Identified", out: Path) -> None:

@@ -20,6 +20,7 @@ from autotune.prediction.said_gains import present_gains
 from autotune.processes import count_processors
 from autotune.validation.report import ValidationReport
 from autotune.validation.verify import verify
+from autotune.windows import windows_of
 from identification.errors import LogError
 from identification.evidence import Evidence
 from identification.logs.containers.formats import digests, sha256_of
@@ -155,7 +156,8 @@ def _identified_page(plant: IdentifiedFile, logs: tuple[Path, ...]) -> Page:
         _check_urdf(plant)
         options = IdentifyOptions.from_tree(plant.provenance.get("options", {}), _cell_of(plant))
         options = replace(options, allow_partial=True)
-        evidence = identify_log(logs, options, processes=count_processors(), with_evidence=True).evidence
+        if not windows_of(plant.provenance):  # of which no signals are kept
+            evidence = identify_log(logs, options, processes=count_processors(), with_evidence=True).evidence
         summaries = summaries_of(logs, options, evidence)
     return build_identify_page(plant.result, plant.provenance, evidence, summaries)
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from autotune.charts.chart import Chart
 from autotune.formats.units import axis_units
 from autotune.text import ParameterRow, held_out_lines, parameter_rows, touch_columns, touch_note, touch_rows
+from autotune.windows import windows_of
 from identification.errors import LogError
 from identification.evidence import AxisEvidence, Evidence
 from identification.fit_quality import FitQuality
@@ -26,6 +27,7 @@ from .identify_charts import (
 )
 from .page import Block, Fact, Facts, Note, Page, Section, Table, TableCell, Tone, build_table
 from .sensor_charts import noise_chart, wrench_charts
+from .window_blocks import window_section
 
 if TYPE_CHECKING:
     from autotune.pipeline import IdentifyOptions
@@ -62,7 +64,8 @@ def build_identify_page(
     picture, rest = _taken_out([*axes, *([] if log is None else [log])])
     below = rest if log is None else [rest[-1], *rest[:-1]]
     parameters = Section(key="parameters", title="Parameters", blocks=(_parameter_table(rows),))
-    sections = (_summary_section(result, rows, picture), parameters, *below, _sensor_section(result))
+    windows = window_section(windows_of(provenance))
+    sections = (_summary_section(result, rows, picture), windows, parameters, *below, _sensor_section(result))
     return Page(
         title="The identified cell",
         lead=_lead(result, rows),

@@ -187,9 +187,9 @@ def simulate_cell(cell: SimulatedCell, program: Program, *, seed: int = 0) -> Ce
     return CellRun(cell=cell, script=script, axis=axis, recording=recording)
 
 
-def made_later(recording: Recording, hours: int) -> Recording:
+def made_later(recording: Recording, hours: float) -> Recording:
     """Return the recording as if it had been made some hours later: a log of its own beside the first."""
-    shift_ns = hours * 3600 * 10**9
+    shift_ns = round(hours * 3600e9)
     command = recording.command
     return replace(
         recording,

@@ -1,5 +1,6 @@
 """Summarise what logs hold, what each channel can be used for, and what is missing for `identify`."""
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
@@ -14,11 +15,20 @@ from .checks.clocks import ChannelClock, clock_findings, compare_clocks, measure
 from .checks.robot_state import without_zero_torques
 from .checks.samples import role_faults
 from .containers.channel import Channel, ChannelInfo
-from .containers.formats import digests
+from .containers.formats import digests, is_table
 from .messages.decode import Series, Wanted
 from .numbers import number_fields, number_findings
 from .opened import OpenedLogs, open_logs
-from .read import WHOLE, LogSpan, cut_series, read_checked_recording
+from .read import (
+    LONGEST_WHOLE_S,
+    WHOLE,
+    WINDOW_S,
+    LogSpan,
+    cut_series,
+    read_checked_recording,
+    recorded_spans,
+    window_bounds,
+)
 from .roles.cell import Cell, WrenchSource
 from .roles.choose import Choice, candidates_of, choose, open_questions, source_of, spelled_as_in
 from .roles.registry import ROLES, TRANSFORMS, Role, is_undeclared, layout_of, missing_sentence, roles_of
@@ -58,7 +68,13 @@ def inspect_log(
     """
     files = (paths,) if isinstance(paths, Path) else tuple(paths)
     declared = cell or Cell()
-    with open_logs(files, declared, salvage=salvage) as logs:
+    if reading is None and span == WHOLE and not any(map(is_table, files)):
+        start_ns, end_ns = _ends(recorded_spans(files, declared, salvage=salvage))
+        if (end_ns - start_ns) / 1e9 > LONGEST_WHOLE_S:
+            return _inspect_in_windows(files, declared, window_bounds(start_ns, end_ns, WINDOW_S), salvage=salvage)
+    # A pause of the recorder costs a long log what is around it.
+    keeps = salvage or span.recorded_ns is not None
+    with open_logs(files, declared, salvage=salvage, recorded_ns=span.recorded_ns) as logs:
         if not span.is_whole:
             _check_timed(logs)
         infos = logs.infos
@@ -70,11 +86,11 @@ def inspect_log(
         roles = tuple(_with_rates(role, channels) for role in roles)
         numbers = tuple(found for part in logs.parts for found in number_fields(part))
         findings += [
-            f for info in infos for f in _channel_findings(info, series[info.channel], logs.start_ns, salvage=salvage)
+            f for info in infos for f in _channel_findings(info, series[info.channel], logs.start_ns, salvage=keeps)
         ]
         if span.is_whole:
             # Of a part, reading it for identify says the same.
-            findings += _declared_findings(logs, choices, declared, salvage=salvage)
+            findings += _declared_findings(logs, choices, declared, salvage=keeps)
         findings += number_findings(logs, numbers, {choice.info.channel for choice in choices.values()})
         findings += _clock_findings(series, choices)
         findings += open_questions(infos, declared, logs.name)
@@ -103,6 +119,61 @@ def inspect_log(
         findings=tuple(dict.fromkeys((*seen, *findings))),
         missing=missing,
         sha256s=digest,
+    )
+
+
+def _ends(spans: Sequence[tuple[int, int]]) -> tuple[int, int]:
+    return min(start for start, _ in spans), max(stop for _, stop in spans)
+
+
+def _inspect_in_windows(
+    files: tuple[Path, ...], cell: Cell, bounds: Sequence[tuple[int, int]], *, salvage: bool
+) -> LogSummary:
+    """Return the summary of a long log from those of its windows, of which one at a time is in memory."""
+    summaries = [inspect_log(files, cell, salvage=salvage, span=LogSpan(recorded_ns=each)) for each in bounds]
+    first = summaries[0]
+    together = zip(*(each.channels for each in summaries), strict=True)
+    channels = tuple(_joined(parts, (bounds[-1][1] - bounds[0][0]) / 1e9) for parts in together)
+    seen: dict[tuple[str, str], list[Finding]] = {}
+    for finding in (finding for each in summaries for finding in each.findings):
+        # Of messages that differ in their numbers the first one speaks for all.
+        seen.setdefault((finding.code, re.sub(r"[-+]?\d[\d.]*", "0", finding.message)), []).append(finding)
+    findings = tuple(
+        each[0]
+        if each[0] == each[-1]
+        else replace(each[0], message=f"{each[0].message} (First of {len(each)} like it.)")
+        for each in seen.values()
+    )
+    note = f"The log is long: it was looked at in {len(bounds)} windows of {WINDOW_S / 60.0:.0f} minutes, one by one."
+    return replace(
+        first,
+        start_ns=bounds[0][0],
+        end_ns=bounds[-1][1] - 1,
+        channels=channels,
+        roles=tuple(_with_rates(role, channels) for role in first.roles),
+        findings=(Finding.info("windows", note, ""), *findings),
+    )
+
+
+def _joined(parts: Sequence[ChannelSummary], duration_s: float) -> ChannelSummary:
+    """Return the summary of a channel over all windows; gaps across their borders are not looked at."""
+    count = sum(each.count for each in parts)
+
+    def middle(values: Sequence[float | None]) -> float | None:
+        known = [value for value in values if value is not None]
+        return float(np.median(known)) if known else None
+
+    gaps = [each.max_gap_s for each in parts if each.max_gap_s is not None]
+    return replace(
+        parts[0],
+        count=count,
+        rate_hz=sampling_rate_hz(count, duration_s),
+        median_gap_s=middle([each.median_gap_s for each in parts]),
+        max_gap_s=max(gaps, default=None),
+        backwards_steps=sum(each.backwards_steps for each in parts),
+        duplicates=sum(each.duplicates for each in parts),
+        header_minus_log_s=middle([each.header_minus_log_s for each in parts]),
+        frame_ids=tuple(dict.fromkeys(frame for each in parts for frame in each.frame_ids)),
     )
 
 

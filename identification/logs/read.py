@@ -4,6 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from decimal import Decimal, InvalidOperation
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +35,8 @@ Part = dict[Role, Series]
 
 Instant = float | str
 """Seconds after the start of a log, as a number or text; with @ in front a stamp in seconds, as GNU date writes it."""
+LONGEST_WHOLE_S, WINDOW_S = 1200.0, 600.0
+"""A longer log than the first is read in windows of the second, so that its length takes no memory."""
 _LARGEST_NS = 2**62
 _LONGEST_PAUSE_NS = 10**9
 """A recorder that splits its files goes on at once; who records again takes longer."""
@@ -144,6 +147,20 @@ def _held(role: Role, inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return inside
 
 
+def recorded_spans(paths: Sequence[Path], cell: Cell, *, salvage: bool = False) -> tuple[tuple[int, int], ...]:
+    """Return the first and the last instant of each log on its recording clock [ns]; raises LogError for no log."""
+    with open_logs(tuple(paths), cell, salvage=salvage) as logs:
+        return tuple((part.survey.start_ns, part.survey.end_ns) for part in logs.parts)
+
+
+def window_bounds(start_ns: int, end_ns: int, width_s: float) -> tuple[tuple[int, int], ...]:
+    """Return first and last instant of each window; the last one takes in a rest shorter than half a window."""
+    width = round(width_s * 1e9)
+    count = max(1, (end_ns - start_ns + width // 2) // width)
+    edges = [start_ns + k * width for k in range(count)]
+    return tuple(pairwise([*edges, end_ns + 1]))
+
+
 def separate_runs(paths: Sequence[Path], cell: Cell, *, salvage: bool = False) -> tuple[tuple[Path, ...], ...]:
     """Group logs into recordings: what follows within a second of recording time, or overlaps, is one.
 
@@ -161,8 +178,7 @@ def separate_runs(paths: Sequence[Path], cell: Cell, *, salvage: bool = False) -
     """
     if len(paths) == 1:
         return ((paths[0],),)
-    with open_logs(tuple(paths), cell, salvage=salvage) as logs:
-        spans = sorted((part.survey.start_ns, part.survey.end_ns, i) for i, part in enumerate(logs.parts))
+    spans = sorted((*span, i) for i, span in enumerate(recorded_spans(paths, cell, salvage=salvage)))
     runs: list[list[int]] = []
     latest = 0
     for start, end, index in spans:
@@ -237,6 +253,8 @@ def _read(
 ) -> tuple[Recording, list[ChannelTimes]]:
     """Return a recording, and the header and recording stamps of the channels that have clocks of their own."""
     files = (paths,) if isinstance(paths, Path) else tuple(paths)
+    # A pause of the recorder costs a long log what is around it.
+    keeps_holes = salvage or span.recorded_ns is not None
     with open_logs(files, cell, salvage=salvage, recorded_ns=span.recorded_ns) as logs:
         cell = spelled_as_in(cell, logs.infos)
         choices = choose_all(logs.infos, cell, logs.name, logs.frames_of)
@@ -251,7 +269,7 @@ def _read(
         chosen = [_chosen(choice, [part[role] for part in stamps if role in part]) for role, choice in choices.items()]
         parts, about_span = cut_roles(parts, stamps, span, logs.name)
         times = _times(parts, clocks)
-        about_samples = sample_findings(parts, clocks, cell, logs.start_ns, keeps_holes=salvage)
+        about_samples = sample_findings(parts, clocks, cell, logs.start_ns, keeps_holes=keeps_holes)
         recordings = [build_recording(part, clocks, cell) for part in parts]
         recording = _continuous(join_recordings(recordings))
         questions = open_questions(logs.infos, cell, logs.name)
@@ -260,7 +278,7 @@ def _read(
         findings = (*about_log, *about_span, *chosen, *cautions, *idle, *questions, *about_clocks, *about_samples)
         beside = joint_findings(choices[Role.POSE], recording, cell, chain, logs)
         findings = (*findings, *recording.findings, *beside)
-    return replace(recording, sha256=digests(files), findings=findings, keeps_holes=salvage), times
+    return replace(recording, sha256=digests(files), findings=findings, keeps_holes=keeps_holes), times
 
 
 def _check_fields(choices: Iterable[Choice], logs: OpenedLogs) -> None:

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from autotune.campaign.fleet import Change, changes, unusual
-from autotune.campaign.text import change_text, outcome_text, parameter_text, unusual_text
+from autotune.campaign.text import outcome_text, unusual_text
 from autotune.campaign.work import RunOutcome
+from autotune.drift import change_text, parameter_text
 
 NAMES = ("payload.mass_kg", "x.coupling_stiffness_n_per_m", "x.delay_s")
 TRUE, STD = (16.0, 3e5, 2.4e-3), (0.02, 3e3, 2e-5)

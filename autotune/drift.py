@@ -1,0 +1,79 @@
+"""What changed in a cell from one identification to the next."""
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+from autotune.formats.units import axis_units
+from identification.result import Identified
+from problems.model.axis_kind import for_people
+from problems.model.plant_parameters import PARAMETERS
+
+MASS = "payload.mass_kg"
+_CHANGED_STDS = 3.0
+# Changes below this share of the value matter to no controller, however well they are known.
+_LEAST_CHANGE = 0.002
+
+Values = Mapping[str, tuple[float, float]]
+"""Value and standard deviation in SI, by name."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Change:
+    """What changed in a cell from one run to the next: `stds` deviations of the difference."""
+
+    cell: str
+    before: str
+    after: str
+    name: str
+    old: float
+    new: float
+    stds: float
+
+
+def identified_values(result: Identified) -> dict[str, tuple[float, float]]:
+    """Return what is identified of payload, axes and surfaces; what has no value or deviation is left out."""
+    named = {MASS: result.payload.mass_kg}
+    for name, axis in result.axes.items():
+        named |= {f"{name}.{key}": each for key, each in axis.plant_estimates().items()}
+        named |= {f"{name}.{each.name}.stiffness_n_per_m": each.stiffness_n_per_m for each in axis.environments}
+    return {
+        name: (each.value, each.std) for name, each in named.items() if each.value is not None and each.std is not None
+    }
+
+
+def differences(cell: str, before: tuple[str, Values], after: tuple[str, Values]) -> Iterator[Change]:
+    """Yield what differs between two named runs by more than three deviations of the difference and 0.2 %."""
+    for name in before[1]:
+        if name not in after[1]:
+            continue
+        (old, old_std), (new, new_std) = before[1][name], after[1][name]
+        std = math.hypot(old_std, new_std)
+        stds = abs(new - old) / std if std > 0.0 else math.inf
+        if stds > _CHANGED_STDS and abs(new - old) > _LEAST_CHANGE * abs(old):
+            yield Change(cell=cell, before=before[0], after=after[0], name=name, old=old, new=new, stds=stds)
+
+
+def parameter_name(name: str) -> tuple[str, float, str]:
+    """Return what a parameter is called for people, and factor and unit in which it is shown."""
+    axis, _, key = name.rpartition(".")
+    if name == MASS:
+        label, unit = "payload mass", "kg"
+    elif key in PARAMETERS:
+        label, unit = f"{axis}: {PARAMETERS[key].symbol}", axis_units(axis).unit(PARAMETERS[key].kind)
+    else:
+        label, unit = f"{axis.replace('.', ': ')}: K_e", axis_units(axis.partition(".")[0]).stiffness
+    return label, *for_people(unit)
+
+
+def parameter_text(name: str, *values: float) -> tuple[str, ...]:
+    """Return a parameter's name for people, its unit, and the values in that unit."""
+    label, scale, unit = parameter_name(name)
+    return label, unit, *(f"{scale * value:.4g}" for value in values)
+
+
+def change_text(change: Change) -> str:
+    """Say what changed in a cell in a sentence."""
+    label, unit, old, new = parameter_text(change.name, change.old, change.new)
+    runs = f"{f'{change.cell}: from' if change.cell else 'From'} {change.before} to {change.after}"
+    return f"{runs}, {label} went from {old} to {new} {unit}, {change.stds:.1f} standard deviations."

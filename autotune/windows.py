@@ -1,0 +1,150 @@
+"""Windows of a long log: what each of them identifies, what changed between them, and which of them give the result."""
+
+import itertools
+import statistics
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from autotune.drift import MASS, Change, Values, change_text, differences
+from autotune.text import with_deviation
+from identification.errors import EstimateError
+from identification.result import Finding
+
+SHORTEST_S = 20.0
+"""A window must hold a few poses at rest, a sweep or a contact."""
+_MOST_USED = 8
+_OF_A_SURFACE = ".stiffness_n_per_m"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Window:
+    """A part of a long log, from `start_s` to `stop_s` after its first message on the recording clock.
+
+    `log` names it where there are several.
+    `values` are value and standard deviation in SI of what it identifies, by name; `refused` says why there is nothing,
+    `is_used` whether it is one of those that give the result.
+    """
+
+    start_s: float
+    stop_s: float
+    log: str = ""
+    values: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    refused: str = ""
+    is_used: bool = False
+
+    @property
+    def name(self) -> str:
+        """How people find it in the log."""
+        return f"{self.log} {_clock(self.start_s)} to {_clock(self.stop_s)}".lstrip()
+
+    def tree(self) -> dict[str, Any]:
+        """Return it as plain data for the provenance."""
+        values = {name: list(each) for name, each in self.values.items()}
+        refused = {"refused": self.refused} if self.refused else {}
+        log = {"log": self.log} if self.log else {}
+        return {**log, "from_s": self.start_s, "to_s": self.stop_s, "used": self.is_used, **refused, "values": values}
+
+    @classmethod
+    def from_tree(cls, tree: Mapping[str, Any]) -> "Window":
+        """Return the window that a provenance holds."""
+        values = {name: (float(value), float(std)) for name, (value, std) in tree["values"].items()}
+        start_s, stop_s = float(tree["from_s"]), float(tree["to_s"])
+        said = {"log": tree.get("log", ""), "refused": tree.get("refused", ""), "is_used": bool(tree["used"])}
+        return cls(start_s=start_s, stop_s=stop_s, values=values, **said)
+
+
+def windows_of(provenance: Mapping[str, Any]) -> tuple[Window, ...]:
+    """Return the windows in which a plant was identified; none where the log was read as a whole."""
+    return tuple(map(Window.from_tree, provenance.get("windows", ())))
+
+
+def _clock(seconds: float) -> str:
+    whole = round(seconds)
+    return f"{whole // 3600}:{whole // 60 % 60:02}:{whole % 60:02}"
+
+
+def most_telling(windows: Sequence[Window]) -> tuple[int, ...]:
+    """Return which windows give the result: of the largest set that agrees, those that say most and say it best.
+
+    Windows agree where payload, coupling and robot do; a surface may be another one. Of equally large sets the one with
+    the later windows is taken.
+
+    Raises EstimateError where no window identifies anything.
+    """
+    having = [k for k, each in enumerate(windows) if each.values]
+    if not having:
+        reasons = Counter(each.refused for each in windows)
+        reason, count = reasons.most_common(1)[0]
+        raise EstimateError(f"Of {len(windows)} windows none identifies anything, {count} of them since: {reason}")
+    plants = {k: _plant(windows[k].values) for k in having}
+    sets = [[k for k in having if not any(differences("", ("", plants[k]), ("", plants[of])))] for of in having]
+    agreeing = max(sets, key=lambda each: (len(each), each[-1]))
+    return tuple(sorted(sorted(agreeing, key=lambda k: _unsure(windows[k].values))[:_MOST_USED]))
+
+
+def _plant(values: Values) -> dict[str, tuple[float, float]]:
+    return {name: each for name, each in values.items() if not name.endswith(_OF_A_SURFACE)}
+
+
+def _unsure(values: Values) -> tuple[int, float]:
+    """Return what sorts windows: first those with many values, then those with small relative deviations."""
+    shares = [std / abs(value) for value, std in values.values() if value]
+    return -len(values), statistics.median(shares) if shares else 0.0
+
+
+def window_changes(windows: Sequence[Window]) -> tuple[Change, ...]:
+    """Return what changed in the plant from one window that identifies something to the next that does."""
+    named = [(each.name, _plant(each.values)) for each in windows]
+    last: dict[str, tuple[str, tuple[float, float]]] = {}
+    found: list[Change] = []
+    for name, values in named:
+        for key, value in values.items():
+            if key in last:
+                found += differences("", (last[key][0], {key: last[key][1]}), (name, {key: value}))
+            last[key] = name, value
+    return tuple(found)
+
+
+def window_columns() -> tuple[str, ...]:
+    """Return the columns of a table of windows."""
+    return "window", "payload mass [kg]", "± std", "identified", "use"
+
+
+def window_rows(windows: Sequence[Window]) -> tuple[tuple[str, ...], ...]:
+    """Return a row of each window; those that are refused one after the other for the same reason are one row."""
+    rows: list[tuple[str, ...]] = []
+    for refused, group in itertools.groupby(windows, key=lambda each: each.refused):
+        held = list(group)
+        if refused:
+            name = f"{held[0].name.partition(' to ')[0]} to {held[-1].name.rpartition(' to ')[2]}"
+            rows.append((f"{name} ({len(held)})" if len(held) > 1 else name, "-", "-", "0", refused))
+            continue
+        for each in held:
+            mass = with_deviation(*each.values[MASS]) if MASS in each.values else ("-", "-")
+            use = "gives the result" if each.is_used else "nothing known of it" if not each.values else ""
+            rows.append((each.name, *mass, str(len(each.values)), use))
+    return tuple(rows)
+
+
+def window_findings(windows: Sequence[Window]) -> tuple[Finding, ...]:
+    """Report what changed within a log, and how many windows gave the result."""
+    used, silent = [each for each in windows if each.is_used], sum(not each.values for each in windows)
+    changed = window_changes(windows)
+    return (
+        *(
+            Finding.warning(
+                "changed-within-log",
+                change_text(change),
+                "Record each payload on its own where this was no drift; the result is of the windows that agree.",
+            )
+            for change in changed
+        ),
+        Finding.info(
+            "windows",
+            f"Of {len(windows)} windows {len(used)} give the result ({', '.join(each.name for each in used)}); "
+            f"{silent} identify nothing.",
+            "",
+        ),
+    )

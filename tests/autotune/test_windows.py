@@ -1,0 +1,185 @@
+"""Long logs in windows: the numbers of recordings on their own, what changed, and nothing read but the window."""
+
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from autotune.drift import MASS
+from autotune.errors import UsageError
+from autotune.pipeline import IdentifyOptions, identify_log
+from autotune.results import Identification
+from autotune.simulation.simulate import made_later, simulate_cell
+from autotune.simulation.truth import SimulatedCell
+from autotune.simulation.write import write_mcap
+from autotune.windows import Window, most_telling, window_changes, window_rows, windows_of
+from identification.errors import EstimateError, LogError
+from identification.logs import inspect, read
+from identification.logs.containers.channel import ByteArray
+from identification.logs.containers.mcap_file import ChunkReader
+from identification.logs.containers.mcap_layout import Chunk
+from identification.logs.inspect import inspect_log
+from identification.logs.read import LogSpan, read_recording, window_bounds
+from identification.signals.recording import Recording, join_recordings
+from tests.autotune.simulation.runs import SHORT
+
+PROGRAM = replace(SHORT, pose_count=5, pose_hold_s=1.0, jogging_s=2.0, sweep_s=2.0, contact_count=0)
+WIDTH_S = 40.0
+IN_WINDOWS = IdentifyOptions(allow_partial=True, windows_s=WIDTH_S)
+LIGHTER = replace(SimulatedCell(), payload_mass_kg=11.3, inertia_S_kg_m2=(0.4, 0.38, 0.15))
+
+
+def written(path: Path, *recordings: Recording) -> Path:
+    write_mcap(join_recordings([made_later(each, k * WIDTH_S / 3600.0) for k, each in enumerate(recordings)]), path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def days() -> tuple[Recording, Recording]:
+    """Two recordings of the same cell, each shorter than a window."""
+    first, second = (simulate_cell(SimulatedCell(), PROGRAM, seed=seed).recording for seed in (1, 2))
+    return first, second
+
+
+@pytest.fixture(scope="module")
+def long_log(tmp_path_factory: pytest.TempPathFactory, days: tuple[Recording, Recording]) -> Path:
+    return written(tmp_path_factory.mktemp("long") / "day.mcap", *days)
+
+
+@pytest.fixture(scope="module")
+def in_windows(long_log: Path) -> Identification:
+    return identify_log(long_log, IN_WINDOWS)
+
+
+def test_windows_show_what_the_recordings_in_them_show(
+    tmp_path: Path, days: tuple[Recording, Recording], in_windows: Identification
+) -> None:
+    parts = [tmp_path / "monday.mcap", tmp_path / "tuesday.mcap"]
+    write_mcap(days[0], parts[0])
+    write_mcap(made_later(days[1], WIDTH_S / 3600.0), parts[1])
+    apart = identify_log(parts, IdentifyOptions(allow_partial=True))
+    assert in_windows.result.payload == apart.result.payload
+    assert in_windows.result.axes["x"].coupling == apart.result.axes["x"].coupling
+    assert in_windows.result.axes["x"].robot == apart.result.axes["x"].robot
+    first, second = windows_of(in_windows.provenance)
+    assert (first.name, second.name) == ("0:00:00 to 0:00:40", "0:00:40 to 0:01:01")
+    assert first.is_used
+    assert second.is_used
+    assert first.values[MASS][0] == pytest.approx(16.2, abs=3.0 * first.values[MASS][1])
+
+
+def test_only_the_chunks_of_a_window_are_unpacked(long_log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    opened: list[int] = []
+    unpack = ChunkReader.unpack
+
+    def noted(reader: ChunkReader, chunk: Chunk) -> ByteArray:
+        opened.append(chunk.start_ns)
+        return unpack(reader, chunk)
+
+    monkeypatch.setattr(ChunkReader, "unpack", noted)
+    whole = read_recording(long_log)
+    every, begin = len(opened), int(whole.wrench.stamp_ns[0])
+    opened.clear()
+    window = (begin, begin + round(WIDTH_S * 1e9))
+    part = read_recording(long_log, span=LogSpan(recorded_ns=window))
+    assert 0 < len(opened) < 0.7 * every
+    assert max(opened) < window[1]
+    kept = whole.wrench.stamp_ns < window[1]
+    np.testing.assert_array_equal(part.wrench.stamp_ns, whole.wrench.stamp_ns[kept])
+    np.testing.assert_array_equal(part.wrench.force_n, whole.wrench.force_n[kept])
+
+
+def test_a_payload_that_was_swapped_is_named_and_the_windows_that_agree_give_the_result(
+    tmp_path: Path, days: tuple[Recording, Recording]
+) -> None:
+    swapped = simulate_cell(LIGHTER, PROGRAM, seed=3).recording
+    found = identify_log(written(tmp_path / "swap.mcap", *days, swapped), IN_WINDOWS, processes=2)
+    assert found.result.payload.mass_kg.value == pytest.approx(16.2, rel=5e-3)
+    assert [each.is_used for each in windows_of(found.provenance)] == [True, True, False]
+    (change,) = (each for each in window_changes(windows_of(found.provenance)) if each.name == MASS)
+    assert change.old == pytest.approx(16.2, rel=5e-3)
+    assert change.new == pytest.approx(11.3, rel=5e-3)
+    (said,) = (each.message for each in found.result.findings if "payload mass went from" in each.message)
+    assert "From 0:00:40 to 0:01:20 to 0:01:20 to" in said
+
+
+def test_a_log_of_which_no_window_says_anything_is_refused_with_the_commonest_reason(long_log: Path) -> None:
+    with pytest.raises(LogError, match="no_such_topic"):
+        identify_log(long_log, replace(IN_WINDOWS, wrench_topic="/no_such_topic"))
+
+
+def test_windows_are_of_a_whole_log(long_log: Path) -> None:
+    with pytest.raises(UsageError, match="leave out the part"):
+        identify_log(long_log, replace(IN_WINDOWS, start=3.0))
+
+
+def test_a_long_log_is_looked_at_in_windows_and_its_channels_are_those_of_the_whole(
+    long_log: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = inspect_log(long_log)
+    for module in (inspect, read):
+        monkeypatch.setattr(module, "LONGEST_WHOLE_S", 30.0)
+        monkeypatch.setattr(module, "WINDOW_S", WIDTH_S)
+    found = inspect_log(long_log)
+    assert [each.topic for each in found.channels] == [each.topic for each in whole.channels]
+    for one, other in zip(found.channels, whole.channels, strict=True):
+        assert (one.count, one.backwards_steps, one.duplicates) == (
+            other.count,
+            other.backwards_steps,
+            other.duplicates,
+        )
+        assert one.median_gap_s == pytest.approx(other.median_gap_s)
+    assert any(finding.code == "windows" for finding in found.findings)
+
+
+@pytest.mark.parametrize(("length_s", "count"), [(10.0, 1), (59.0, 1), (61.0, 2), (120.0, 3), (139.0, 3), (141.0, 4)])
+def test_windows_cover_a_log_once_and_none_is_shorter_than_half(length_s: float, count: int) -> None:
+    bounds = window_bounds(7, 7 + round(length_s * 1e9), 40.0)
+    assert len(bounds) == count
+    assert bounds[0][0] == 7
+    assert bounds[-1][1] == 8 + round(length_s * 1e9)
+    assert all(one[1] == other[0] for one, other in pairwise(bounds))
+    assert count == 1 or all(stop - start >= 20e9 for start, stop in bounds)
+
+
+def window(
+    start: int, mass: tuple[float, float] | None = None, *, refused: str = "", surface: float | None = None
+) -> Window:
+    held = {} if mass is None else {MASS: mass}
+    held |= {} if surface is None else {"x.x1.stiffness_n_per_m": (surface, 10.0)}
+    return Window(start_s=60.0 * start, stop_s=60.0 * (start + 1), values=held, refused=refused)
+
+
+def test_the_largest_set_that_agrees_gives_the_result_and_a_surface_may_be_another_one() -> None:
+    windows = [
+        window(0, (16.2, 0.01)),
+        window(1, (11.3, 0.01)),
+        window(2, (16.21, 0.01), surface=1e5),
+        window(3, refused="no rests"),
+        window(4, surface=2e5),
+    ]
+    assert most_telling(windows) == (0, 2, 4)
+
+
+def test_of_many_windows_those_that_say_most_are_taken() -> None:
+    windows = [window(k, (16.2, 0.1 / (k + 1))) for k in range(12)]
+    assert most_telling(windows) == tuple(range(4, 12))
+
+
+def test_without_any_value_the_commonest_reason_is_given() -> None:
+    with pytest.raises(EstimateError, match="Of 3 windows none identifies anything, 2 of them since: no rests"):
+        most_telling([window(0, refused="no rests"), window(1, refused="no sweep"), window(2, refused="no rests")])
+
+
+def test_windows_that_are_refused_alike_are_one_row() -> None:
+    rows = window_rows([window(0, (16.2, 0.01)), *(window(k, refused="no rests") for k in (1, 2, 3))])
+    assert [row[0] for row in rows] == ["0:00:00 to 0:01:00", "0:01:00 to 0:04:00 (3)"]
+    assert rows[1][-1] == "no rests"
+
+
+def test_a_cell_without_windows_has_none(in_windows: Identification) -> None:
+    assert windows_of({}) == ()
+    tree = [each.tree() for each in windows_of(in_windows.provenance)]
+    assert [Window.from_tree(each) for each in tree] == [*windows_of(in_windows.provenance)]
