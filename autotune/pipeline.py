@@ -274,6 +274,9 @@ def _windows(run: tuple[Path, ...], spans: Sequence[tuple[int, int]], width_s: f
 
 def _telling(pieces: Sequence[_Piece], outcomes: Sequence[_Outcome]) -> tuple[list[_Run], tuple[Window, ...]]:
     """Return the windows that give the result, without what is only worth knowing of each, and all of them in short."""
+    faults = [each for each in outcomes if isinstance(each, LogError)]
+    if len(faults) == len(outcomes) and len({str(each) for each in faults}) == 1:
+        raise faults[0]
     windows = []
     for piece, outcome in zip(pieces, outcomes, strict=True):
         if piece.window is None:

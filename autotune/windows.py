@@ -75,13 +75,22 @@ def most_telling(windows: Sequence[Window]) -> tuple[int, ...]:
     """
     having = [k for k, each in enumerate(windows) if each.values]
     if not having:
-        reasons = Counter(each.refused for each in windows)
+        reasons = Counter(each.refused or "what is needed is not in it" for each in windows)
         reason, count = reasons.most_common(1)[0]
         raise EstimateError(f"Of {len(windows)} windows none identifies anything, {count} of them since: {reason}")
+    ranked = sorted(having, key=lambda k: _unsure(windows[k].values))
     plants = {k: _plant(windows[k].values) for k in having}
-    sets = [[k for k in having if not any(differences("", ("", plants[k]), ("", plants[of])))] for of in having]
-    agreeing = max(sets, key=lambda each: (len(each), each[-1]))
-    return tuple(sorted(sorted(agreeing, key=lambda k: _unsure(windows[k].values))[:_MOST_USED]))
+    pairs = itertools.product(having, having)
+    agree = {(i, j): not any(differences("", ("", plants[i]), ("", plants[j]))) for i, j in pairs}
+    sets = []
+    for first in ranked:
+        chosen = [first]
+        for k in ranked:
+            if k != first and all(agree[k, other] for other in chosen):
+                chosen.append(k)
+        sets.append(chosen)
+    agreeing = max(sets, key=lambda each: (len(each), max(each)))
+    return tuple(sorted([k for k in ranked if k in agreeing][:_MOST_USED]))
 
 
 def _plant(values: Values) -> dict[str, tuple[float, float]]:

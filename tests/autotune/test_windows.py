@@ -79,7 +79,7 @@ def test_only_the_chunks_of_a_window_are_unpacked(long_log: Path, monkeypatch: p
         return unpack(reader, chunk)
 
     monkeypatch.setattr(ChunkReader, "unpack", noted)
-    whole = read_recording(long_log)
+    whole = read_recording(long_log, span=LogSpan(recorded_ns=(0, 2**62)))
     every, begin = len(opened), int(whole.wrench.stamp_ns[0])
     opened.clear()
     window = (begin, begin + round(WIDTH_S * 1e9))
