@@ -12,7 +12,7 @@ from autotune.formats.cell import CellFile
 from autotune.processes import map_in_processes
 from autotune.results import Identification
 from autotune.version import __version__
-from autotune.windows import Window, most_telling, window_findings
+from autotune.windows import HOLE, Window, most_telling, window_findings
 from identification.advice import advise
 from identification.axis_findings import CLOCKS_AGREE
 from identification.errors import EstimateError, LogError, OutsideSpanError
@@ -282,7 +282,9 @@ def _telling(pieces: Sequence[_Piece], outcomes: Sequence[_Outcome]) -> tuple[li
         if piece.window is None:
             continue
         if isinstance(outcome, _Run):
-            windows.append(replace(piece.window, values=identified_values(outcome.named.result)))
+            found = outcome.named.result
+            has_pauses = any(finding.code == HOLE for finding in found.findings)
+            windows.append(replace(piece.window, values=identified_values(found), has_pauses=has_pauses))
         else:
             windows.append(replace(piece.window, refused=str(outcome)))
     used = most_telling(windows)
@@ -296,7 +298,12 @@ def _of_a_window(run: _Run, axes: Collection[str]) -> _Run:
     """Return a window's result without what is only worth knowing of it, and without axes of which no window knows."""
     result = run.named.result
     found = {name: axis for name, axis in result.axes.items() if name in axes}
-    kept = tuple(finding for finding in result.findings if finding.severity != "info")
+    dropped = tuple(f"Axis {name}:" for name in result.axes if name not in axes)
+    kept = tuple(
+        finding
+        for finding in result.findings
+        if finding.severity != "info" and finding.code != HOLE and not finding.message.startswith(dropped)
+    )
     return replace(run, named=replace(run.named, result=replace(result, axes=found, findings=kept)))
 
 

@@ -15,6 +15,8 @@ from identification.result import Finding
 SHORTEST_S = 20.0
 """A window must hold a few poses at rest, a sweep or a contact."""
 _MOST_USED = 8
+HOLE = "hole"
+"""The code of the finding that a log has a pause of the recorder, or lost messages."""
 _OF_A_SURFACE = ".stiffness_n_per_m"
 
 
@@ -23,6 +25,7 @@ class Window:
     """A part of a long log, from `start_s` to `stop_s` after its first message on the recording clock.
 
     `log` names it where there are several.
+    `has_pauses` says that the recorder paused in it, or that messages are lost; what lies around them is not used.
     `values` are value and standard deviation in SI of what it identifies, by name; `refused` says why there is nothing,
     `is_used` whether it is one of those that give the result.
     """
@@ -33,6 +36,7 @@ class Window:
     values: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     refused: str = ""
     is_used: bool = False
+    has_pauses: bool = False
 
     @property
     def name(self) -> str:
@@ -43,7 +47,7 @@ class Window:
         """Return it as plain data for the provenance."""
         values = {name: list(each) for name, each in self.values.items()}
         refused = {"refused": self.refused} if self.refused else {}
-        log = {"log": self.log} if self.log else {}
+        log = ({"log": self.log} if self.log else {}) | ({"pauses": True} if self.has_pauses else {})
         return {**log, "from_s": self.start_s, "to_s": self.stop_s, "used": self.is_used, **refused, "values": values}
 
     @classmethod
@@ -51,7 +55,12 @@ class Window:
         """Return the window that a provenance holds."""
         values = {name: (float(value), float(std)) for name, (value, std) in tree["values"].items()}
         start_s, stop_s = float(tree["from_s"]), float(tree["to_s"])
-        said = {"log": tree.get("log", ""), "refused": tree.get("refused", ""), "is_used": bool(tree["used"])}
+        said = {
+            "log": tree.get("log", ""),
+            "refused": tree.get("refused", ""),
+            "is_used": bool(tree["used"]),
+            "has_pauses": bool(tree.get("pauses")),
+        }
         return cls(start_s=start_s, stop_s=stop_s, values=values, **said)
 
 
@@ -140,6 +149,7 @@ def window_rows(windows: Sequence[Window]) -> tuple[tuple[str, ...], ...]:
 def window_findings(windows: Sequence[Window]) -> tuple[Finding, ...]:
     """Report what changed within a log, and how many windows gave the result."""
     used, silent = [each for each in windows if each.is_used], sum(not each.values for each in windows)
+    pauses = sum(each.has_pauses for each in used)
     changed = window_changes(windows)
     return (
         *(
@@ -153,7 +163,7 @@ def window_findings(windows: Sequence[Window]) -> tuple[Finding, ...]:
         Finding.info(
             "windows",
             f"Of {len(windows)} windows {len(used)} give the result ({', '.join(each.name for each in used)}); "
-            f"{silent} identify nothing.",
+            f"{silent} identify nothing; in {pauses} of those used the recorder paused or lost messages.",
             "",
         ),
     )

@@ -14,7 +14,7 @@ from autotune.results import Identification
 from autotune.simulation.simulate import made_later, simulate_cell
 from autotune.simulation.truth import SimulatedCell
 from autotune.simulation.write import write_mcap
-from autotune.windows import Window, most_telling, window_changes, window_rows, windows_of
+from autotune.windows import Window, most_telling, window_changes, window_findings, window_rows, windows_of
 from identification.errors import EstimateError, LogError
 from identification.logs import inspect, read
 from identification.logs.containers.channel import ByteArray
@@ -177,6 +177,14 @@ def test_windows_that_are_refused_alike_are_one_row() -> None:
     rows = window_rows([window(0, (16.2, 0.01)), *(window(k, refused="no rests") for k in (1, 2, 3))])
     assert [row[0] for row in rows] == ["0:00:00 to 0:01:00", "0:01:00 to 0:04:00 (3)"]
     assert rows[1][-1] == "no rests"
+
+
+def test_pauses_of_the_recorder_are_counted_over_the_windows_that_are_used() -> None:
+    paused = Window(start_s=0.0, stop_s=60.0, values={MASS: (16.2, 0.1)}, is_used=True, has_pauses=True)
+    assert Window.from_tree(paused.tree()) == paused
+    *_, said = window_findings([paused, replace(paused, is_used=False), replace(paused, has_pauses=False)])
+    assert "Of 3 windows 2 give the result" in said.message
+    assert "in 1 of those used the recorder paused" in said.message
 
 
 def test_a_cell_without_windows_has_none(in_windows: Identification) -> None:
