@@ -241,7 +241,9 @@ def _split(path: str, unit: str) -> tuple[tuple[str, ...], str, str]:
 
 
 def _parted(word: str) -> tuple[str, ...]:
-    """Return a German compound in its two words."""
+    """Return a German compound in its two words, and an axis with what it is (`Xset`)."""
+    if word[0] in "xyzabc" and word[1:] in _COMMANDS | _MEASURED:
+        return word[0], word[1:]
     for before in _BEFORE:
         rest = word.removeprefix(before)
         if rest != word and (rest in _KNOWN or (rest[:-1] in _KNOWN and rest[-1:] in "xyz")):

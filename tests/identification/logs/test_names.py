@@ -74,7 +74,7 @@ def test_words_say_what_is_commanded_measured_and_processed() -> None:
     assert (goal.is_processed, actual.is_processed, filtered.is_processed) == (False, False, True)
 
 
-@pytest.mark.parametrize("names", ["{}_cmd", "TCP_{}_ref", "{}_soll [mm]"])
+@pytest.mark.parametrize("names", ["{}_cmd", "{}set", "TCP_{}_ref", "{}_soll [mm]"])
 def test_what_is_commanded_may_be_said_behind_the_axis(names: str) -> None:
     found = read_names([names.format(axis) for axis in "xyz"])
     assert [(vector.kind, vector.is_command) for vector in found.vectors] == [(Meaning.POSITION, True)]
