@@ -71,7 +71,7 @@ class MdkAxis:
         if self._is_from_measured:
             return (
                 Variable(name="damping in free space", low=low, high=high),
-                Variable(name="share of D in it", low=0.0, high=_MOST_OWN, ratio=False),
+                Variable(name="D over the damping in free space", low=0.0, high=_MOST_OWN, ratio=False),
             )
         least, most = self.form.damping
         high = max(least, min(high, most))

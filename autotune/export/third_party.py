@@ -274,7 +274,7 @@ def _dropped(controller: Controller) -> Iterator[str]:
         )
     payload = controller.payload
     if any((*payload.force_bias_n, *payload.torque_bias_n_m)):
-        bias = ", ".join(f"{each:g}" for each in (*payload.force_bias_n, *payload.torque_bias_n_m))
+        bias = ", ".join(f"{each + 0.0:g}" for each in (*payload.force_bias_n, *payload.torque_bias_n_m))
         yield f"sensor bias ({bias}) N and N·m: remove it before the wrench reaches the controller"
     soft = controller.certificate.soft or {}
     if any(soft.values()):
@@ -286,13 +286,12 @@ def _text(
     source: ControllerFile, file: ParameterFile, axes: tuple[TranslatedAxis, ...], dropped: tuple[str, ...]
 ) -> str:
     """Return the whole file, comments first."""
+    check = " Names of joints, frames and topics are those of your installation: check them."
+    names = "" if isinstance(file.content, str) else check
     comments = [
         f"Written by autotune {__version__} for {file.software}.",
         f"Source: {source.path.name} with checksum {short(source.checksum)} (sha256 {source.checksum}).",
-        (
-            f"Holds at an update rate of {file.update_rate_hz} Hz and for the cell of that file. Names of joints, "
-            "frames and topics are those of your installation: check them."
-        ),
+        f"Holds at an update rate of {file.update_rate_hz} Hz and for the cell of that file.{names}",
         "",
     ]
     for each in axes:

@@ -103,7 +103,7 @@ def simulate_on(
         sensor_force_n=run.sensor_force_n,
         contact_force_n=run.contact_force_n,
         contact_speed_m_s=run.impact_speed_m_s or 0.0,
-        driving_force_n=run.driving_force_n,
+        driving_force_n=run.driving_force_n if approach.after_impact_n is None else approach.after_impact_n,
         peak_sensor_force_n=run.peak_sensor_force_n,
         time_of_sensor_peak_s=run.time_of_sensor_peak_s,
         peak_contact_force_n=run.peak_contact_force_n,

@@ -274,12 +274,14 @@ def missing_sentence(role: Role, log: str, infos: Infos, source: Source | None =
         f"the log holds {listed(types, empty='nothing')}; {ROLES[role].record}."
     )
     undeclared = [info.channel.topic for info in infos if info.count and is_undeclared(info)]
-    if role is Role.COMMAND or not undeclared:
+    if not undeclared:
         return sentence
+    declare = f"declare `{ROLES[role].entry}: {{topic: …, fields: …}}` in cell.yaml"
+    if role is Role.COMMAND:
+        return f"{sentence} If {listed(undeclared)} has it, {declare}."
     return (
-        f"{sentence} {listed(undeclared)} may carry it, but the log does not say what its numbers mean: declare "
-        f"`{ROLES[role].entry}: {{topic: …, fields: …}}` in cell.yaml; `autotune inspect LOG --write-cell cell.yaml` "
-        "begins such a file."
+        f"{sentence} {listed(undeclared)} may carry it, but the log does not say what its numbers mean: {declare}; "
+        "`autotune inspect LOG --write-cell cell.yaml` begins such a file."
     )
 
 

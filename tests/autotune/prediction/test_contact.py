@@ -313,6 +313,9 @@ def test_a_subtractive_deadband_raises_the_peak_by_about_its_width() -> None:
     assert with_it.sensor_force_n[-1] == pytest.approx(35.0, rel=0.02)
     without = predict_contact(plants, Law(controller=PLAIN), approach).contact
     assert without.sensor_force_n[-1] == pytest.approx(30.0, rel=0.02)
+    # What drives is what acts after the impact, whatever led to it.
+    replayed = predict_contact(plants, law, Approach(speed_m_s=0.01, after_impact_n=30.0)).contact
+    assert replayed.driving_force_n == 30.0
 
 
 @pytest.mark.parametrize(
