@@ -239,7 +239,7 @@ def _bias_notes(payload: "RuntimePayload", options: Ros2Options, *, has_referenc
             "The controller takes no bias off the wrench, which is a force that moves the arm. What is published on "
             f"~/wrench_reference in the frame {options.sensor_frame} is added to the measured wrench: publish −bias "
             f"there before a contact, ({numbers}) N and N·m, and F^d − bias for a desired force. Until the first "
-            "message the bias acts."
+            "message the bias acts. Where the sensor's driver already takes it off, publish F^d alone: once, not twice."
         )
     else:
         yield (

@@ -4,6 +4,7 @@ The written parameters are those that were certified, digit for digit.
 """
 
 import math
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -294,10 +295,20 @@ def _text(
         f"Holds at an update rate of {file.update_rate_hz} Hz and for the cell of that file.{names}",
         "",
     ]
-    for each in axes:
-        comments += [*_certificate(each), *each.notes, ""]
+    comments += _by_axes({each.axis: (*_certificate(each), *each.notes) for each in axes})
     comments += [f"Dropped: {line}." for line in dropped] or ["Nothing of the file is dropped."]
     return render_commented(file.content, [*comments, "", *file.notes, ""])
+
+
+def _by_axes(said: Mapping[str, Sequence[str]]) -> Iterator[str]:
+    """Yield what is said of each axis and a blank line; what is the same of several is said once, of `Axes x, y`."""
+    alike: dict[tuple[str, ...], list[str]] = {}
+    for axis, lines in said.items():
+        alike.setdefault(tuple(re.sub(rf"^([Aa])xis {axis}:", r"\1x\0:", line) for line in lines), []).append(axis)
+    for key, axes in alike.items():
+        names = f"is {axes[0]}" if len(axes) == 1 else f"es {', '.join(axes)}"
+        yield from (line.replace("\0", names, 1) for line in key)
+        yield ""
 
 
 def _certificate(each: TranslatedAxis) -> Iterator[str]:
