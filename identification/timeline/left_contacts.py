@@ -50,8 +50,11 @@ def learn_slope(
 
     The lower end is the slope of force over way, the upper end the inverse of that of way over force (errors in either
     of them), both wider by three deviations of what K_s, `coupling` [N/m], and the model leave open, with
-    dK_e = K_e² d(1/K_s). Clear: nine tenths of the variance, no softer than a surface may be, and open by half at most.
+    dK_e = K_e² d(1/K_s). Clear: nine tenths of the variance, no softer than a surface may be, and open by half at most;
+    and the log shows the onset, since on the way out alone damping makes a surface seem stiffer.
     """
+    if contact.onset is None:
+        return None
     sign = int(press_sign(of, contact.hold))
     force, way = sign * payload.touch_n[contact.span.slice], sign * payload.position_m[contact.span.slice]
     known = np.isfinite(force) & np.isfinite(way)

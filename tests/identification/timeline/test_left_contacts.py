@@ -127,6 +127,8 @@ def test_without_a_coupling_no_slope_is_reported() -> None:
     # K_s to a third leaves more than half of a stiff wall open.
     vague = replace(K_S, std=0.33 * LOAD.stiffness)
     assert learn_slope(axis.of, axis.payload, contact, vague) is None
+    # The way out alone is none of a spring: the damping works with it.
+    assert learn_slope(axis.of, axis.payload, replace(contact, onset=None), K_S) is None
 
 
 @pytest.mark.parametrize("coupling", [K_S, replace(K_S, std=0.33 * LOAD.stiffness)])
