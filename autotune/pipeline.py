@@ -19,12 +19,12 @@ from identification.errors import EstimateError, LogError, OutsideSpanError
 from identification.evidence import Evidence
 from identification.given import Given, check_names
 from identification.identify import identify_with_evidence
-from identification.logs.containers.formats import is_table, sha256_of
+from identification.logs.containers.formats import sha256_of
 from identification.logs.read import (
-    LONGEST_WHOLE_S,
     WINDOW_S,
     Instant,
     LogSpan,
+    is_long,
     read_checked_recording,
     recorded_spans,
     separate_runs,
@@ -69,7 +69,7 @@ class IdentifyOptions:
         The gains that ran, in the place of numbers in `cell.yaml`: `mass`, `damping` and `lead` [SI].
     windows_s
         Identify windows of this length [s] each on its own, and take those that say most; None reads a log whole up to
-        twenty minutes, a longer one in windows of ten.
+        twenty minutes or 100 MB, a longer one in windows of ten minutes.
 
     """
 
@@ -134,9 +134,9 @@ def identify_log(
     """Read logs and identify the cell.
 
     Logs that follow each other within a second are one recording; each recording is identified on its own, and the
-    results are combined with each other and with what is given from elsewhere. A recording of over twenty minutes, and
-    one whose options say so, is identified in windows, of which no more is held in memory than is worked on; no signals
-    of them are kept.
+    results are combined with each other and with what is given from elsewhere. A recording of over twenty minutes and
+    100 MB, and one whose options say so, is identified in windows, of which no more is held in memory than is worked
+    on; no signals of them are kept.
 
     Parameters
     ----------
@@ -249,11 +249,10 @@ def _pieces(files: tuple[Path, ...], cell: Cell, options: IdentifyOptions, *, is
     if options.windows_s is not None and not options.span.is_whole:
         raise UsageError("Windows are those of a whole log; leave out the part (--from, --to), or the windows.")
     runs = separate_runs(files, cell, salvage=options.salvage)
-    spans = [recorded_spans(run, cell, salvage=options.salvage) for run in runs]
-    lengths_s = [(max(stop for _, stop in each) - min(start for start, _ in each)) / 1e9 for each in spans]
-    are_long = max(lengths_s) > LONGEST_WHOLE_S and options.span.is_whole and not any(map(is_table, files))
-    if options.windows_s is None and (is_read or not are_long):
+    is_whole = is_read or not options.span.is_whole
+    if options.windows_s is None and (is_whole or not any(is_long(run, cell, salvage=options.salvage) for run in runs)):
         return [_Piece(files=run, span=options.span) for run in runs]
+    spans = [recorded_spans(run, cell, salvage=options.salvage) for run in runs]
     width_s = options.windows_s or WINDOW_S
     several = len(runs) > 1
     return [

@@ -15,16 +15,16 @@ from .checks.clocks import ChannelClock, clock_findings, compare_clocks, measure
 from .checks.robot_state import without_zero_torques
 from .checks.samples import role_faults
 from .containers.channel import Channel, ChannelInfo
-from .containers.formats import digests, is_table
+from .containers.formats import digests
 from .messages.decode import Series, Wanted
 from .numbers import number_fields, number_findings
 from .opened import OpenedLogs, open_logs
 from .read import (
-    LONGEST_WHOLE_S,
     WHOLE,
     WINDOW_S,
     LogSpan,
     cut_series,
+    is_long,
     read_checked_recording,
     recorded_spans,
     window_bounds,
@@ -68,10 +68,8 @@ def inspect_log(
     """
     files = (paths,) if isinstance(paths, Path) else tuple(paths)
     declared = cell or Cell()
-    if reading is None and span == WHOLE and not any(map(is_table, files)):
-        start_ns, end_ns = _ends(recorded_spans(files, declared, salvage=salvage))
-        if (end_ns - start_ns) / 1e9 > LONGEST_WHOLE_S:
-            return _inspect_in_windows(files, declared, window_bounds(start_ns, end_ns, WINDOW_S), salvage=salvage)
+    if reading is None and span == WHOLE and is_long(files, declared, salvage=salvage):
+        return _inspect_in_windows(files, declared, salvage=salvage)
     # A pause of the recorder costs a long log what is around it.
     keeps = salvage or span.recorded_ns is not None
     with open_logs(files, declared, salvage=salvage, recorded_ns=span.recorded_ns) as logs:
@@ -105,11 +103,11 @@ def inspect_log(
         if reading is None:
             reading = _read_findings(files, declared, findings, salvage=salvage, span=span)
         findings += [finding for finding in reading if finding.code not in _TOLD_ELSEWHERE]
-    digest = digests(files)
+    sha256s = digests(files)
     return LogSummary(
         path=files[0],
         container=container,
-        sha256=digest[str(files[0])],
+        sha256=sha256s[str(files[0])],
         size_bytes=sum(map(_size, files)),
         start_ns=ends[0],
         end_ns=ends[1],
@@ -118,18 +116,14 @@ def inspect_log(
         numbers=numbers,
         findings=tuple(dict.fromkeys((*seen, *findings))),
         missing=missing,
-        sha256s=digest,
+        sha256s=sha256s,
     )
 
 
-def _ends(spans: Sequence[tuple[int, int]]) -> tuple[int, int]:
-    return min(start for start, _ in spans), max(stop for _, stop in spans)
-
-
-def _inspect_in_windows(
-    files: tuple[Path, ...], cell: Cell, bounds: Sequence[tuple[int, int]], *, salvage: bool
-) -> LogSummary:
+def _inspect_in_windows(files: tuple[Path, ...], cell: Cell, *, salvage: bool) -> LogSummary:
     """Return the summary of a long log from those of its windows, of which one at a time is in memory."""
+    spans = recorded_spans(files, cell, salvage=salvage)
+    bounds = window_bounds(min(start for start, _ in spans), max(stop for _, stop in spans), WINDOW_S)
     summaries = [inspect_log(files, cell, salvage=salvage, span=LogSpan(recorded_ns=each)) for each in bounds]
     first = summaries[0]
     together = zip(*(each.channels for each in summaries), strict=True)

@@ -20,7 +20,7 @@ from .checks.clocks import ChannelTimes, check_clocks
 from .checks.payload import check_payload
 from .checks.robot_state import drop_idle_command, drop_zero_torques
 from .checks.samples import joined
-from .containers.formats import digests
+from .containers.formats import digests, is_folder, is_table
 from .joints import joint_findings, poses_of_joints, resolve_joints
 from .messages.decode import Series
 from .numbers import number_fields
@@ -35,8 +35,8 @@ Part = dict[Role, Series]
 
 Instant = float | str
 """Seconds after the start of a log, as a number or text; with @ in front a stamp in seconds, as GNU date writes it."""
-LONGEST_WHOLE_S, WINDOW_S = 1200.0, 600.0
-"""A longer log than the first is read in windows of the second, so that its length takes no memory."""
+LONGEST_WHOLE_S, LARGEST_WHOLE_BYTES, WINDOW_S = 1200.0, 100_000_000, 600.0
+"""A log that is longer and larger is read in windows of the third, so that its length takes no memory."""
 _LARGEST_NS = 2**62
 _LONGEST_PAUSE_NS = 10**9
 """A recorder that splits its files goes on at once; who records again takes longer."""
@@ -151,6 +151,16 @@ def recorded_spans(paths: Sequence[Path], cell: Cell, *, salvage: bool = False) 
     """Return the first and the last instant of each log on its recording clock [ns]; raises LogError for no log."""
     with open_logs(tuple(paths), cell, salvage=salvage) as logs:
         return tuple((part.survey.start_ns, part.survey.end_ns) for part in logs.parts)
+
+
+def is_long(paths: Sequence[Path], cell: Cell, *, salvage: bool = False) -> bool:
+    """Return whether logs are read in windows: too long and too large to be in memory as a whole, and no tables."""
+    files = [file for path in paths for file in (path.iterdir() if is_folder(path) else [path]) if file.is_file()]
+    if sum(file.stat().st_size for file in files) <= LARGEST_WHOLE_BYTES or any(map(is_table, paths)):
+        return False
+    spans = recorded_spans(paths, cell, salvage=salvage)
+    length_ns = max(stop for _, stop in spans) - min(start for start, _ in spans)
+    return length_ns / 1e9 > LONGEST_WHOLE_S
 
 
 def window_bounds(start_ns: int, end_ns: int, width_s: float) -> tuple[tuple[int, int], ...]:

@@ -119,9 +119,9 @@ def test_a_long_log_is_looked_at_in_windows_and_its_channels_are_those_of_the_wh
     long_log: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = inspect_log(long_log)
-    for module in (inspect, read):
-        monkeypatch.setattr(module, "LONGEST_WHOLE_S", 30.0)
-        monkeypatch.setattr(module, "WINDOW_S", WIDTH_S)
+    for name, value in (("LONGEST_WHOLE_S", 30.0), ("LARGEST_WHOLE_BYTES", 1_000_000)):
+        monkeypatch.setattr(read, name, value)
+    monkeypatch.setattr(inspect, "WINDOW_S", WIDTH_S)
     found = inspect_log(long_log)
     assert [each.topic for each in found.channels] == [each.topic for each in whole.channels]
     for one, other in zip(found.channels, whole.channels, strict=True):
