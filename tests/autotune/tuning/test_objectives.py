@@ -84,7 +84,7 @@ def test_robustness_is_maximised_certified_and_reported_by_the_command(run_cli: 
     assert said["kkt_residual"] < 1e-4
     assert said["gap_against"]["best"] == pytest.approx(reached, rel=1e-4)
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
-    assert "what holds the robustness back is free space admittance" in page
+    assert "what holds the robustness back is free-space admittance" in page
     assert run_cli("validate", "controller.yaml").returncode == 0
 
 
