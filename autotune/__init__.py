@@ -18,6 +18,7 @@ if TYPE_CHECKING:
         optimize,
         predict,
     )
+    from autotune.campaign.result import Campaign, run_campaign
     from autotune.design import Design
     from autotune.errors import AutotuneError, CertificateError, InfeasibleError, UsageError
     from autotune.formats.plant import Plant
@@ -45,6 +46,7 @@ if TYPE_CHECKING:
 
 _HOMES: dict[str, tuple[str, ...]] = {
     "autotune.api": ("from_control", "identify", "load", "optimize", "predict"),
+    "autotune.campaign.result": ("Campaign", "run_campaign"),
     "autotune.design": ("Design",),
     "autotune.errors": ("AutotuneError", "CertificateError", "InfeasibleError", "UsageError"),
     "autotune.formats.plant": ("Plant",),
@@ -77,6 +79,7 @@ __all__ = [
     "AdmittanceTarget",
     "Approach",
     "AutotuneError",
+    "Campaign",
     "CertificateError",
     "Check",
     "ContactAtSpeed",
@@ -109,6 +112,7 @@ __all__ = [
     "optimize",
     "predict",
     "read_log",
+    "run_campaign",
     "simulate_log",
 ]
 

@@ -18,7 +18,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from autotune.campaign.manifest import read_manifest
-from autotune.campaign.run import run_campaign
+from autotune.campaign.run import work_on_runs
 from autotune.campaign.work import RunOptions
 from autotune.pipeline import identify_log
 from autotune.simulation.phases import Program
@@ -52,7 +52,7 @@ def _write_refused(folder: Path, count: int) -> None:
 
 def _timed(name: str, logs: Path, out: Path, jobs: int) -> float:
     begun = time.perf_counter()
-    outcomes = run_campaign(read_manifest(logs), out, _IDENTIFY, jobs=jobs)
+    outcomes = work_on_runs(read_manifest(logs), out, _IDENTIFY, jobs=jobs)
     took = time.perf_counter() - begun
     print(f"{name}: {took:.2f} s, {sum(not each.refused for each in outcomes)} of {len(outcomes)} identified")
     return took

@@ -21,7 +21,7 @@ _KILLED = (
 )
 
 
-def run_campaign(
+def work_on_runs(
     runs: Sequence[LoggedRun],
     folder: Path,
     options: RunOptions | None = None,

@@ -111,12 +111,12 @@ def _once(
 ) -> "tuple[RunOutcome, ...]":
     """Work on what is missing, and write the tables of all."""
     from autotune.campaign.manifest import read_manifest
-    from autotune.campaign.run import run_campaign
+    from autotune.campaign.run import work_on_runs
     from autotune.campaign.tables import write_tables
 
     runs = read_manifest(manifest, may_be_empty=may_be_empty)
     with output.progress("campaign", float(len(runs))) as advance:
-        outcomes = run_campaign(
+        outcomes = work_on_runs(
             runs,
             out,
             options,

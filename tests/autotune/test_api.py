@@ -27,7 +27,7 @@ from tests.autotune.tuning.cases import shorten_checks
 
 RunCli = Callable[..., "subprocess.CompletedProcess[str]"]
 PUBLIC = (
-    *("AdmittanceTarget", "Approach", "AutotuneError", "CertificateError", "Check"),
+    *("AdmittanceTarget", "Approach", "AutotuneError", "Campaign", "CertificateError", "Check"),
     *(
         "ContactAtSpeed",
         "Design",
@@ -42,7 +42,7 @@ PUBLIC = (
     *("MultiplicativeError", "NoiseLimit"),
     *("ParameterError", "PassivityTarget", "Plant", "PredictedContact", "Problem", "Requirements", "Robot", "Status"),
     *("Uncertain", "UnstableLoopError", "UsageError", "Validation", "__version__", "from_control", "identify"),
-    *("load", "optimize", "predict", "read_log", "simulate_log"),
+    *("load", "optimize", "predict", "read_log", "run_campaign", "simulate_log"),
 )
 
 

@@ -2,6 +2,7 @@
 
 import json
 import os
+import pickle
 import signal
 import threading
 import time
@@ -13,7 +14,8 @@ from typing import Any
 import pytest
 
 from autotune.campaign.manifest import LoggedRun, read_manifest
-from autotune.campaign.run import dask_executor, run_campaign
+from autotune.campaign.result import run_campaign
+from autotune.campaign.run import dask_executor, work_on_runs
 from autotune.campaign.tables import write_tables
 from autotune.campaign.work import RESULT, RunOptions, RunOutcome, build_task, read_outcome, work_on
 from autotune.errors import UsageError
@@ -46,13 +48,13 @@ class Counting(Executor):
 
 def test_what_is_finished_is_not_done_again_and_what_changed_is(logs: Path, tmp_path: Path) -> None:
     runs, first, again, other = read_manifest(logs), Counting(), Counting(), Counting()
-    outcomes = run_campaign(runs, tmp_path / "out", executor=first)
+    outcomes = work_on_runs(runs, tmp_path / "out", executor=first)
     assert [f"{each.cell}/{each.run}" for each in outcomes] == [run.name for run in runs] == first.worked
     assert {each.refused for each in outcomes} == {"log"}
-    assert run_campaign(runs, tmp_path / "out", executor=again) == outcomes
+    assert work_on_runs(runs, tmp_path / "out", executor=again) == outcomes
     assert again.worked == []
     (logs / "cell1" / "run4.csv").write_text("t,a\n0,9\n1,2\n", encoding="utf-8")
-    run_campaign(runs, tmp_path / "out", executor=other)
+    work_on_runs(runs, tmp_path / "out", executor=other)
     assert other.worked == ["cell1/run4"]
 
 
@@ -95,7 +97,7 @@ def test_what_was_not_foreseen_ends_the_run_and_not_the_campaign(
 def test_the_same_tables_come_of_a_campaign_whose_workers_are_killed(logs: Path, tmp_path: Path) -> None:
     """Thirty times kill -9, in the midst of work or of starting; each run has one result at the end, and the same."""
     runs = read_manifest(logs)
-    calm = run_campaign(runs, tmp_path / "calm", executor=ThreadPoolExecutor(1))
+    calm = work_on_runs(runs, tmp_path / "calm", executor=ThreadPoolExecutor(1))
     killed, over = 0, threading.Event()
 
     def kill() -> None:
@@ -112,7 +114,7 @@ def test_the_same_tables_come_of_a_campaign_whose_workers_are_killed(logs: Path,
     try:
         # Who is hit five times is named; the same command then goes on, as a user's would.
         while not outcomes or any(each.refused == "killed" for each in outcomes):
-            outcomes = run_campaign(runs, tmp_path / "wild", jobs=2)
+            outcomes = work_on_runs(runs, tmp_path / "wild", jobs=2)
     finally:
         over.set()
         killer.join()
@@ -150,7 +152,7 @@ class Deadly(Executor):
 @pytest.mark.parametrize("refuses", [False, True])
 def test_only_the_run_that_ends_its_process_is_given_up(logs: Path, tmp_path: Path, refuses: bool) -> None:
     pool = Deadly("cell1/run4", refuses)
-    outcomes = run_campaign(read_manifest(logs), tmp_path / "out", executor=pool, jobs=3)
+    outcomes = work_on_runs(read_manifest(logs), tmp_path / "out", executor=pool, jobs=3)
     assert [f"{each.cell}/{each.run}" for each in outcomes if each.refused == "killed"] == ["cell1/run4"]
     assert {each.refused for each in outcomes} == {"log", "killed"}
     assert read_outcome(tmp_path / "out" / "cells" / "cell1" / "run4") is None
@@ -161,8 +163,25 @@ def test_a_dask_cluster_gives_the_same(logs: Path, tmp_path: Path) -> None:
     runs = read_manifest(logs)[:3]
     with dask_executor("dask", 1) as (executor, dashboard):
         assert dashboard.startswith("http://")
-        outcomes = run_campaign(runs, tmp_path / "dask", executor=executor, jobs=1)
-    assert outcomes == run_campaign(runs, tmp_path / "here", executor=ThreadPoolExecutor(1))
+        outcomes = work_on_runs(runs, tmp_path / "dask", executor=executor, jobs=1)
+    assert outcomes == work_on_runs(runs, tmp_path / "here", executor=ThreadPoolExecutor(1))
+
+
+def test_a_campaign_from_python_takes_any_executor_and_shows_what_came_of_it(logs: Path, tmp_path: Path) -> None:
+    shares: list[float] = []
+    with ThreadPoolExecutor(2) as executor:
+        found = run_campaign(logs, tmp_path / "out", optimize=False, executor=executor, progress=shares.append)
+    assert sum(shares) == pytest.approx(1.0)
+    assert list(found.outcomes) == list(
+        work_on_runs(read_manifest(logs), tmp_path / "again", RunOptions(optimize=False))
+    )
+    assert repr(pickle.loads(pickle.dumps(found))) == repr(found)
+    assert found._repr_html_().count("<tr>") == 1 + len(found.outcomes)
+    assert [run["run"] for run in found.to_dict()["runs"]] == [each.run for each in found.outcomes]
+    assert (tmp_path / "out" / "campaign.csv").is_file()
+    assert list(found.to_pandas()["run"]) == [each.run for each in found.outcomes]
+    with pytest.raises(UsageError, match="manifest"):
+        run_campaign(tmp_path / "nothing", tmp_path / "out")
 
 
 def test_a_scheduler_that_is_not_there_is_named() -> None:

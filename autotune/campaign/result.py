@@ -1,0 +1,131 @@
+"""A campaign from Python: many logs of many cells, by this machine's processes or any executor, and what came of it."""
+
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Executor
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from autotune.arguments import errors_in_arguments, file_path
+from autotune.drift import Change, change_text
+from autotune.processes import count_processors
+from autotune.shown import Progress, ResultTable, Shown, data_frame, plain_tree, reporting
+from problems.progress import no_progress
+
+from .fleet import Unusual, changes, unusual
+from .manifest import read_manifest
+from .run import dask_executor, work_on_runs
+from .tables import campaign_rows, write_tables
+from .text import outcome_text, unusual_text
+from .work import RunOptions, RunOutcome
+
+
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
+class Campaign(Shown):
+    """What came of every run of a campaign.
+
+    Attributes
+    ----------
+    folder
+        Where each run's files and the tables are.
+    outcomes
+        The runs in their order: `cell`, `run`, `values` (value and deviation in SI by name), `peaks_n`, `refused` and
+        `reason`, `outside`.
+
+    """
+
+    folder: Path
+    outcomes: tuple[RunOutcome, ...]
+
+    @property
+    def changes(self) -> tuple[Change, ...]:
+        """What changed in a cell from one run to the next."""
+        return changes(self.outcomes)
+
+    @property
+    def unusual(self) -> tuple[Unusual, ...]:
+        """What is unlike the other cells."""
+        return unusual(self.outcomes)
+
+    def _headline(self) -> str:
+        return f"Campaign in {self.folder}: {outcome_text(self.outcomes)}"
+
+    def _tables(self) -> Iterator[ResultTable]:
+        rows = tuple((each.cell, each.run, each.refused or "good", each.reason) for each in self.outcomes)
+        yield ResultTable(title="runs", columns=("cell", "run", "outcome", "why"), rows=rows)
+
+    def _notes(self) -> Sequence[str]:
+        return [*map(change_text, self.changes), *map(unusual_text, self.unusual)]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return folder, runs, changes and what is unusual as plain data."""
+        tree = {"folder": self.folder, "runs": self.outcomes, "changes": self.changes, "unusual": self.unusual}
+        return {name: plain_tree(each) for name, each in tree.items()}
+
+    def to_pandas(self) -> Any:
+        """Return `campaign.csv` as a pandas.DataFrame; raises UsageError where pandas is not installed."""
+        columns, rows = campaign_rows(self.outcomes)
+        return data_frame({name: [row[i] for row in rows] for i, name in enumerate(columns)})
+
+
+@errors_in_arguments()
+def run_campaign(
+    manifest: str | Path,
+    folder: str | Path,
+    *,
+    optimize: bool = True,
+    seed: int = 0,
+    jobs: int | None = None,
+    executor: Executor | None = None,
+    scheduler: str | None = None,
+    progress: Progress = None,
+) -> Campaign:
+    """Identify many logs of many cells, search their controllers, and compare the cells; what is there is not redone.
+
+    Parameters
+    ----------
+    manifest
+        A folder (a folder for each cell, its logs the runs), or a CSV or YAML file, as of `autotune campaign`.
+    folder
+        Where the results are, and go on.
+    optimize
+        Search a controller for every run.
+    seed
+        Of the searches.
+    jobs
+        How many processes, or tasks at a time; the processors of this machine unless it is said. A script guards its
+        own start (`if __name__ == "__main__"`).
+    executor
+        Any executor of `concurrent.futures` whose workers see the same files.
+    scheduler
+        "dask" for a cluster on this machine, or the address of one, as in tcp://head:8786 (extra `dask`).
+    progress
+        True for a bar, or a callable that takes the share of the work done since its last call.
+
+    Returns
+    -------
+    Campaign
+        Outcomes, changes from run to run, and cells unlike the others.
+
+    Raises
+    ------
+    UsageError
+        The manifest names what cannot be read, or a result cannot be written.
+
+    """
+    runs, target, count = read_manifest(file_path("manifest", manifest)), Path(folder), jobs or count_processors()
+    with ExitStack() as stack:
+        if scheduler is not None:
+            executor, _ = stack.enter_context(dask_executor(scheduler, count))
+        report = stack.enter_context(reporting(progress, "campaign")) or no_progress
+        outcomes = work_on_runs(
+            runs,
+            target,
+            RunOptions(optimize=optimize, seed=seed),
+            jobs=count,
+            executor=executor,
+            each=lambda _: report(1.0 / len(runs)),
+        )
+    write_tables(target, outcomes)
+    return Campaign(folder=target, outcomes=outcomes)
