@@ -180,7 +180,7 @@ def test_a_campaign_from_python_takes_any_executor_and_shows_what_came_of_it(log
     assert [run["run"] for run in found.to_dict()["runs"]] == [each.run for each in found.outcomes]
     assert (tmp_path / "out" / "campaign.csv").is_file()
     assert list(found.to_pandas()["run"]) == [each.run for each in found.outcomes]
-    with pytest.raises(UsageError, match="manifest"):
+    with pytest.raises(UsageError, match="nothing is not there; name a folder of logs"):
         run_campaign(tmp_path / "nothing", tmp_path / "out")
 
 
