@@ -226,8 +226,8 @@ def _check_instant(ctx: click.Context, param: click.Parameter, value: str | None
         from problems.errors import ParameterError
 
         try:
-            given = {name: ctx.params.get(name) for name in ("start", "stop")}
-            LogSpan(**{**given, str(param.name): value})
+            given = {name: ctx.params.get(name) for name in ("start", "stop")} | {str(param.name): value}
+            LogSpan(start=given["start"], stop=given["stop"])
         except ParameterError as error:
             raise click.BadParameter(str(error), ctx, param) from error
     return value if value is None or value.strip().startswith("@") else float(value)

@@ -6,11 +6,11 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from autotune.campaign.fleet import Change, Unusual, by_cell, changes, unusual
+from autotune.campaign.fleet import Unusual, by_cell, changes, unusual
 from autotune.campaign.text import outcome_text
 from autotune.campaign.work import RunOutcome
 from autotune.charts.chart import Chart, Panel, Points, Scale
-from autotune.drift import parameter_name, parameter_text
+from autotune.drift import Change, parameter_name, parameter_text
 from autotune.formats.units import axis_units
 from autotune.text import with_deviation
 

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from autotune.campaign.fleet import Change, changes, unusual
+from autotune.campaign.fleet import changes, unusual
 from autotune.campaign.text import outcome_text, unusual_text
 from autotune.campaign.work import RunOutcome
-from autotune.drift import change_text, parameter_text
+from autotune.drift import Change, change_text, parameter_text
 
 NAMES = ("payload.mass_kg", "x.coupling_stiffness_n_per_m", "x.delay_s")
 TRUE, STD = (16.0, 3e5, 2.4e-3), (0.02, 3e3, 2e-5)
