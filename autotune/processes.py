@@ -3,8 +3,9 @@
 import os
 import signal
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
 from multiprocessing import active_children, get_context
 from typing import TypeVar
 
@@ -80,6 +81,21 @@ def _nothing() -> None:
 def _done(result: _Result, done: Callable[[], None]) -> _Result:
     done()
     return result
+
+
+@contextmanager
+def one_thread_each() -> Iterator[None]:
+    """Let processes that are started meanwhile have one thread each, where the environment does not say otherwise.
+
+    A worker that imports its caller's script has loaded its libraries before `prepare_worker` is called.
+    """
+    missing = [name for name in _THREADS if name not in os.environ]
+    os.environ.update(dict.fromkeys(missing, "1"))
+    try:
+        yield
+    finally:
+        for name in missing:
+            os.environ.pop(name, None)
 
 
 def prepare_worker() -> None:

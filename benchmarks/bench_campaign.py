@@ -6,6 +6,10 @@ and hundreds of runs that are refused at once, which is what the machinery aroun
 any worker.
 """
 
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does
+
 import argparse
 import resource
 import sys

@@ -8,7 +8,7 @@ from multiprocessing import get_context
 from pathlib import Path
 
 from autotune.errors import UsageError
-from autotune.processes import prepare_worker
+from autotune.processes import one_thread_each, prepare_worker
 from problems.errors import AutotuneError, require_extra
 
 from .manifest import LoggedRun
@@ -131,7 +131,8 @@ def _workers(executor: Executor | None, jobs: int) -> Iterator[Executor]:
     # A fork would copy the threads' locks of the libraries that are loaded already.
     pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=prepare_worker)
     try:
-        yield pool
+        with one_thread_each():
+            yield pool
     except BaseException:
         pool.shutdown(wait=False, cancel_futures=True)
         for process in list((pool._processes or {}).values()):  # noqa: SLF001 - kill_workers() is of Python 3.14

@@ -19,6 +19,7 @@ from autotune.campaign.run import dask_executor, work_on_runs
 from autotune.campaign.tables import write_tables
 from autotune.campaign.work import RESULT, RunOptions, RunOutcome, build_task, read_outcome, work_on
 from autotune.errors import UsageError
+from autotune.processes import one_thread_each
 
 TEXT = "no log at all\n"
 
@@ -182,6 +183,14 @@ def test_a_campaign_from_python_takes_any_executor_and_shows_what_came_of_it(log
     assert list(found.to_pandas()["run"]) == [each.run for each in found.outcomes]
     with pytest.raises(UsageError, match="nothing is not there; name a folder of logs"):
         run_campaign(tmp_path / "nothing", tmp_path / "out")
+
+
+def test_processes_of_a_campaign_have_one_thread_each(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
+    monkeypatch.setenv("MKL_NUM_THREADS", "3")
+    with one_thread_each():
+        assert (os.environ["OMP_NUM_THREADS"], os.environ["MKL_NUM_THREADS"]) == ("1", "3")
+    assert "OMP_NUM_THREADS" not in os.environ
 
 
 def test_a_scheduler_that_is_not_there_is_named() -> None:
