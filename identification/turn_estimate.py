@@ -65,7 +65,7 @@ def identify_turn(
 def unidentified_turn(turn: AxisTurn) -> Finding:
     """Return the finding that the coupling about an axis was not identified though the tool turned."""
     return Finding(
-        code="turn-not-told",
+        code="turn-not-identified",
         severity="info",
         message=f"The tool turned about axis {turn.name}, but its coupling is not identified: it is left out.",
         advice="To tune this axis, record a commanded sweep of 0.5 to 50 Hz about it in free space, hands off.",

@@ -39,7 +39,7 @@ _START_SHARE, _START_RATIO, _START_FRICTION_N, _NUDGE, _NUDGE_N = 0.08, 0.03, 0.
 _STEPS, _TRIED = 15, 2
 # −2 log L: a first look, what is kept open, and what is reported.
 _WORTH_A_LOOK, _OPEN, _TOLD = 8.0, 30.0, 60.0
-# What tells a part behind a held command where one mass leaves no more than the noise at rest may be.
+# The −2 log L that shows a part behind a held command where one mass leaves no more than the noise at rest may be.
 _CLEAR = 200.0
 # Of what a part moves, and of what friction does, whose law is not known, how well the move is known at best.
 _MOVED_BY_PART, _MOVED_BY_FRICTION = 0.1, 0.8
@@ -325,7 +325,7 @@ def with_extension(fit: JointFit, found: Extended) -> JointFit:
         # The misfit of one mass on one spring, which made its deviations wider, is gone.
         covariance = covariance - follows @ mine @ follows.T
     beside = follows @ found.unseen
-    # Contacts were fitted without the part, told or not.
+    # Contacts were fitted without the part, reported or not.
     apart = _unseen_in_contact(fit, found.unseen if found.part is None else found.move)
     covariance = covariance + np.outer(beside, beside) + np.diag(apart**2)
     stds = np.sqrt(np.maximum(np.diag(covariance), 0.0))
