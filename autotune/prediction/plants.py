@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from scipy.special import ndtri
-from scipy.stats import qmc
 
 from autotune.errors import UsageError
 from autotune.formats.identified import IdentifiedFile
@@ -19,6 +18,7 @@ from problems.arrays import FloatArray
 from problems.design.uncertainty import PlantSet, Scenario
 from problems.model.plant import Coupling, Environment, PayloadDynamics, Plant, WrenchFilter
 from problems.model.robot import RobotModel, bandwidth_hz, bandwidth_share, has_damping_ratio, vary_robot
+from problems.sobol import sobol_points
 
 from .model_error import ModelError, model_error
 from .series_plant import series_plant
@@ -181,7 +181,7 @@ def _is_blow_only(axis: AxisEstimate, touched: EnvironmentEstimate) -> bool:
 def _blow_only(axis: str, touched: EnvironmentEstimate, period_s: float, error: ModelError, seed: int) -> PlantEnsemble:
     """Return the ensemble of a surface of which the log shows the first blow alone."""
     blow, std = _number(touched.impact_n_s_per_m) or 0.0, _std(touched.impact_n_s_per_m)
-    unit = qmc.Sobol(1, rng=np.random.default_rng(seed)).random(DRAWS)[:, 0]
+    unit = sobol_points(1, DRAWS, seed=seed)[:, 0]
     return PlantEnsemble(
         axis=axis,
         surface=touched.name,
@@ -388,7 +388,7 @@ def _draws(known: _Known, seed: int) -> tuple[dict[str, float], ...]:
     deviations = np.sqrt(np.diag(part))
     values, vectors = np.linalg.eigh(part / np.outer(deviations, deviations))
     root = deviations[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
-    unit = qmc.Sobol(len(varying), rng=np.random.default_rng(seed)).random(DRAWS)
+    unit = sobol_points(len(varying), DRAWS, seed=seed)
     errors = ndtri(np.clip(unit, *_WITHIN)) @ root.T
     return tuple({symbols[i]: float(row[k]) for k, i in enumerate(varying)} for row in errors)
 

@@ -11,12 +11,12 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from scipy.stats import qmc
 
 from problems.arrays import FloatArray
 from problems.design.batch_evaluation import BatchEvaluation, build_batch_evaluator
 from problems.design.objectives import Objective, PeakObjective
 from problems.design.problem import DesignProblem
+from problems.sobol import sobol_points
 
 from .bounds import LINEAR_VARIABLES, Box, spread_out
 from .descent import descend
@@ -191,7 +191,7 @@ def _upwards(value: float, least: float) -> float:
 def find_reference(search: SearchResult) -> Reference:
     """Look for a better design than the search's, where less is asked; the same for the same search."""
     problem, screen, box = search.problem, build_batch_evaluator(search.active), Box(search.problem)
-    units = qmc.Sobol(len(problem.variables), scramble=False).random_base2(_LOG2_OF_DESIGNS)
+    units = sobol_points(len(problem.variables), 2**_LOG2_OF_DESIGNS, seed=None)
     order = np.argsort(_costs(screen.evaluate(box.design(units))), kind="stable")
     starts = spread_out(units[order], _APART, _DESCENTS)
     ends = [descend(screen, box, start, reserve=0.0).unit for start in (box.unit(search.design), *starts)]

@@ -37,6 +37,8 @@ _FREQUENCIES, _LOWEST_HZ, _HIGHEST_SHARE = 24, 6.0, 0.4
 _STARTS_HZ = (15.0, 22.0, 30.0, 38.0, 46.0, 55.0, 70.0)
 _START_SHARE, _START_RATIO, _START_FRICTION_N, _NUDGE, _NUDGE_N = 0.08, 0.03, 0.3, 1e-3, 0.02
 _STEPS, _TRIED = 15, 2
+# Every start goes a few steps down, and the lowest of them all the way.
+_FIRST_STEPS, _FOLLOWED = 4, 3
 # −2 log L: a first look, what is kept open, and what is reported.
 _WORTH_A_LOOK, _OPEN, _TOLD = 8.0, 30.0, 60.0
 # The −2 log L that shows a part behind a held command where one mass leaves no more than the noise at rest may be.
@@ -201,7 +203,9 @@ def _part(
     rms = float(np.std(np.concatenate(of.errors(at.theta, at.own, at.kind))))
     found = []
     for noise in (at.noise, Whitener(coefficients=np.ones(1), rms=rms)):
-        ends = [descended(of, replace(start, noise=noise), _STEPS) for start in starts]
+        begun = [descended(of, replace(start, noise=noise), _FIRST_STEPS) for start in starts]
+        lowest = sorted(begun, key=lambda end: end.cost)[:_FOLLOWED]
+        ends = [descended(of, end, _STEPS - _FIRST_STEPS) for end in lowest]
         best = with_own_noise(of, min(ends, key=lambda end: end.cost))
         if of.is_held or explains_misfit(of, best, at):
             found.append((gained(of, best, at), best))

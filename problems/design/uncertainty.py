@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 from scipy.special import chdtri
-from scipy.stats import qmc
 
 from .._checks import interval, positive
 from ..arrays import FloatArray
@@ -21,6 +20,7 @@ from ..frozen import FrozenDict
 from ..model.plant import FREE_SPACE, NO_FILTER, Plant, WrenchFilter
 from ..model.plant_parameters import PARAMETERS, build_plant, with_values
 from ..model.robot import RobotModel, has_damping_ratio
+from ..sobol import sobol_points
 
 Interval = tuple[float, float]
 
@@ -320,8 +320,7 @@ class PlantSet:
         """
         if not self.varying:
             return (self.from_unit(()),)
-        sequence = qmc.Sobol(len(self.varying), rng=np.random.default_rng(seed))
-        units = sequence.random_base2(max(0, math.ceil(math.log2(count))))
+        units = sobol_points(len(self.varying), 2 ** max(0, math.ceil(math.log2(count))), seed=seed)
         return tuple(dict.fromkeys(self.from_unit(unit) for unit in units))
 
 

@@ -1,0 +1,16 @@
+"""Points of a Sobol' sequence."""
+
+import numpy as np
+
+from .arrays import FloatArray
+
+
+def sobol_points(width: int, count: int, *, seed: int | None) -> FloatArray:
+    """Return `count` points (count, width) of [0, 1)ᵂ, scrambled by a seed, unscrambled with None.
+
+    A power of two covers every part of the cube alike.
+    """
+    from scipy.stats import qmc  # noqa: PLC0415 - takes half a second to import, and is not always needed
+
+    rng = None if seed is None else np.random.default_rng(seed)
+    return np.asarray(qmc.Sobol(width, scramble=seed is not None, rng=rng).random(count))
