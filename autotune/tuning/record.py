@@ -1,6 +1,5 @@
 """Write a search result down as a controller with everything that the certificate claims."""
 
-import itertools
 from collections.abc import Mapping, Sequence
 from operator import attrgetter
 from typing import Any
@@ -37,7 +36,7 @@ from identification.result import Identified, Status
 from problems.contact.nonlinearities import DeadbandType
 from problems.design.evaluation import PlantMargins, build_scenarios
 from problems.design.problem import DesignProblem, Requirements
-from problems.design.requirements import HANDS, hand_approach, led_contacts, led_mass_kg, led_peak, smallest_admittance
+from problems.design.requirements import HANDS, hand_approach, led_contacts, led_mass_kg, led_peaks, smallest_admittance
 from problems.design.uncertainty import Scenario
 from problems.model.controller import AdmittanceController
 from problems.model.response import hand_force_per_speed
@@ -201,10 +200,12 @@ def _peak_per_speed(
     pairs = build_scenarios(result.problem, tuple(dict.fromkeys((*scenarios, *found)))).pairs
     mass = led_mass_kg(result.problem.requirements.asked(), LEVER_M if name in ROTATIONAL_AXES else 1.0)
     worst = dict.fromkeys(HANDS, 0.0)
-    for hand, pair in itertools.product(HANDS, pairs):
-        for led in led_contacts(pair, hand, mass):
-            peak = led_peak(led, controller, hand_approach(_LED_M_S, hand))
-            worst[hand] = max(worst[hand], peak / _LED_M_S)
+    for pair in pairs:
+        alone, *held = led_contacts(pair, "holds", mass)
+        for led, hands in ((alone, HANDS), *((each, ("holds",)) for each in held)):
+            peaks = led_peaks(led, controller, [hand_approach(_LED_M_S, hand) for hand in hands])
+            for hand, peak in zip(hands, peaks, strict=True):
+                worst[hand] = max(worst[hand], peak / _LED_M_S)
     return PeakPerSpeed.of(worst, mass)
 
 

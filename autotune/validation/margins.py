@@ -99,7 +99,8 @@ def _eigenvalues(matrix: FloatArray) -> ComplexArray:
 
 
 def _ratio(z: ComplexArray, zeros: ComplexArray, poles: ComplexArray) -> ComplexArray:
-    out = np.ones_like(z)
+    out, below = np.ones_like(z), np.ones_like(z)
     for zero, pole in zip(zeros, poles, strict=True):
-        out *= (z - zero) / (z - pole)
-    return out
+        out *= z - zero
+        below *= z - pole
+    return out / below

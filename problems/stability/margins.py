@@ -6,8 +6,9 @@ from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ..arrays import ComplexArray, FloatArray
+from ..arrays import BoolArray, ComplexArray, FloatArray
 from ..errors import AutotuneError, ParameterError
 from ..model.controller import AdmittanceController
 from ..model.response import plant_response
@@ -87,29 +88,36 @@ def margins_on_grid(frequency_rad_per_s: FloatArray, loop: ComplexArray) -> RawM
     """
     if not np.all(np.isfinite(loop)):
         raise ParameterError("loop", "values that are not finite", "finite at every frequency")
-    modulus = np.min(np.abs(1.0 + loop), axis=-1)
-    start, stop = loop[..., :-1], loop[..., 1:]
+    shape, loop = loop.shape[:-1], loop.reshape(-1, loop.shape[-1])
+    modulus, last = np.min(np.abs(1.0 + loop), axis=-1), loop[:, -1].real
     # The Tustin form has a zero at z = −1, so the last point may be exactly 0.
     with np.errstate(divide="ignore", invalid="ignore"):
-        log_gain = np.log(np.abs(loop))
-        turn = np.angle(stop / start)
+        gain_db = np.where(last < 0.0, np.abs(20.0 * np.log10(np.abs(last))), np.inf)
+        phase, delay_s = np.full(len(loop), np.inf), np.full(len(loop), np.inf)
         # Phase crossovers: the segment passes the negative real axis.
-        share = start.imag / (start.imag - stop.imag)
-        crossing = (start.imag * stop.imag <= 0.0) & (start.imag != stop.imag)
-        real = start.real + share * (stop.real - start.real)
-        gain = np.where(crossing & (real < 0.0), np.abs(20.0 * np.log10(np.abs(real))), np.inf)
-        last = np.where(loop[..., -1].real < 0.0, np.abs(20.0 * np.log10(np.abs(loop[..., -1].real))), np.inf)
-        gain_db = np.minimum(np.min(gain, axis=-1), last)
+        imag = loop.imag
+        row, _, start, stop = _segments(loop, (imag[:, :-1] * imag[:, 1:] <= 0.0) & (imag[:, :-1] != imag[:, 1:]))
+        real = start.real + start.imag / (start.imag - stop.imag) * (stop.real - start.real)
+        np.minimum.at(gain_db, row, np.where(real < 0.0, np.abs(20.0 * np.log10(np.abs(real))), np.inf))
         # Gain crossovers: |L| passes 1.
-        share = log_gain[..., :-1] / (log_gain[..., :-1] - log_gain[..., 1:])
-        crossing = (log_gain[..., :-1] * log_gain[..., 1:] <= 0.0) & (log_gain[..., :-1] != log_gain[..., 1:])
-        angle = np.angle(-start) + share * turn  # of −L: zero on the critical point
-        omega = frequency_rad_per_s[:-1] + share * np.diff(frequency_rad_per_s)
+        gain = np.log(np.abs(loop))
+        row, at, start, stop = _segments(loop, (gain[:, :-1] * gain[:, 1:] <= 0.0) & (gain[:, :-1] != gain[:, 1:]))
+        first, second = np.log(np.abs(start)), np.log(np.abs(stop))
+        share = first / (first - second)
+        angle = np.angle(-start) + share * np.angle(stop / start)  # of −L: zero on the critical point
+        omega = frequency_rad_per_s[at] + share * (frequency_rad_per_s[at + 1] - frequency_rad_per_s[at])
         wrapped = np.angle(np.exp(1j * angle))
-        phase = np.min(np.where(crossing, np.abs(wrapped), np.inf), axis=-1)
-        lag = np.where(wrapped > 0.0, wrapped, wrapped + 2.0 * np.pi)
-        delay_s = np.min(np.where(crossing, lag / omega, np.inf), axis=-1)
-    return RawMargins(modulus, gain_db, np.degrees(phase), delay_s)
+        np.minimum.at(phase, row, np.abs(wrapped))
+        np.minimum.at(delay_s, row, np.where(wrapped > 0.0, wrapped, wrapped + 2.0 * np.pi) / omega)
+    return RawMargins(*(each.reshape(shape) for each in (modulus, gain_db, np.degrees(phase), delay_s)))
+
+
+def _segments(
+    loop: ComplexArray, crossing: BoolArray
+) -> tuple[NDArray[np.intp], NDArray[np.intp], ComplexArray, ComplexArray]:
+    """Return row and index of the segments between neighbours that cross, and both ends of each."""
+    row, at = np.nonzero(crossing)
+    return row, at, loop[row, at], loop[row, at + 1]
 
 
 def frequency_grid(sampled: SampledPlant, points: int = _BASE_POINTS) -> FloatArray:

@@ -11,7 +11,7 @@ from .contact_at_speed import (
     hand_approach,
     led_contacts,
     led_mass_kg,
-    led_peak,
+    led_peaks,
     led_plants,
 )
 from .held_by_hand import HeldByHand
@@ -52,7 +52,7 @@ __all__ = [
     "hand_approach",
     "led_contacts",
     "led_mass_kg",
-    "led_peak",
+    "led_peaks",
     "led_plants",
     "smallest_admittance",
     "target_response",

@@ -1,7 +1,7 @@
 """The peak of a contact that is touched at a given speed, by a hand that pushes on, holds on or lets go."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Literal, get_args
 
@@ -100,11 +100,11 @@ def led_contacts(pair: SampledContact, hand: Hand, hand_mass_kg: float) -> tuple
     return pair, *(build_sampled_contact(build_sampled_plant(each, h)) for each in others)
 
 
-def led_peak(pair: SampledContact, law: AdmittanceController, approach: Approach) -> float:
-    """Return the peak force on the environment [N], infinite where the loop is not stable."""
+def led_peaks(pair: SampledContact, law: AdmittanceController, approaches: Sequence[Approach]) -> list[float]:
+    """Return the peak force on the environment [N] of each approach, infinite where the loop is not stable."""
     if max(spectral_radius(build_loop(side, law)) for side in (pair.free, pair.contact)) >= 1.0:
-        return math.inf
-    return transient_from(pair, law, approach).peak_contact_force_n
+        return [math.inf] * len(approaches)
+    return [transient_from(pair, law, each).peak_contact_force_n for each in approaches]
 
 
 def led_mass_kg(asked: Mapping[str, Any], lever_m: float = 1.0) -> float:
@@ -163,7 +163,7 @@ class ContactAtSpeedLimit(Requirement[ContactAtSpeed]):
         pair, key = design.prepared.pairs[row], (self.name, row, asked.hand, asked.hand_mass_kg)
         led = design.prepared.once(key, lambda: led_contacts(pair, asked.hand, asked.hand_mass_kg))
         own = transient_from(pair, design.controller, asked.approach).peak_contact_force_n
-        return max(own, *(led_peak(each, design.controller, asked.approach) for each in led[1:]))
+        return max(own, *(led_peaks(each, design.controller, [asked.approach])[0] for each in led[1:]))
 
     def scenario(self, prepared: PreparedPlants, row: int) -> Scenario:
         """Return the scenario."""
