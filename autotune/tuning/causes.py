@@ -1,8 +1,8 @@
 """Say why no controller meets the requirements: what of the plant is in the way, what to ask instead, and check it."""
 
-import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import combinations
 from typing import Any
 
 from autotune.errors import InfeasibleError
@@ -16,7 +16,7 @@ from problems.model.robot import bandwidth_hz
 from problems.progress import no_progress
 from problems.text import significant
 
-from .relax import ADMITTANCE, Relaxation, asked_of, can_meet, find_relaxations, is_feasible, relaxation_message
+from .relax import ADMITTANCE, Relaxation, asked_of, find_met, find_relaxations, is_feasible, relaxation_message
 from .search import SearchResult, solve_design
 
 # What is suggested is easier by these shares than what was reached: a search from nowhere must find it again.
@@ -42,11 +42,13 @@ class Cause:
 class Explanation:
     """Why a problem is infeasible: single relaxations, causes in the plant, and requirements that were checked.
 
+    `pairs` are causes that are enough two together, looked for where none is by itself;
     `suggestion` is a part of `problem.yaml` with which the search finds `found`; empty where none was found.
     """
 
     relaxations: tuple[Relaxation, ...]
     causes: tuple[Cause, ...] = ()
+    pairs: tuple[tuple[Cause, ...], ...] = ()
     suggestion: dict[str, Any] = field(default_factory=dict)
     found: SearchResult | None = None
     is_known_too_little: bool = False
@@ -64,12 +66,14 @@ def explain(
     if not relaxations:
         return Explanation(relaxations=())
     causes = find_causes(problem, seed=seed)
+    pairs = () if causes else find_causes(problem, seed=seed, together=2)
     report(0.2)
     suggestion, found = _checked(name, problem, relaxations, seed)
     report(0.2)
     return Explanation(
         relaxations=relaxations,
-        causes=causes,
+        causes=tuple(cause for (cause,) in causes),
+        pairs=pairs,
         suggestion=suggestion,
         found=found,
         is_known_too_little=_is_known_too_little(problem, seed),
@@ -79,26 +83,28 @@ def explain(
 def _is_known_too_little(problem: DesignProblem, seed: int) -> bool:
     """Return whether the requirements can be met with all but K_e and M_p at its value; a short look comes first."""
     nominal = _nominal(problem)
-    return bool(problem.plants.further) and can_meet(nominal, seed=seed) and is_feasible(nominal, seed=seed)
+    return bool(problem.plants.further) and find_met(nominal, seed=seed) is not None and is_feasible(nominal, seed=seed)
 
 
-def find_causes(problem: DesignProblem, *, seed: int) -> tuple[Cause, ...]:
-    """Return how much drag, how soft a hardest surface and how fast a robot would each be about enough by itself.
+def find_causes(problem: DesignProblem, *, seed: int, together: int = 1) -> tuple[tuple[Cause, ...], ...]:
+    """Return how much drag, how soft a hardest surface and how fast a robot would each be about enough.
 
-    Of the nominal plant over the corners and the middle of K_e and M_p, by bisection: a short global search looks
-    whether every requirement can be met there. Such a number is enough; that less is not, nobody proves.
+    Each by itself, or as many `together`, every one eased by the same share of its way. Of the nominal plant over the
+    corners and the middle of K_e and M_p, by bisection: a short global search looks whether every requirement can be
+    met there. Such numbers are enough; that less is not, nobody proves.
     """
-    nominal, easiest = _nominal(problem), _easiest(problem)
-    found = {name: _enough(nominal, name, value, end, seed) for name, (value, end) in easiest.items() if value != end}
-    return tuple(
-        Cause(name=name, value=easiest[name][0], enough=each) for name, each in found.items() if each is not None
-    )
+    nominal, found = _nominal(problem), []
+    for ways in combinations(_easiest(problem), together):
+        share = _enough(nominal, ways, seed) if all(way.value != way.easiest for way in ways) else None
+        if share is not None:
+            found.append(tuple(Cause(name=way.name, value=way.value, enough=way.at(share)) for way in ways))
+    return tuple(found)
 
 
 def explanation_message(name: str, problem: DesignProblem, why: Explanation) -> str:
     """Return sentences on what would be enough, what is in the way, and the lines for `problem.yaml`."""
     said = [relaxation_message(problem, why.relaxations)]
-    said.append(_causes_message(name, problem, why.causes))
+    said.append(_causes_message(name, problem, why))
     if why.found is not None:
         objective, turning = problem.objective, name in ROTATIONAL_AXES
         unit = objective.unit_on(turning=turning)
@@ -115,71 +121,100 @@ def explanation_message(name: str, problem: DesignProblem, why: Explanation) -> 
     return " ".join(said)
 
 
-def _causes_message(name: str, problem: DesignProblem, causes: tuple[Cause, ...]) -> str:
-    units, found = axis_units(name), {each.name: each for each in causes}
+def _causes_message(name: str, problem: DesignProblem, why: Explanation) -> str:
+    units = axis_units(name)
     scale, unit = units.shown_stiffness
-    if not found:
-        ends = {key: end for key, (_, end) in _easiest(problem).items()}
-        return (
-            f"No single number of the plant is in the way: {ends['drag_n_s_per_m']:.3g} {units.damping} of damping to "
-            f"ground (B_p) would not be enough, nor surfaces up to {scale * ends['environment_stiffness_n_per_m']:.3g} "
-            f"{unit}, nor a robot that follows to {significant(ends['robot_bandwidth_hz'])} Hz."
+    if not why.causes:
+        drag, hardest, robot = (way.easiest for way in _easiest(problem))
+        said = (
+            f"No single number of the plant is in the way: {drag:.3g} {units.damping} of damping to ground (B_p) would "
+            f"not be enough, nor surfaces up to {scale * hardest:.3g} {unit}, nor a robot that follows to "
+            f"{significant(robot)} Hz."
         )
-    said = []
-    drag = found.get("drag_n_s_per_m")
-    if drag is not None:
-        said.append(
-            f"this payload has {drag.value:.3g} {units.damping} of damping to ground (B_p), and about "
-            f"{significant(drag.enough)} would be enough"
-        )
-    hardest = found.get("environment_stiffness_n_per_m")
-    if hardest is not None:
-        said.append(
-            f"the surfaces are up to {scale * hardest.value:.3g} {unit} hard (K_e), and up to about "
-            f"{significant(scale * hardest.enough)} a controller could meet what is asked"
-        )
-    robot = found.get("robot_bandwidth_hz")
-    if robot is not None:
-        said.append(
-            f"the robot follows to {robot.value:.3g} Hz, and one of the same kind to about {robot.enough:.2g} Hz would "
-            "be enough"
-        )
-    return f"What is in the way: {'; '.join(said)}."
+        pairs = "; or ".join(" and ".join(_enough_text(name, each) for each in pair) for pair in why.pairs)
+        return f"{said} Two together would be enough: {pairs}." if pairs else said
+    return f"What is in the way: {'; '.join(_cause_text(name, each) for each in why.causes)}."
+
+
+def _cause_text(name: str, cause: Cause) -> str:
+    """Return a clause on a number of the plant and on what would be enough by itself."""
+    units = axis_units(name)
+    scale, unit = units.shown_stiffness
+    if cause.name == "drag_n_s_per_m":
+        has = f"this payload has {cause.value:.3g} {units.damping} of damping to ground (B_p)"
+        return f"{has}, and about {significant(cause.enough)} would be enough"
+    if cause.name == "robot_bandwidth_hz":
+        of_kind = f"one of the same kind to about {cause.enough:.2g} Hz would be enough"
+        return f"the robot follows to {cause.value:.3g} Hz, and {of_kind}"
+    return (
+        f"the surfaces are up to {scale * cause.value:.3g} {unit} hard (K_e), and up to about "
+        f"{significant(scale * cause.enough)} a controller could meet what is asked"
+    )
+
+
+def _enough_text(name: str, cause: Cause) -> str:
+    """Return what would be enough of one number of the plant, beside another."""
+    units = axis_units(name)
+    scale, unit = units.shown_stiffness
+    if cause.name == "drag_n_s_per_m":
+        return f"about {significant(cause.enough)} {units.damping} of damping to ground"
+    if cause.name == "robot_bandwidth_hz":
+        return f"a robot to about {cause.enough:.2g} Hz"
+    return f"surfaces up to about {significant(scale * cause.enough)} {unit}"
 
 
 def _nominal(problem: DesignProblem) -> DesignProblem:
     return replace(problem, plants=problem.plants.only())
 
 
-def _easiest(problem: DesignProblem) -> dict[str, tuple[float, float]]:
-    """Return for each parameter that is looked at its value, and the easiest one that is tried."""
+@dataclass(frozen=True, kw_only=True)
+class _Way:
+    """A parameter of the plant from its value to the easiest one that is tried."""
+
+    name: str
+    value: float
+    easiest: float
+
+    def at(self, share: float) -> float:
+        """Return the value at a share of the way, on a logarithmic scale."""
+        start = max(self.value, self.easiest / _FARTHEST) if self.value < self.easiest else self.value
+        return float(start * (self.easiest / start) ** share)
+
+
+def _easiest(problem: DesignProblem) -> tuple[_Way, _Way, _Way]:
+    """Return the ways of drag, of the hardest surface and of the robot's bandwidth."""
     plant = problem.plants.nominal
     drag, bandwidth = plant.payload.drag_n_s_per_m, bandwidth_hz(plant.robot)
     low, high = problem.plants.environment_stiffness_n_per_m
-    return {
-        "drag_n_s_per_m": (drag, _EASIEST * max(drag, _LITTLE_DRAG)),
-        "environment_stiffness_n_per_m": (high, max(low, high / _EASIEST)),
-        "robot_bandwidth_hz": (bandwidth, _FASTER * bandwidth),
-    }
+    return (
+        _Way(name="drag_n_s_per_m", value=drag, easiest=_EASIEST * max(drag, _LITTLE_DRAG)),
+        _Way(name="environment_stiffness_n_per_m", value=high, easiest=max(low, high / _EASIEST)),
+        _Way(name="robot_bandwidth_hz", value=bandwidth, easiest=_FASTER * bandwidth),
+    )
 
 
-def _enough(problem: DesignProblem, name: str, value: float, easiest: float, seed: int) -> float | None:
-    """Return a value of one parameter at which nothing is missed, None if not at the easiest one either."""
-    if not can_meet(_eased(problem, name, easiest), seed=seed):
+def _enough(problem: DesignProblem, ways: Sequence[_Way], seed: int) -> float | None:
+    """Return a share of these ways at which nothing is missed, None if not at their end either."""
+    known = find_met(_eased(problem, ways, 1.0), seed=seed)
+    if known is None:
         return None
-    last, good = max(value, easiest / _FARTHEST) if value < easiest else value, easiest
+    last, good = 0.0, 1.0
     for _ in range(_HALVINGS):
-        middle = math.sqrt(last * good)
-        last, good = (last, middle) if can_meet(_eased(problem, name, middle), seed=seed) else (middle, good)
+        middle = 0.5 * (last + good)
+        nearer = find_met(_eased(problem, ways, middle), seed=seed, start=known)
+        last, good, known = (middle, good, known) if nearer is None else (last, middle, nearer)
     return good
 
 
-def _eased(problem: DesignProblem, name: str, value: float) -> DesignProblem:
-    plants = problem.plants
-    if name in plants.ranges:
-        low, _ = plants.ranges[name]
-        return replace(problem, plants=plants.with_ranges({name: (low, value)}))
-    return replace(problem, plants=replace(plants, nominal=with_values(plants.nominal, {name: value})))
+def _eased(problem: DesignProblem, ways: Sequence[_Way], share: float) -> DesignProblem:
+    for way in ways:
+        plants, value = problem.plants, way.at(share)
+        if way.name in plants.ranges:
+            low, _ = plants.ranges[way.name]
+            problem = replace(problem, plants=plants.with_ranges({way.name: (low, value)}))
+        else:
+            problem = replace(problem, plants=replace(plants, nominal=with_values(plants.nominal, {way.name: value})))
+    return problem
 
 
 def _checked(

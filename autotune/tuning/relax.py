@@ -25,7 +25,7 @@ _ROUNDS = 6
 _GENERATIONS, _NEARBY_GENERATIONS, _EXPLORED = 30, 15, 0.6
 _DIGITS = 3
 _HAIR = 2e-3
-# Of all together only which ones bind is asked, and where to begin.
+# Of all together only which ones bind is asked, and where to begin: the grid tells it, no climb to the worst between.
 _ROUGHLY = 0.03
 _BINDS = 0.9
 
@@ -91,7 +91,7 @@ def find_relaxations(
 
     def least(goal: str, start: FloatArray | None = None) -> _Least | None:
         part = ProgressSlice(report, 1.0 / (len(asked) + 1))
-        found = _least(problem, goal, seed, part, start, _HAIR if start is not None else _ROUGHLY)
+        found = _least(problem, goal, seed, part, start, is_rough=start is None)
         part.finish()
         return found
 
@@ -116,25 +116,28 @@ def find_relaxations(
     if together is not None and not found:
         # Only here is the share of all together said.
         closer = _least(problem, EVERY_REQUIREMENT, seed, start=together.design) or together
-        possible = _reached(100.0, min(closer.ratio, together.ratio))
+        possible = _reached(100.0, closer.ratio)
         return (Relaxation(name=EVERY_REQUIREMENT, asked=100.0, possible=possible),)
     return tuple(sorted(found, key=lambda each: each.share))
 
 
-def can_meet(problem: DesignProblem, *, seed: int) -> bool:
-    """Return whether a short search found a design that meets every requirement, over a few scenarios only."""
+def find_met(problem: DesignProblem, *, seed: int, start: FloatArray | None = None) -> FloatArray | None:
+    """Return a design (n,) that meets every requirement over a few scenarios only; None where none was found.
+
+    From a `start` by a descent alone, else by a short search.
+    """
     search = Search(problem, seed, goal=EVERY_REQUIREMENT, generations=_NEARBY_GENERATIONS, enough=1.0)
     active = problem.scenarios(3, 2)
     try:
-        unit = search.explore(active, no_progress)
+        unit = search.explore(active, no_progress) if start is None else search.box.unit(start)
     except InfeasibleError:
-        return False
+        return None
     screen = search.screen(active)
-
-    def is_met(point: FloatArray) -> bool:
-        return bool(screen.evaluate(search.box.design(point[None])).cost[0] <= 1.0)
-
-    return is_met(unit) or is_met(search.local(screen, unit))
+    for point in (unit, search.local(screen, unit)):
+        design = search.box.design(point[None])
+        if screen.evaluate(design).cost[0] <= 1.0:
+            return np.asarray(design[0])
+    return None
 
 
 def attainable(problem: DesignProblem, *, seed: int, progress: Callable[[float], None] = no_progress) -> float | None:
@@ -185,14 +188,15 @@ def _least(
     seed: int,
     report: Callable[[float], None] = no_progress,
     start: FloatArray | None = None,
-    hair: float = _HAIR,
+    *,
+    is_rough: bool = False,
 ) -> _Least | None:
     """Return the least required/achieved of one requirement over the whole uncertainty; None if others are missed.
 
-    `start` is a design (n,) that joins the search, which then looks around less; it ends where it gains less than the
-    share `hair`. `report` gets the share of the work done since the last call.
+    `start` is a design (n,) that joins the search, which then looks around less. A rough look is over the dense grid
+    alone, and ends where it would gain little. `report` gets the share of the work done since the last call.
     """
-    generations = _GENERATIONS if start is None else _NEARBY_GENERATIONS
+    generations, hair = _GENERATIONS if start is None else _NEARBY_GENERATIONS, _ROUGHLY if is_rough else _HAIR
     search, whole = Search(problem, seed, start, goal=goal, generations=generations), WholeSet(problem, seed)
     active: tuple[Scenario, ...] = problem.scenarios(3, 2)
     best: _Least | None = None
@@ -205,7 +209,12 @@ def _least(
             controller = problem.controller(design)
             expected = 1.0 if search.last is None else _of(goal, search.last.requirements)
             try:
-                exact = whole.evaluate(controller, climbs_objective=False)
+                grid = whole.prepared
+                exact = (
+                    grid.evaluate_exactly(controller)
+                    if is_rough
+                    else whole.evaluate(controller, climbs_objective=False)
+                )
             except UnstableLoopError:
                 active = tuple(dict.fromkeys((*active, *whole.unstable(controller))))
                 continue

@@ -219,6 +219,8 @@ class Search:
         self.problem = problem
         self.box = Box(problem)
         self.seed = seed
+        # A limited peak is a requirement too: without it a miss by a hair elsewhere would look closest.
+        self._is_peak_limited = problem.requirements.max_peak_force_n is not None
         self.start = None if start is None else self.box.unit(start)
         self.evaluations = 0
         self.backoff: dict[str, float] = {}
@@ -232,11 +234,9 @@ class Search:
         """Run differential evolution on the active scenarios; return the best point, keep the best few."""
         screen = self.screen(active)
         seen: list[tuple[float, FloatArray]] = []
-        # A limited peak is a requirement too: without it a miss by a hair elsewhere would look closest.
-        limited = self.problem.requirements.max_peak_force_n is not None
 
         def costs(units: FloatArray) -> FloatArray:
-            found = self._costs(screen, units.T, peaks_if_missed=limited)
+            found = self._costs(screen, units.T, peaks_if_missed=self._is_peak_limited)
             seen.extend(zip(found.tolist(), units.T.copy(), strict=True))
             self._note_generation(len(active), float(np.min(found)))
             return found
@@ -304,7 +304,8 @@ class Search:
         self, screen: BatchEvaluator, units: FloatArray, *, peaks_if_missed: bool, tightened: bool = False
     ) -> FloatArray:
         """Order points (m, n): every feasible one before every infeasible one before every unstable one."""
-        found = screen.evaluate(self.box.design(units), peaks_if_missed=peaks_if_missed)
+        designs = self.box.design(units)
+        found = screen.evaluate(designs, margins_if_missed=tightened, peaks_if_missed=peaks_if_missed)
         self.evaluations += len(units)
         missed = -np.min(self._slack(found), axis=0, initial=0.0) if tightened else found.violation
         with np.errstate(invalid="ignore"):
@@ -346,11 +347,10 @@ class Search:
         if np.min(costs) >= _MISSED:
             # The population knew other scenarios, and may have left the valley that holds over these too.
             best = self._recover(screen, [best], far=self.goal is None)
-        if self.goal is not None:
-            return np.asarray(best)
-        design = polish_exactly(screen, self.box.design(best), backoff=self.backoff, reserve=_RESERVE)
-        finer = np.array([best, self.box.unit(design)])
-        best = finer[int(np.argmin(self._tightened_costs(screen, finer)))]
+        if self.goal is None:
+            design = polish_exactly(screen, self.box.design(best), backoff=self.backoff, reserve=_RESERVE)
+            finer = np.array([best, self.box.unit(design)])
+            best = finer[int(np.argmin(self._tightened_costs(screen, finer)))]
         self.last = screen.prepared.evaluate(self.box.design(best), peaks_if_missed=True)
         return np.asarray(best)
 
@@ -386,7 +386,7 @@ class Search:
         return more[int(np.argmin(costs))]
 
     def _tightened_costs(self, screen: BatchEvaluator, units: FloatArray) -> FloatArray:
-        return self._costs(screen, units, peaks_if_missed=True, tightened=True)
+        return self._costs(screen, units, peaks_if_missed=self._is_peak_limited, tightened=True)
 
     def _slack(self, found: BatchEvaluation) -> FloatArray:
         """Return 1 − required/achieved per requirement (k, m), what the grid flattered taken off."""

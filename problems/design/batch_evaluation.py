@@ -155,12 +155,17 @@ class BatchEvaluator:
     slow: tuple[str, ...]
     goal: str | None = None
 
-    def evaluate(self, designs: FloatArray, *, peaks_if_missed: bool = False) -> BatchEvaluation:
+    def evaluate(
+        self, designs: FloatArray, *, margins_if_missed: bool = False, peaks_if_missed: bool = False
+    ) -> BatchEvaluation:
         """Evaluate designs (m, n) as `PreparedScenarios.evaluate` does each.
 
-        Where rounding could decide a verdict, and for requirements that no compiled form has, that function is asked.
+        Of a stable design that misses a requirement the others are found too where `margins_if_missed`, all but a
+        contact's, or `peaks_if_missed`, all. Where rounding could decide a verdict, and for requirements that no
+        compiled form has, that function is asked.
         """
         problem, peaks_if_missed = self.prepared.problem, peaks_if_missed or self.goal is not None
+        margins_if_missed = margins_if_missed or peaks_if_missed
         controllers = [problem.controller(design) for design in designs]
         numbers, theta, ideal = controller_numbers(controllers)
         h = problem.sample_time_s
@@ -176,7 +181,7 @@ class BatchEvaluator:
             problem.approach.numbers(),
             longest_run(h),
             self.required,
-            peaks_if_missed,
+            (margins_if_missed, peaks_if_missed),
             (whole, by_plant, by_pair),
         )
         hard, soft = self._rows(whole, by_plant, by_pair)
@@ -191,7 +196,7 @@ class BatchEvaluator:
         for i in range(len(designs)):
             if whole[i, VERDICT] == DOUBTFUL:
                 _settle(found, i, self.prepared.evaluate(designs[i], peaks_if_missed=peaks_if_missed))
-            elif is_slow and found.is_stable[i] and (peaks_if_missed or not missed[i]):
+            elif is_slow and found.is_stable[i] and (margins_if_missed or not missed[i]):
                 self._evaluate_slowly(found, i, controllers[i])
         if self.slow and not peaks_if_missed:
             found.objective_rows[found.violation > 0.0] = np.inf

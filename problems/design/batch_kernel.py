@@ -127,21 +127,22 @@ def evaluate_designs(
     approach: tuple[float, float, bool, float],
     longest: int,
     required: tuple[FloatArray, float, bool],
-    peaks_if_missed: bool,
+    if_missed: tuple[bool, bool],
     out: tuple[FloatArray, FloatArray, FloatArray],
 ) -> None:
     """Fill `out` for designs (m, 7): (m, COLUMNS), by plant (m, p, PLANT_COLUMNS), by scenario (m, s, PEAK_COLUMNS).
 
     `plants` are those in contact, as many as `contacts` has, then those in free space. `required` has what must hold of
     each margin and of the admittance, 0 where nothing must, and whether crossovers are wanted. Of a design that misses
-    something no more is judged (margins stay infinite, peaks NaN) unless `peaks_if_missed`; where a verdict is not
-    STABLE, at plant FAILED, the rest is NaN.
+    something no more is judged (margins stay infinite, peaks NaN), unless `if_missed` asks for its margins, and for its
+    peaks; where a verdict is not STABLE, at plant FAILED, the rest is NaN.
     """
     loops, responses, grids = plants
     h, theta, ideal = sampling
     controller, work, found = np.zeros((3, CONTROLLER_POWERS)), polynomial_workspace(loops), np.zeros(MARGINS)
     traces = Traces(np.empty(longest), np.empty(longest))
     margins, admittance, crosses = required
+    margins_if_missed, peaks_if_missed = if_missed
     shallowest = MODULUS_ALONE if margins[MODULUS] > 0.0 else WITH_CROSSOVERS
     deepest = WITH_CROSSOVERS if crosses else MODULUS_ALONE
     whole, by_plant, by_pair = out
@@ -163,7 +164,7 @@ def evaluate_designs(
         missed = whole[i, ADMITTANCE] < admittance
         # The cheap margin of all plants comes first: most designs miss it, and the rest of those is not needed.
         for depth in range(shallowest, deepest + 1):
-            if missed and not peaks_if_missed:
+            if missed and not margins_if_missed:
                 break
             for j in range(len(responses)):
                 loop = PolynomialLoop(responses[j], controller, degree, h, theta)

@@ -8,7 +8,7 @@ import pytest
 from autotune.errors import InfeasibleError
 from autotune.formats.canonical import flow_text
 from autotune.formats.problem import read_problem
-from autotune.tuning.causes import Explanation, explain, explanation_message
+from autotune.tuning.causes import Explanation, explain, explanation_message, find_causes
 from autotune.tuning.relax import Relaxation
 from autotune.tuning.search import solve_design
 from problems.design.batch_evaluation import EVERY_REQUIREMENT
@@ -51,6 +51,27 @@ def test_missing_drag_is_named_and_the_suggested_lines_have_a_controller(tmp_pat
     again = solve_design(replace(problem, requirements=replace(FEW, free_space_admittance=asked)))
     assert why.found is not None
     assert again.evaluation.cost == why.found.evaluation.cost
+
+
+def test_where_no_number_is_enough_by_itself_two_together_are_named() -> None:
+    few = replace(FEW, free_space_admittance=AdmittanceTarget(min_m_s_per_n=7e-4))
+    problem = design_problem(requirements=few, mass=(16.0, 16.0), stiffness=(2e4, 5e5))
+    problem = of_plant(of_plant(problem, "drag_n_s_per_m", 5.0), "robot_bandwidth_hz", 1.0)
+    assert find_causes(problem, seed=0) == ()
+    pairs = find_causes(problem, seed=0, together=2)
+    assert len(pairs) > 1
+    drag, robot = next(
+        pair for pair in pairs if {each.name for each in pair} == {"drag_n_s_per_m", "robot_bandwidth_hz"}
+    )
+    better = of_plant(problem, drag.name, drag.enough)
+    assert solve_design(of_plant(better, robot.name, 1.05 * robot.enough)).evaluation.is_feasible
+    with pytest.raises(InfeasibleError):
+        solve_design(better)
+    relaxation = Relaxation(name="free_space_admittance", asked=7e-4, possible=1e-4)
+    message = explanation_message("x", problem, Explanation(relaxations=(relaxation,), pairs=pairs))
+    assert (
+        "Two together would be enough: about 89 N·s/m of damping to ground and a robot to about 3.4 Hz; or " in message
+    )
 
 
 def test_where_no_number_of_the_plant_is_enough_that_is_said() -> None:

@@ -124,3 +124,17 @@ def test_a_response_that_is_no_number_is_a_miss() -> None:
     stable = random_designs(60)[screen.evaluate(random_designs(60)).is_stable]
     assert np.all(broken.evaluate(stable).violation > 0.0)
     assert margin_grid(screen.prepared.plants[0].sampled)[0][0] == omega[0]
+
+
+def test_margins_are_found_of_what_is_missed_without_its_peaks() -> None:
+    problem = design_problem(requirements=EASY)
+    screen = build_batch_evaluator(build_scenarios(problem, problem.scenarios(3, 2)))
+    designs = random_designs(40)
+    whole = screen.evaluate(designs, peaks_if_missed=True)
+    margins = screen.evaluate(designs, margins_if_missed=True)
+    missed = whole.is_stable & (whole.violation > 0.0)
+    assert np.any(missed)
+    assert np.all(np.isinf(margins.cost[missed]))
+    assert np.array_equal(margins.cost[~missed], whole.cost[~missed])
+    for name, ratios in whole.requirements.items():
+        assert np.array_equal(margins.requirements[name], ratios, equal_nan=True)
