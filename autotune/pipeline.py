@@ -1,39 +1,33 @@
 """From log files to an identified plant with its provenance."""
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from autotune.drift import identified_values
-from autotune.errors import UsageError
 from autotune.formats.cell import CellFile
+from autotune.pieces import LogPiece, PieceOutcome, PieceRun, RunSource, pieces_of, telling, work_on_windows
 from autotune.processes import map_in_processes
 from autotune.results import Identification
 from autotune.version import __version__
-from autotune.windows import HOLE, Window, most_telling, window_findings
+from autotune.windows import Window, window_findings
 from identification.advice import advise
 from identification.axis_findings import CLOCKS_AGREE
 from identification.errors import EstimateError, LogError, OutsideSpanError
-from identification.evidence import Evidence
 from identification.given import Given, check_names
 from identification.identify import identify_with_evidence
 from identification.logs.containers.formats import sha256_of
 from identification.logs.read import (
-    WINDOW_S,
     Instant,
     LogSpan,
-    is_long,
     read_checked_recording,
-    recorded_spans,
     separate_runs,
-    window_bounds,
 )
 from identification.logs.recording import build_frames
 from identification.logs.roles.cell import Cell
 from identification.merging.combine import NamedResult, combine_identified
-from identification.result import Finding
+from identification.result import Finding, Identified
 from identification.signals.recording import Recording
 from problems.frozen import freeze
 from problems.progress import no_progress
@@ -167,21 +161,14 @@ def identify_log(
     report = progress or no_progress
     files = (paths,) if isinstance(paths, Path) else tuple(paths)
     cell, given = options.declared(), options.given
-    pieces = _pieces(files, cell, options, is_read=recording is not None)
-    work = partial(
-        _identify_piece,
-        cell=cell,
-        salvage=options.salvage,
-        # Of several recordings each is identified without: what is known from elsewhere counts once; a period is exact.
-        given={**_given_by_cell(cell), **(given if len(pieces) == 1 else {})},
-        is_one_of_many=len(pieces) > 1,
-        with_evidence=with_evidence,
-    )
-    if len(pieces) == 1:
-        outcomes = [work(pieces[0], recording=recording, report=report)]
+    pieces, work = _work_on(files, options, is_read=recording is not None, with_evidence=with_evidence)
+    windows: tuple[Window, ...] = ()
+    if pieces[0].window is not None:
+        done, windows = telling(work_on_windows(pieces, _side_by_side(work, processes, len(pieces), report)))
+    elif len(pieces) == 1:
+        done = _inside([work(pieces[0], recording=recording, report=report)])
     else:
-        outcomes = map_in_processes(work, pieces, processes, each=lambda: report(1.0 / len(pieces)))
-    done, windows = _telling(pieces, outcomes) if any(piece.window for piece in pieces) else (_inside(outcomes), ())
+        done = _inside(_side_by_side(work, processes, len(pieces), report)(pieces))
     check_names(given, [axis for run in done for axis in run.named.result.axes])
     parts = [run.named for run in done]
     result = combine_identified(parts, given)
@@ -203,112 +190,67 @@ def identify_log(
     return found
 
 
+def identify_windows(
+    paths: Sequence[Path], options: IdentifyOptions, *, progress: Callable[[float], None] | None = None
+) -> tuple[tuple[str, Identified], ...]:
+    """Return what each window of logs shows, by its name, one at a time in memory; nothing of logs that are not long.
+
+    Raises LogError where a log cannot be used, EstimateError where no window shows anything.
+    """
+    pieces, work = _work_on(tuple(paths), options, is_read=False, with_evidence=False)
+    if pieces[0].window is None:
+        return ()
+    done = work_on_windows(pieces, _side_by_side(work, 1, len(pieces), progress or no_progress))
+    telling(done)
+    return tuple((piece.name, run.named.result) for piece, run in done if isinstance(run, PieceRun))
+
+
+def _work_on(
+    files: tuple[Path, ...], options: IdentifyOptions, *, is_read: bool, with_evidence: bool
+) -> tuple[list[LogPiece], "_Work"]:
+    """Return the pieces of logs that are identified on their own, and the work on one of them."""
+    cell, pieces = options.declared(), [LogPiece(files=files, span=options.span)]
+    if not is_read:
+        runs = separate_runs(files, cell, salvage=options.salvage)
+        pieces = pieces_of(runs, cell, options.span, width_s=options.windows_s, salvage=options.salvage)
+    work = partial(
+        _identify_piece,
+        cell=cell,
+        salvage=options.salvage,
+        # Of several recordings each is identified without: what is known from elsewhere counts once; a period is exact.
+        given={**_given_by_cell(cell), **(options.given if len(pieces) == 1 else {})},
+        is_one_of_many=len(pieces) > 1,
+        with_evidence=with_evidence,
+    )
+    return pieces, work
+
+
+_Work = Callable[..., PieceOutcome]
+
+
+def _side_by_side(
+    work: _Work, processes: int, count: int, report: Callable[[float], None]
+) -> Callable[[Sequence[LogPiece]], list[PieceOutcome]]:
+    """Return what works on pieces in processes; `count` of them are all that is reported."""
+    left = count
+
+    def done() -> None:
+        nonlocal left
+        if left:
+            left -= 1
+            report(1.0 / count)
+
+    return lambda pieces: map_in_processes(work, pieces, processes, each=done)
+
+
 def _given_by_cell(cell: Cell) -> dict[str, Given]:
     """Return what a cell.yaml declares of a recording's numbers."""
     return {} if cell.sample_time_s is None else {"sample_time_s": Given(value=cell.sample_time_s, std=0.0)}
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Source:
-    """What the provenance keeps of a recording."""
-
-    channels: Mapping[str, str | None]
-    clocks: Mapping[str, str]
-    sha256: Mapping[str, str]
-    span_s: tuple[float, float]
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Run:
-    """The result of one recording, and where it comes from; small, so that it passes from process to process."""
-
-    named: NamedResult
-    source: _Source
-    evidence: Evidence | None
-
-
-_Outcome = _Run | EstimateError | LogError
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Piece:
-    """What is identified on its own: a recording, or a window of it."""
-
-    files: tuple[Path, ...]
-    span: LogSpan
-    window: Window | None = None
-
-    @property
-    def name(self) -> str:
-        """How findings call it."""
-        return ", ".join(path.name for path in self.files) if self.window is None else self.window.name
-
-
-def _pieces(files: tuple[Path, ...], cell: Cell, options: IdentifyOptions, *, is_read: bool) -> list[_Piece]:
-    """Return the recordings that logs are; their windows where these are asked for, or one that is unread is long."""
-    if options.windows_s is not None and not options.span.is_whole:
-        raise UsageError("Windows are those of a whole log; leave out the part (--from, --to), or the windows.")
-    runs = separate_runs(files, cell, salvage=options.salvage)
-    is_whole = is_read or not options.span.is_whole
-    if options.windows_s is None and (is_whole or not any(is_long(run, cell, salvage=options.salvage) for run in runs)):
-        return [_Piece(files=run, span=options.span) for run in runs]
-    spans = [recorded_spans(run, cell, salvage=options.salvage) for run in runs]
-    width_s = options.windows_s or WINDOW_S
-    several = len(runs) > 1
-    return [
-        piece
-        for run, held in zip(runs, spans, strict=True)
-        for piece in _windows(run, held, width_s, run[0].name if several else "")
-    ]
-
-
-def _windows(run: tuple[Path, ...], spans: Sequence[tuple[int, int]], width_s: float, log: str) -> Iterator[_Piece]:
-    """Yield the windows of a recording, each with the files that hold something of it."""
-    begin, end = min(start for start, _ in spans), max(stop for _, stop in spans)
-    for start, stop in window_bounds(begin, end, width_s):
-        inside = tuple(file for file, (first, last) in zip(run, spans, strict=True) if first < stop and last >= start)
-        window = Window(log=log, start_s=(start - begin) / 1e9, stop_s=(stop - begin) / 1e9)
-        yield _Piece(files=inside, span=LogSpan(recorded_ns=(start, stop)), window=window)
-
-
-def _telling(pieces: Sequence[_Piece], outcomes: Sequence[_Outcome]) -> tuple[list[_Run], tuple[Window, ...]]:
-    """Return the windows that give the result, without what is only worth knowing of each, and all of them in short."""
-    faults = [each for each in outcomes if isinstance(each, LogError)]
-    if len(faults) == len(outcomes) and len({str(each) for each in faults}) == 1:
-        raise faults[0]
-    windows = []
-    for piece, outcome in zip(pieces, outcomes, strict=True):
-        if piece.window is None:
-            continue
-        if isinstance(outcome, _Run):
-            found = outcome.named.result
-            has_pauses = any(finding.code == HOLE for finding in found.findings)
-            windows.append(replace(piece.window, values=identified_values(found), has_pauses=has_pauses))
-        else:
-            windows.append(replace(piece.window, refused=str(outcome)))
-    used = most_telling(windows)
-    windows = [replace(each, is_used=k in used) for k, each in enumerate(windows)]
-    known = {name.partition(".")[0] for k in used for name in windows[k].values}
-    runs = [each for k, each in enumerate(outcomes) if k in used and isinstance(each, _Run)]
-    return [_of_a_window(run, known) for run in runs], tuple(windows)
-
-
-def _of_a_window(run: _Run, axes: Collection[str]) -> _Run:
-    """Return a window's result without what is only worth knowing of it, and without axes of which no window knows."""
-    result = run.named.result
-    found = {name: axis for name, axis in result.axes.items() if name in axes}
-    dropped = tuple(f"Axis {name}:" for name in result.axes if name not in axes)
-    kept = tuple(
-        finding
-        for finding in result.findings
-        if finding.severity != "info" and finding.code != HOLE and not finding.message.startswith(dropped)
-    )
-    return replace(run, named=replace(run.named, result=replace(result, axes=found, findings=kept)))
-
-
-def _inside(done: Sequence[_Outcome]) -> list[_Run]:
+def _inside(done: Sequence[PieceOutcome]) -> list[PieceRun]:
     """Return what was identified, with a finding for each recording that lies outside the span that was asked for."""
-    found = [each for each in done if isinstance(each, _Run)]
+    found = [each for each in done if isinstance(each, PieceRun)]
     outside = [each for each in done if isinstance(each, OutsideSpanError)]
     if not found:
         raise outside[0]
@@ -325,7 +267,7 @@ def _without_withdrawn(read: Sequence[Finding], found: Sequence[Finding]) -> tup
 
 
 def _identify_piece(
-    piece: _Piece,
+    piece: LogPiece,
     *,
     cell: Cell,
     salvage: bool,
@@ -334,7 +276,7 @@ def _identify_piece(
     with_evidence: bool,
     recording: Recording | None = None,
     report: Callable[[float], None] | None = None,
-) -> _Outcome:
+) -> PieceOutcome:
     """Read and identify one recording; where it is one of many, errors bear its name.
 
     A window that identifies nothing, and one of many that lies outside a span of stamps, are no errors yet.
@@ -345,7 +287,7 @@ def _identify_piece(
             recording = read_checked_recording(piece.files, cell, salvage=salvage, span=piece.span)
         report(_READING_SHARE)
         found, evidence = identify_with_evidence(
-            recording, build_frames(cell), given, lambda share: report((1.0 - _READING_SHARE) * share)
+            recording, build_frames(cell), given, lambda share: report((1.0 - _READING_SHARE) * share), piece.known
         )
     except OutsideSpanError as error:
         if not is_one_of_many or not (piece.span.has_stamps or piece.window):
@@ -366,13 +308,18 @@ def _identify_piece(
     )
     share = 0.0 if evidence is None else evidence.gain_error_share
     named = NamedResult(name=name, result=found, gain_error_share=share)
-    return _Run(named=named, source=_source(recording), evidence=kept)
+    run = PieceRun(named=named, source=_source(recording), evidence=kept)
+    if evidence is None or evidence.payload is None:
+        return run
+    if piece.known:
+        return replace(run, payload_from=evidence.payload.source)
+    return replace(run, payload=replace(evidence.payload, source=f"window {name}"))
 
 
-def _source(recording: Recording) -> _Source:
+def _source(recording: Recording) -> RunSource:
     wrench, command = recording.wrench, recording.command
     others = {"twist": recording.twist, "gains": recording.gains, "desired_force": recording.desired_force}
-    return _Source(
+    return RunSource(
         channels={
             "wrench": wrench.topic,
             "pose": recording.pose.topic,
@@ -385,7 +332,7 @@ def _source(recording: Recording) -> _Source:
     )
 
 
-def _provenance(sources: Sequence[_Source], options: IdentifyOptions, windows: Sequence[Window]) -> dict[str, Any]:
+def _provenance(sources: Sequence[RunSource], options: IdentifyOptions, windows: Sequence[Window]) -> dict[str, Any]:
     """Return where the numbers come from; channels and clocks are those of the first recording."""
     first, spans = sources[0], [list(source.span_s) for source in sources]
     cell, joints = options.cell, options.declared().joints

@@ -27,7 +27,8 @@ class Window:
     `log` names it where there are several.
     `has_pauses` says that the recorder paused in it, or that messages are lost; what lies around them is not used.
     `values` are value and standard deviation in SI of what it identifies, by name; `refused` says why there is nothing,
-    `is_used` whether it is one of those that give the result.
+    `is_used` whether it is one of those that give the result. `payload_from` names the window whose payload was taken
+    in the place of its own; the values hold that too. `changed` says what changed within it, or where it begins.
     """
 
     start_s: float
@@ -37,6 +38,8 @@ class Window:
     refused: str = ""
     is_used: bool = False
     has_pauses: bool = False
+    payload_from: str = ""
+    changed: str = ""
 
     @property
     def name(self) -> str:
@@ -48,6 +51,7 @@ class Window:
         values = {name: list(each) for name, each in self.values.items()}
         refused = {"refused": self.refused} if self.refused else {}
         log = ({"log": self.log} if self.log else {}) | ({"pauses": True} if self.has_pauses else {})
+        log |= {name: text for name in ("payload_from", "changed") if (text := getattr(self, name))}
         return {**log, "from_s": self.start_s, "to_s": self.stop_s, "used": self.is_used, **refused, "values": values}
 
     @classmethod
@@ -60,6 +64,8 @@ class Window:
             "refused": tree.get("refused", ""),
             "is_used": bool(tree["used"]),
             "has_pauses": bool(tree.get("pauses")),
+            "payload_from": tree.get("payload_from", ""),
+            "changed": tree.get("changed", ""),
         }
         return cls(start_s=start_s, stop_s=stop_s, values=values, **said)
 
@@ -99,7 +105,12 @@ def most_telling(windows: Sequence[Window]) -> tuple[int, ...]:
                 chosen.append(k)
         sets.append(chosen)
     agreeing = max(sets, key=lambda each: (len(each), max(each)))
-    return tuple(sorted([k for k in ranked if k in agreeing][:_MOST_USED]))
+    chosen = [k for k in ranked if k in agreeing]
+    weighing = [k for k in chosen if MASS in windows[k].values and not windows[k].payload_from]
+    # What the payload of a window without its own is from takes part.
+    if weighing and weighing[0] not in chosen[:_MOST_USED]:
+        chosen.insert(_MOST_USED - 1, weighing[0])
+    return tuple(sorted(chosen[:_MOST_USED]))
 
 
 def _plant(values: Values) -> dict[str, tuple[float, float]]:
@@ -114,7 +125,7 @@ def _unsure(values: Values) -> tuple[int, float]:
 
 def window_changes(windows: Sequence[Window]) -> tuple[Change, ...]:
     """Return what changed in the plant from one window that identifies something to the next that does."""
-    named = [(each.name, _plant(each.values)) for each in windows]
+    named = [(each.name, _own(each)) for each in windows]
     last: dict[str, tuple[str, tuple[float, float]]] = {}
     found: list[Change] = []
     for name, values in named:
@@ -123,6 +134,11 @@ def window_changes(windows: Sequence[Window]) -> tuple[Change, ...]:
                 found += differences("", (last[key][0], {key: last[key][1]}), (name, {key: value}))
             last[key] = name, value
     return tuple(found)
+
+
+def _own(window: Window) -> dict[str, tuple[float, float]]:
+    """Return what a window itself shows of the plant."""
+    return {name: each for name, each in _plant(window.values).items() if not (name == MASS and window.payload_from)}
 
 
 def window_columns() -> tuple[str, ...]:
@@ -141,29 +157,33 @@ def window_rows(windows: Sequence[Window]) -> tuple[tuple[str, ...], ...]:
             continue
         for each in held:
             mass = with_deviation(*each.values[MASS]) if MASS in each.values else ("-", "-")
-            use = "gives the result" if each.is_used else "nothing known of it" if not each.values else ""
-            rows.append((each.name, *mass, str(len(each.values)), use))
+            rows.append((each.name, *mass, str(len(each.values)), use_text(each)))
     return tuple(rows)
+
+
+def use_text(window: Window) -> str:
+    """Say whether a window gives the result, and whose payload it was read with."""
+    payload = f"payload from {window.payload_from}" if window.payload_from else ""
+    if window.refused or not window.values:
+        return window.refused or "nothing known of it"
+    return ", ".join(filter(None, ("gives the result" if window.is_used else "", payload)))
 
 
 def window_findings(windows: Sequence[Window]) -> tuple[Finding, ...]:
     """Report what changed within a log, and how many windows gave the result."""
     used, silent = [each for each in windows if each.is_used], sum(not each.values for each in windows)
     pauses = sum(each.has_pauses for each in used)
-    changed = window_changes(windows)
+    taken = sum(bool(each.payload_from) for each in windows)
+    shared = f" {taken} have too few poses: their payload is that of the nearest that shows it." if taken else ""
+    seen = [each.changed for each in windows if each.changed]
+    changed = [*seen, *map(change_text, window_changes(windows))]
+    advice = "Record each payload on its own where this was no drift; the result is of the windows that agree."
     return (
-        *(
-            Finding.warning(
-                "changed-within-log",
-                change_text(change),
-                "Record each payload on its own where this was no drift; the result is of the windows that agree.",
-            )
-            for change in changed
-        ),
+        *(Finding.warning("changed-within-log", text, advice) for text in changed),
         Finding.info(
             "windows",
             f"Of {len(windows)} windows {len(used)} give the result ({', '.join(each.name for each in used)}); "
-            f"{silent} identify nothing; in {pauses} of those used the recorder paused or lost messages.",
+            f"{silent} identify nothing; in {pauses} of those used the recorder paused or lost messages.{shared}",
             "",
         ),
     )

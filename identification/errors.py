@@ -19,8 +19,36 @@ class UntimedError(LogError):
     """A part is asked of a table whose time is not declared."""
 
 
+class PayloadChangedError(LogError):
+    """Payload or bias changed within the log, `time_s` after its first sample at `start_ns`; `what` says how.
+
+    Before and after that the log can be used.
+    """
+
+    kind = LogError.__name__
+
+    def __init__(self, what: str, advice: str, start_ns: int, time_s: float) -> None:
+        super().__init__(f"{what} {advice}")
+        self.what, self.advice, self.start_ns, self.time_s = what, advice, start_ns, time_s
+
+    @property
+    def stamp_ns(self) -> int:
+        """The stamp of the change."""
+        return self.start_ns + round(1e9 * self.time_s)
+
+    def __reduce__(self) -> tuple[type["PayloadChangedError"], tuple[str, str, int, float]]:
+        """Pickle by what the constructor takes, for errors that pass from process to process."""
+        return PayloadChangedError, (self.what, self.advice, self.start_ns, self.time_s)
+
+
 class EstimateError(AutotuneError):
     """The log is sound but does not show what was asked of it."""
+
+
+class FewPosesError(EstimateError):
+    """The tool rests in too few orientations to separate the payload's weight from the sensor's bias."""
+
+    kind = EstimateError.__name__
 
 
 def listed(names: Iterable[object], *, empty: str = "none") -> str:

@@ -8,6 +8,7 @@ from problems.arrays import FloatArray
 from problems.frozen import freeze
 
 from .joint_fit.result import FittedSpan
+from .known_payload import KnownPayload
 from .result import Finding
 
 
@@ -26,7 +27,8 @@ class Evidence:
     of the log, the first moment `start_ns` that wrench and pose share, from which all its times count; what a hole
     swallowed is NaN. `log` names the recording, `reading` is what was found when it was read. `gain_error_share` is the
     share by which the force's scale may be wrong, as the rests show it. Of a log whose weight was removed before
-    recording there is the wrench as logged alone: what would be without weight and bias is None.
+    recording there is the wrench as logged alone: what would be without weight and bias is None. `payload` is that of
+    the rests, or the known one that was taken.
     """
 
     start_ns: int
@@ -39,6 +41,7 @@ class Evidence:
     log: str = ""
     reading: tuple[Finding, ...] = ()
     gain_error_share: float = 0.0
+    payload: KnownPayload | None = None
 
     def __post_init__(self) -> None:
         freeze(self, "axes")

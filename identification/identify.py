@@ -1,6 +1,6 @@
 """Identification of plant parameters from one recording: the driver over all estimators."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,11 +12,12 @@ from .axes.straight import Travel, find_axes
 from .axes.turning import find_turns
 from .axis_command import CellSignals
 from .axis_estimate import AxisResult, axis_evidence, identify_axis
-from .conventions.choice import read_by_weight
+from .conventions.choice import ReadLog, read_by_weight
 from .evidence import Evidence
 from .fitted_timeline import account_for_log, hand_findings, with_surfaces, without_surface
 from .given import Given, settle_cell
 from .joint_fit.latency import find_wrench_filter
+from .known_payload import KnownPayload, known_payload, read_with_known
 from .partial import identify_partial
 from .payload.gravity import GravityFit, identify_gravity
 from .payload.gravity_verdicts import com_estimate, gravity_findings, mass_estimate
@@ -81,6 +82,7 @@ def identify_with_evidence(
     frames: Frames | None = None,
     given: Mapping[str, Given] | None = None,
     progress: Callable[[float], None] | None = None,
+    known: Sequence[KnownPayload] = (),
 ) -> tuple[Identified, Evidence | None]:
     """Return what `identify_cell` does, and the signals that it rests on; None where it has no wrench over time.
 
@@ -90,32 +92,77 @@ def identify_with_evidence(
         As of `identify_cell`.
     progress
         Receives the share of the work (0 to 1) that was done since the last call.
+    known
+        Payloads of other logs of the cell, in the place of that of a log whose rests show none: the first one that its
+        force at rest agrees with.
+
+    Raises
+    ------
+    PayloadChangedError
+        With `known`: the force at rest agrees with a payload up to some rest, or from it on.
 
     """
-    found, cell, results = _identify(recording, frames, given or {}, progress if progress is not None else no_progress)
+    report = progress if progress is not None else no_progress
+    found, cell, results, payload = _identify(recording, frames, given or {}, report, known)
     if cell is None or cell.gravity is None:
         return found, _wrench_as_logged(recording) if found.timelines else None
-    return found, _evidence(cell, cell.gravity, results)
+    return found, replace(_evidence(cell, cell.gravity, results), payload=payload)
 
 
 def _identify(
-    recording: Recording, frames: Frames | None, given: Mapping[str, Given], report: Callable[[float], None]
-) -> tuple[Identified, CellSignals | None, Mapping[str, AxisResult]]:
+    recording: Recording,
+    frames: Frames | None,
+    given: Mapping[str, Given],
+    report: Callable[[float], None],
+    known: Sequence[KnownPayload] = (),
+) -> tuple[Identified, CellSignals | None, Mapping[str, AxisResult], KnownPayload | None]:
     partial = _identify_incomplete(recording, frames, given)
     if partial is not None:
         report(1.0)
-        return settle_cell(partial, given), None, {}
+        return settle_cell(partial, given), None, {}, None
     if recording.command is not None:
         recording = replace(recording, command=restore_commands(recording.command))
     recording, about_spikes = without_spikes(recording)
-    first = align(recording)
-    read = read_by_weight(recording, first, find_motion(first), frames)
-    recording, log, motion = read.recording, read.log, read.motion
-    gravity = identify_gravity(read.poses)
-    force = gravity.compensated_force_S_n(log)
+    read, payload = _weighed(recording, frames, known)
+    log, motion, gravity = read.log, read.motion, payload.gravity
     report(_WEIGHING_SHARE / 2.0)
     inertia = identify_inertia(log, motion, read.poses, gravity)
     report(_WEIGHING_SHARE / 2.0)
+    cell, about_robots = _signals(read, gravity, given)
+    travel = find_axes(log, motion, cell.force_S_n)
+    results, about_axes = _identify_axes(cell, travel, inertia, lambda share: report(_AXES_SHARE * share))
+    accounted, timeline = account_for_log(cell, results, gravity.mass_kg)
+    sensor, about_sensor = describe_sensor(read, gravity, frames)
+    late, about_late = _late_wrench(results, read.recording, log.period_s)
+    report(1.0 - _WEIGHING_SHARE - _AXES_SHARE)
+    found = Identified(
+        sample_time_s=_sample_time(read.recording),
+        payload=PayloadEstimate(
+            mass_kg=mass_estimate(gravity), com_m=com_estimate(gravity), inertia_kg_m2=_inertia(inertia)
+        ),
+        axes={name: with_surfaces(axis.estimate, accounted.surfaces[name]) for name, axis in results.items()},
+        sensor=replace(sensor, wrench_filter=late),
+        findings=(
+            *about_spikes,
+            *read.findings,
+            *about_robots,
+            *without_surface(about_axes, accounted),
+            *accounted.findings,
+            *hand_findings(timeline),
+            *((payload.finding(),) if known else gravity_findings(gravity)),
+            *about_sensor,
+            *about_late,
+            *inertia.findings,
+        ),
+        timelines=(timeline,),
+    )
+    return settle_cell(found, cell.given), cell, results, payload
+
+
+def _signals(read: ReadLog, gravity: GravityFit, given: Mapping[str, Given]) -> tuple[CellSignals, tuple[Finding, ...]]:
+    """Return what the axes of a weighed log share, and what its gains show of the robot."""
+    recording, log, motion = read.recording, read.log, read.motion
+    force = gravity.compensated_force_S_n(log)
     robots, rebuilt = _led_robots(recording, log, motion, force)
     cell = CellSignals(
         recording=recording,
@@ -130,34 +177,19 @@ def _identify(
         rebuilt=rebuilt,
         turns=find_turns(recording, log, motion, gravity),
     )
-    travel = find_axes(log, motion, force)
-    results, about_axes = _identify_axes(cell, travel, inertia, lambda share: report(_AXES_SHARE * share))
-    accounted, timeline = account_for_log(cell, results, gravity.mass_kg)
-    sensor, about_sensor = describe_sensor(read, gravity, frames)
-    late, about_late = _late_wrench(results, recording, log.period_s)
-    report(1.0 - _WEIGHING_SHARE - _AXES_SHARE)
-    found = Identified(
-        sample_time_s=_sample_time(recording),
-        payload=PayloadEstimate(
-            mass_kg=mass_estimate(gravity), com_m=com_estimate(gravity), inertia_kg_m2=_inertia(inertia)
-        ),
-        axes={name: with_surfaces(axis.estimate, accounted.surfaces[name]) for name, axis in results.items()},
-        sensor=replace(sensor, wrench_filter=late),
-        findings=(
-            *about_spikes,
-            *read.findings,
-            *robots.findings,
-            *without_surface(about_axes, accounted),
-            *accounted.findings,
-            *hand_findings(timeline),
-            *gravity_findings(gravity),
-            *about_sensor,
-            *about_late,
-            *inertia.findings,
-        ),
-        timelines=(timeline,),
-    )
-    return settle_cell(found, cell.given), cell, results
+    return cell, robots.findings
+
+
+def _weighed(
+    recording: Recording, frames: Frames | None, known: Sequence[KnownPayload]
+) -> tuple[ReadLog, KnownPayload]:
+    """Return the log as its weight reads it, with the payload that its rests show, else a known one."""
+    log = align(recording)
+    motion = find_motion(log)
+    if known:
+        return read_with_known(recording, log, motion, frames, known)
+    read = read_by_weight(recording, log, motion, frames)
+    return read, known_payload(read, identify_gravity(read.poses))
 
 
 def _late_wrench(

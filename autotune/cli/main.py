@@ -274,7 +274,12 @@ def _report(error: BaseException, arguments: Sequence[str], delivery: Delivery) 
     say("\n".join(wrap_lines(text, verdict=f"{PROGRAM}: ", columns=columns, error=True)))
     if _has_option("--json", arguments) and not delivery.done:
         tree: dict[str, Any] = {
-            "error": {"kind": type(error).__name__, "message": message, "exit_code": int(code), **_details(error)}
+            "error": {
+                "kind": getattr(error, "kind", type(error).__name__),
+                "message": message,
+                "exit_code": int(code),
+                **_details(error),
+            }
         }
         tree |= {"report": delivery.report} if delivery.report else {}
         with contextlib.suppress(BrokenPipeError):

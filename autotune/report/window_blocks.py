@@ -7,7 +7,7 @@ import numpy as np
 from autotune.charts.chart import Band, Chart, Panel, Points, Scale
 from autotune.drift import parameter_name, parameter_text
 from autotune.text import with_deviation
-from autotune.windows import Window
+from autotune.windows import Window, use_text
 
 from .page import Block, Section, build_table
 
@@ -27,10 +27,7 @@ def _blocks(windows: Sequence[Window]) -> Iterator[Block]:
     shown = [name for name in names if sum(name in each.values for each in windows) >= _FEWEST_POINTS]
     if shown:
         yield _drift_chart(windows, shown[:_MOST_PANELS])
-    rows = [
-        (each.name, "gives the result" if each.is_used else each.refused, *(_value(each, name) for name in names))
-        for each in windows
-    ]
+    rows = [(each.name, use_text(each), *(_value(each, name) for name in names)) for each in windows]
     numbers = range(2, 2 + len(names))
     yield build_table("Value ± standard deviation", ("window", "use", *heads), rows, numbers=tuple(numbers))
 

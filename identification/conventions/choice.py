@@ -55,16 +55,17 @@ def read_by_weight(recording: Recording, log: AlignedLog, motion: MotionSpans, f
                 f"`{', '.join(chosen.entries(frames))}`.",
                 advice="Declare it in cell.yaml.",
             )
-            return _read(recording, chosen, frames, (finding,))
+            return read_as(recording, chosen, frames, (finding,))
     chosen_by_weight = ranking.chosen()
     if chosen_by_weight is None or chosen_by_weight.changes == 0:
         return ReadLog(recording=recording, log=log, motion=motion, poses=poses, convention=None, findings=findings)
-    return _read(recording, chosen_by_weight, frames, findings)
+    return read_as(recording, chosen_by_weight, frames, findings)
 
 
-def _read(
-    recording: Recording, convention: Convention, frames: Frames | None, findings: tuple[Finding, ...]
+def read_as(
+    recording: Recording, convention: Convention, frames: Frames | None, findings: tuple[Finding, ...] = ()
 ) -> ReadLog:
+    """Return a log under a convention other than the declared one."""
     read = convention.apply(recording, frames)
     log = align(read)
     motion = find_motion(log)
@@ -83,7 +84,7 @@ def _decided_by_moves(
 ) -> tuple[Convention, float] | None:
     """Read the wrench as the other body's: the inertia comes out positive if it is, negative if gravity is reversed."""
     by_pull = {each.sign_origin: each for each in ranking.alike}
-    tried = _read(recording, by_pull[SignOrigin.WRENCH], frames, ())
+    tried = read_as(recording, by_pull[SignOrigin.WRENCH], frames)
     try:
         sign = inertial_sign(tried.log, tried.motion, tried.poses, identify_gravity(tried.poses))
     except EstimateError:

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from problems.errors import ParameterError
 
-from ..errors import LogError, OutsideSpanError
+from ..errors import LogError, OutsideSpanError, PayloadChangedError
 from ..result import Finding
 from ..signals.aligned import without_pose_spikes
 from ..signals.recording import Recording, StampArray, join_recordings, sampling_rate_hz, shifted
 from .checks.clocks import ChannelTimes, check_clocks
-from .checks.payload import check_payload
+from .checks.payload import check_payload, payload_change
 from .checks.robot_state import drop_idle_command, drop_zero_torques
 from .checks.samples import joined
 from .containers.formats import digests, is_folder, is_table
@@ -40,6 +40,7 @@ LONGEST_WHOLE_S, LARGEST_WHOLE_BYTES, WINDOW_S = 1200.0, 100_000_000, 600.0
 _LARGEST_NS = 2**62
 _LONGEST_PAUSE_NS = 10**9
 """A recorder that splits its files goes on at once; who records again takes longer."""
+_CHANGED = frozenset({"payload-change", "tare-jump"})
 _HELD = frozenset({Role.GAINS, Role.DESIRED_FORCE})
 """Roles whose last value goes on until there is another."""
 
@@ -88,15 +89,19 @@ class LogSpan:
         """Whether all of a log is read."""
         return self.start is None and self.stop is None
 
+    def bounds_ns(self, zero_ns: int) -> tuple[int | None, int | None]:
+        """Return the stamps of its first and last instant in a log that starts at `zero_ns`; None for the log's own."""
+        parsed = _parsed("from", self.start), _parsed("to", self.stop)
+        first, last = (None if each is None else each[0] + (0 if each[1] else zero_ns) for each in parsed)
+        return first, last
+
     def covers(self, stamp_ns: StampArray, zero_ns: int) -> NDArray[np.bool_]:
         """Return which stamps (n,) are in it, in a log that starts at `zero_ns`."""
+        first, last = self.bounds_ns(zero_ns)
         inside = np.ones(stamp_ns.size, dtype=np.bool_)
-        for name, instant in (("from", self.start), ("to", self.stop)):
-            parsed = _parsed(name, instant)
-            if parsed is not None:
-                limit = parsed[0] + (0 if parsed[1] else zero_ns)
-                inside &= stamp_ns >= limit if name == "from" else stamp_ns <= limit
-        return inside
+        if first is not None:
+            inside &= stamp_ns >= first
+        return inside if last is None else inside & (stamp_ns <= last)
 
     def __str__(self) -> str:
         first, last = (f"{each:.9g}" if isinstance(each, float) else each for each in (self.start, self.stop))
@@ -240,6 +245,16 @@ def read_recording(
     return _read(paths, declared, salvage=salvage, span=span)[0]
 
 
+def first_instant(
+    paths: Sequence[Path], cell: Cell, *, salvage: bool = False, recorded_ns: tuple[int, int]
+) -> tuple[int, int]:
+    """Return where the part of a log that was recorded between two instants starts: by its clock, and as recorded.
+
+    It starts where both its wrench and its pose have begun. Raises LogError where one of them is not in it.
+    """
+    return _read(paths, cell, salvage=salvage, span=LogSpan(recorded_ns=recorded_ns))[2]
+
+
 def read_checked_recording(
     paths: Path | Sequence[Path], cell: Cell, *, salvage: bool = False, span: LogSpan = WHOLE
 ) -> Recording:
@@ -250,18 +265,26 @@ def read_checked_recording(
     Raises
     ------
     LogError
-        As `read_recording`; the clocks differ by an unknown offset; or the payload changed within the log.
+        As `read_recording`; the clocks differ by an unknown offset.
+    PayloadChangedError
+        The payload changed within the log.
     """
-    recording = _on_one_clock(*_read(paths, cell, salvage=salvage, span=span))
+    recording = _on_one_clock(*_read(paths, cell, salvage=salvage, span=span)[:2])
     about_payload = check_payload(recording)
+    changed = [each for each in about_payload if each.code in _CHANGED and each.severity == "error"]
+    if changed and (change := payload_change(recording)) is not None:
+        raise PayloadChangedError(changed[0].message, changed[0].advice, *change)
     refuse(about_payload)
     return replace(recording, findings=(*recording.findings, *about_payload))
 
 
 def _read(
     paths: Path | Sequence[Path], cell: Cell, *, salvage: bool, span: LogSpan
-) -> tuple[Recording, list[ChannelTimes]]:
-    """Return a recording, and the header and recording stamps of the channels that have clocks of their own."""
+) -> tuple[Recording, list[ChannelTimes], tuple[int, int]]:
+    """Return a recording, header and recording stamps of the channels with clocks of their own, and both of its start.
+
+    It starts where wrench and pose have both begun.
+    """
     files = (paths,) if isinstance(paths, Path) else tuple(paths)
     # A pause of the recorder costs a long log what is around it.
     keeps_holes = salvage or span.recorded_ns is not None
@@ -276,6 +299,8 @@ def _read(
         idle = (*drop_idle_command(parts), *drop_zero_torques(parts))
         clocks, about_clocks = chosen_clocks(parts, cell)
         stamps = [role_stamps(part, clocks, cell) for part in parts]
+        main = [role for role in (Role.WRENCH, Role.POSE) if role in parts[0]]
+        start = max((int(stamps[0][role][0]), int(parts[0][role].log_ns[0])) for role in main)
         chosen = [_chosen(choice, [part[role] for part in stamps if role in part]) for role, choice in choices.items()]
         parts, about_span = cut_roles(parts, stamps, span, logs.name)
         times = _times(parts, clocks)
@@ -288,7 +313,7 @@ def _read(
         findings = (*about_log, *about_span, *chosen, *cautions, *idle, *questions, *about_clocks, *about_samples)
         beside = joint_findings(choices[Role.POSE], recording, cell, chain, logs)
         findings = (*findings, *recording.findings, *beside)
-    return replace(recording, sha256=digests(files), findings=findings, keeps_holes=keeps_holes), times
+    return replace(recording, sha256=digests(files), findings=findings, keeps_holes=keeps_holes), times, start
 
 
 def _check_fields(choices: Iterable[Choice], logs: OpenedLogs) -> None:

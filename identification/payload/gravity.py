@@ -8,7 +8,7 @@ from scipy.special import stdtrit
 
 from problems.arrays import BoolArray, FloatArray, IntArray
 
-from ..errors import EstimateError
+from ..errors import EstimateError, FewPosesError
 from ..signals.aligned import AlignedLog
 from ..signals.recording import turned_rad
 from .pose_fit import BiasStep, PoseEquations, ResidualTerm, TermKind, find_bias_step, find_terms, robust_fit
@@ -112,17 +112,17 @@ def identify_gravity(poses: tuple[StaticPose, ...]) -> GravityFit:
 
     Each distinct orientation counts once, however often it was visited: what one sensor does wrong in one orientation
     does not average out. Standard deviations come from the scatter of the orientations about the fit, never below what
-    the noise allows, widened as Student's distribution asks so that two of them hold 95 %. Raises EstimateError when
-    the orientations do not separate mass from bias, or the result is unphysical.
+    the noise allows, widened as Student's distribution asks so that two of them hold 95 %. Raises FewPosesError when
+    the orientations do not separate mass from bias, EstimateError where the result is unphysical.
     """
     if not poses:
-        raise EstimateError(
+        raise FewPosesError(
             "Gravity identification needs rests of 0.4 s or more, and the tool is never at rest in this log; record "
             "6 to 12 poses of 1 s each, and check that positions are in metres and that nothing shakes the sensor."
         )
     groups = group_by_gravity(poses)
     if len(np.unique(groups)) < _FEWEST_POSES:
-        raise EstimateError(
+        raise FewPosesError(
             "Gravity identification needs at least 4 clearly different tool orientations, each at rest for 0.7 s or "
             f"more, found {len(np.unique(groups))}; record 6 to 12 poses of 1 s each, tilted 30 to 70 degrees about "
             f"two axes.{_maybe_compensated(poses)}"
@@ -279,7 +279,7 @@ def _joint_covariance(mass: float, com: FloatArray, force: FloatArray, torque: F
 
 def _check_mass(condition: float, mass_kg: float, std_kg: float) -> None:
     if condition > _LARGEST_CONDITION:
-        raise EstimateError(
+        raise FewPosesError(
             f"The poses are too alike to separate weight from sensor bias (condition number {condition:.0f}, at most "
             f"{_LARGEST_CONDITION:.0f}); record poses tilted by 30 to 70 degrees about two axes."
         )

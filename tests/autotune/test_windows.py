@@ -1,5 +1,6 @@
 """Long logs in windows: the numbers of recordings on their own, what changed, and nothing read but the window."""
 
+import re
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -8,20 +9,20 @@ import numpy as np
 import pytest
 
 from autotune.drift import MASS
-from autotune.errors import UsageError
 from autotune.pipeline import IdentifyOptions, identify_log
 from autotune.results import Identification
 from autotune.simulation.simulate import made_later, simulate_cell
 from autotune.simulation.truth import SimulatedCell
 from autotune.simulation.write import write_mcap
 from autotune.windows import Window, most_telling, window_changes, window_findings, window_rows, windows_of
-from identification.errors import EstimateError, LogError
-from identification.logs import inspect, read
+from identification.errors import EstimateError, LogError, OutsideSpanError
+from identification.logs import inspect, long_logs, read
 from identification.logs.containers.channel import ByteArray
 from identification.logs.containers.mcap_file import ChunkReader
 from identification.logs.containers.mcap_layout import Chunk
 from identification.logs.inspect import inspect_log
-from identification.logs.read import LogSpan, read_recording, window_bounds
+from identification.logs.read import LogSpan, read_checked_recording, read_recording, window_bounds
+from identification.logs.roles.cell import Cell
 from identification.signals.recording import Recording, join_recordings
 from tests.autotune.simulation.runs import SHORT
 
@@ -110,9 +111,105 @@ def test_a_log_of_which_no_window_says_anything_is_refused_with_the_commonest_re
         identify_log(long_log, replace(IN_WINDOWS, wrench_topic="/no_such_topic"))
 
 
-def test_windows_are_of_a_whole_log(long_log: Path) -> None:
-    with pytest.raises(UsageError, match="leave out the part"):
-        identify_log(long_log, replace(IN_WINDOWS, start=3.0))
+def test_windows_of_a_part_are_those_of_its_length_and_show_what_the_part_shows(
+    long_log: Path, days: tuple[Recording, Recording]
+) -> None:
+    begin, ends = int(days[1].wrench.stamp_ns[0]), int(days[1].wrench.stamp_ns[-1])
+    late = int(made_later(days[1], WIDTH_S / 3600.0).wrench.stamp_ns[0]) - begin
+    part = IdentifyOptions(allow_partial=True, start=35.0)
+    found = identify_log(long_log, replace(part, windows_s=60.0))
+    assert [each.name for each in windows_of(found.provenance)] == ["0:00:35 to 0:01:01"]
+    assert found.result.payload == identify_log(long_log, part).result.payload
+    by_stamp = replace(IN_WINDOWS, start=f"@{(begin + late) / 1e9 + 1.0:.6f}", stop=f"@{(ends + late) / 1e9:.6f}")
+    alone = identify_log(long_log, by_stamp)
+    assert alone.provenance["time_span_s"][0] == pytest.approx((begin + late) / 1e9 + 1.0, abs=1e-3)
+    with pytest.raises(OutsideSpanError, match=r"from @5 s to @6 s, found none; it is 60\.999 s long"):
+        identify_log(long_log, replace(IN_WINDOWS, start="@5", stop="@6"))
+
+
+def test_of_a_long_log_no_more_than_the_part_is_read(long_log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in (("LONGEST_WHOLE_S", 50.0), ("LARGEST_WHOLE_BYTES", 1_000_000)):
+        monkeypatch.setattr(read, name, value)
+    monkeypatch.setattr(long_logs, "LONGEST_WHOLE_S", 50.0)
+    monkeypatch.setattr(long_logs, "_MARGIN_NS", 10**9)
+    options, opened = IdentifyOptions(allow_partial=True, start=38.0), list[int]()
+    unpack = ChunkReader.unpack
+    whole = identify_log(long_log, options, recording=read_checked_recording(long_log, Cell(), span=options.span))
+
+    def noted(reader: ChunkReader, chunk: Chunk) -> ByteArray:
+        opened.append(chunk.start_ns)
+        return unpack(reader, chunk)
+
+    monkeypatch.setattr(ChunkReader, "unpack", noted)
+    part = identify_log(long_log, options)
+    assert part.result.payload == whole.result.payload
+    assert part.result.axes == whole.result.axes
+    first = min(opened)
+    # Where it starts is looked for in its first ten seconds; the last chunk before the pause reaches into the part.
+    assert not any(first + 11e9 < start < first + 19e9 for start in opened)
+
+
+@pytest.fixture(scope="module")
+def shift(tmp_path_factory: pytest.TempPathFactory) -> Identification:
+    """A payload is weighed and works; another one is weighed, swapped in within a window, and works."""
+    weighing = replace(PROGRAM, pose_count=6, sweep_s=0.0, jogging_s=0.0)
+    working = replace(PROGRAM, pose_count=1, sweep_s=3.0, contact_count=2)
+    parts = [
+        simulate_cell(cell, program, seed=seed).recording
+        for seed, (cell, program) in enumerate(
+            [(SimulatedCell(), weighing), (LIGHTER, weighing), (LIGHTER, working), (SimulatedCell(), working)]
+        )
+    ]
+    starts_s = (0.0, 19.0, 1.0 * WIDTH_S, 2.0 * WIDTH_S)
+    late = [made_later(part, start / 3600.0) for part, start in zip(parts, starts_s, strict=True)]
+    path = tmp_path_factory.mktemp("shift") / "shift.mcap"
+    write_mcap(join_recordings(late), path)
+    return identify_log(path, IN_WINDOWS)
+
+
+def test_a_window_in_which_the_payload_changes_is_two(shift: Identification) -> None:
+    first, second, *_ = windows_of(shift.provenance)
+    assert first.name == "0:00:00 to 0:00:18"
+    assert second.name == "0:00:18 to 0:00:40"
+    assert first.values[MASS][0] == pytest.approx(16.2, abs=3.0 * first.values[MASS][1])
+    assert second.values[MASS][0] == pytest.approx(11.3, abs=3.0 * second.values[MASS][1])
+    swap, change, *_ = (each.message for each in shift.result.findings if each.code == "changed-within-log")
+    assert re.search(r"^0:00:00 to 0:00:40: The payload of .* changed between 18.* Both sides are identified", swap)
+    assert "From 0:00:00 to 0:00:18 to 0:00:18 to 0:00:40, payload mass went from 16.2" in change
+
+
+def test_a_window_with_too_few_poses_takes_the_payload_that_its_force_agrees_with(shift: Identification) -> None:
+    *_, light, heavy = windows_of(shift.provenance)
+    assert light.payload_from == "window 0:00:18 to 0:00:40"
+    # The nearer payload is not the one that hangs there.
+    assert heavy.payload_from == "window 0:00:00 to 0:00:18"
+    for each in (light, heavy):
+        for name, true in (("x.stiffness_n_per_m", 3.1e5), ("x.x1.stiffness_n_per_m", 1.2e5)):
+            (value, std) = next(held for key, held in each.values.items() if key.endswith(name.partition(".")[2]))
+            assert value == pytest.approx(true, abs=4.0 * std), name
+            assert std < 0.05 * true
+    rows = [row[-1] for row in window_rows(windows_of(shift.provenance))]
+    assert rows[-1].endswith("payload from window 0:00:00 to 0:00:18")
+
+
+def test_the_payload_of_another_window_counts_once(shift: Identification) -> None:
+    used = [each for each in windows_of(shift.provenance) if each.is_used]
+    (own,) = (each for each in used if not each.payload_from)
+    assert len(used) == 2
+    assert shift.result.payload.mass_kg.value == own.values[MASS][0]
+    assert shift.result.payload.mass_kg.std == own.values[MASS][1]
+    assert "x" in shift.result.axes
+
+
+def test_a_payload_is_not_handed_on_where_the_sensor_was_tared_in_between(tmp_path: Path) -> None:
+    working = replace(PROGRAM, pose_count=1, sweep_s=3.0, contact_count=3)
+    tared = replace(SimulatedCell(), force_bias_S_n=(4.2, -6.0, 11.0))
+    weighed = simulate_cell(SimulatedCell(), PROGRAM, seed=1).recording
+    found = identify_log(
+        written(tmp_path / "tared.mcap", weighed, simulate_cell(tared, working, seed=2).recording), IN_WINDOWS
+    )
+    *_, second = windows_of(found.provenance)
+    assert second.refused.startswith("The tool rests in fewer than 4 clearly different orientations here, and the")
 
 
 def test_a_long_log_is_looked_at_in_windows_and_its_channels_are_those_of_the_whole(

@@ -139,7 +139,19 @@ def weigh_rests(topic: str, log: AlignedLog, poses: tuple[StaticPose, ...]) -> t
     found = [_judged(jump.finding(topic), jump, jumps, log, poses) for jump in jumps]
     # A tare in the middle of the poses is reported once.
     change = None if jumps else _find_change(topic, log, poses)
-    return (*found, *(() if change is None else (change,)), *_unit_findings(topic, poses))
+    return (*found, *(() if change is None else (change[0],)), *_unit_findings(topic, poses))
+
+
+def payload_change(recording: Recording) -> tuple[int, float] | None:
+    """Return the first stamp of the log [ns], and how long after it payload or bias change [s]; None if they do not."""
+    log = align(recording)
+    poses, topic = collect_static_poses(log, find_motion(log).still), recording.wrench.topic
+    jumps = find_tare_jumps(log)
+    judged = (jump for jump in jumps if _judged(jump.finding(topic), jump, jumps, log, poses).severity == "error")
+    change = None if jumps else _find_change(topic, log, poses)
+    jump = next(judged, None)
+    times_s = [*(() if jump is None else (jump.time_s,)), *(() if change is None else (change[1],))]
+    return (log.start_ns, times_s[0]) if times_s else None
 
 
 def _judged(
@@ -207,9 +219,9 @@ def _weigh(poses: tuple[StaticPose, ...]) -> tuple[FloatArray, float, float] | N
     return np.concatenate([[mass], bias]), scatter * float(np.sqrt(inverse[0, 0])), scatter
 
 
-def _find_change(topic: str, log: AlignedLog, poses: tuple[StaticPose, ...]) -> Finding | None:
-    """Return the split of the rests at which the later ones stop fitting the earlier payload, all in one way."""
-    best: tuple[tuple[float, float], Finding] | None = None
+def _find_change(topic: str, log: AlignedLog, poses: tuple[StaticPose, ...]) -> tuple[Finding, float] | None:
+    """Return the split of the rests at which the later ones stop fitting the earlier payload, and its time [s]."""
+    best: tuple[tuple[float, float], Finding, float] | None = None
     for split in range(_FEWEST_ORIENTATIONS, len(poses) - _FEWEST_AFTER + 1):
         earlier, later = poses[:split], poses[split:]
         before = _weigh(earlier)
@@ -228,8 +240,8 @@ def _find_change(topic: str, log: AlignedLog, poses: tuple[StaticPose, ...]) -> 
             free = tuple(p for p in earlier if float(np.linalg.norm(_left(p, solution))) <= largest)
             finding = _bias_change(topic, _times(log, earlier, later), later, off, returns=_returns(log, free, later))
         if finding is not None and (best is None or (-changed, scatter) < best[0]):
-            best = ((-changed, scatter), finding)
-    return None if best is None else best[1]
+            best = ((-changed, scatter), finding, float(np.mean(_gap_s(log, earlier, later))))
+    return None if best is None else best[1:]
 
 
 def _left(pose: StaticPose, solution: FloatArray) -> FloatArray:
@@ -237,8 +249,12 @@ def _left(pose: StaticPose, solution: FloatArray) -> FloatArray:
     return np.asarray(pose.force_S_n - solution[0] * pose.gravity_S_m_s2 - solution[1:])
 
 
+def _gap_s(log: AlignedLog, earlier: tuple[StaticPose, ...], later: tuple[StaticPose, ...]) -> tuple[float, float]:
+    return float(log.time_s[earlier[-1].span.stop - 1]), float(log.time_s[later[0].span.start])
+
+
 def _times(log: AlignedLog, earlier: tuple[StaticPose, ...], later: tuple[StaticPose, ...]) -> str:
-    last, first = log.time_s[earlier[-1].span.stop - 1], log.time_s[later[0].span.start]
+    last, first = _gap_s(log, earlier, later)
     return f"between {last:.2f} and {first:.2f} s"
 
 
