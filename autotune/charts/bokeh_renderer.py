@@ -85,7 +85,8 @@ def draw_panel(panel: Panel, is_beside: bool) -> Any:
         x_axis_label=panel.x.label,
         tools=_ROUND_TOOLS if panel.equal else _TOOLS,
         match_aspect=panel.equal,
-        background_fill_alpha=0.0,
+        # With a ground: without one the engine draws the outline on top of what it drew last, which stays on the paper.
+        background_fill_color=FURNITURE["paper"],
         border_fill_alpha=0.0,
         outline_line_color=FURNITURE["frame"],
         **ranges,
@@ -206,7 +207,7 @@ def _draw_heat(heat: Heat, plot: Any) -> None:
     low, high = heat.span()
     palette = interp_palette(RdBu11, _SHADES) if heat.is_two_sided else "Viridis256"
     mapper = LinearColorMapper(palette=palette, low=low, high=high, nan_color="rgba(0,0,0,0)")
-    plot.background_fill_color, plot.background_fill_alpha = FURNITURE["hole"], 1.0
+    plot.background_fill_color = FURNITURE["hole"]
     for grid in plot.grid:
         grid.visible = False
     for side in (plot.x_range, plot.y_range):

@@ -93,31 +93,49 @@ const explore = (() => {
     grid: ["grid_line_color"],
     line: ["outline_line_color"],
   };
-  // Lines that are too dark on dark paper.
-  const LIGHTER = { "#0072b2": "#56b4e9", "#b3261e": "#ff8a80" };
+  // What is drawn in one colour, as it is on light paper.
+  const INK = ["line_color", "fill_color", "text_color"];
   const drawnIn = new Map();
 
   function dress() {
+    const onDark = JSON.parse(document.getElementById("dark-colours").textContent);
     const style = getComputedStyle(document.documentElement);
     const colour = name => style.getPropertyValue(`--${name}`).trim();
     const set = (model, values) => model.setv(values, { sync: false });
+    const shown = light => (isDark.matches && onDark[light]) || light;
     for (const model of page().all_models) {
       for (const [name, keys] of Object.entries(FRAME)) {
         for (const key of keys) if (key in model && model[key] !== null) set(model, { [key]: colour(name) });
       }
-      const line = drawnIn.get(model) || ("line_color" in model && model.line_color && model.line_color.value);
-      if (line in LIGHTER) {
-        drawnIn.set(model, line);
-        set(model, { line_color: { value: isDark.matches ? LIGHTER[line] : line } });
+      const lights = drawnIn.get(model) || {};
+      drawnIn.set(model, lights);
+      for (const key of INK) {
+        const given = key in model ? model[key] : null, isPlain = typeof given === "string";
+        lights[key] ||= isPlain ? given : given && given.value;
+        if (lights[key] in onDark) set(model, { [key]: isPlain ? shown(lights[key]) : { value: shown(lights[key]) } });
       }
     }
     for (const item of document.querySelectorAll("li[style]")) {
       item.dataset.line ||= item.style.getPropertyValue("--line-colour").trim();
-      const line = item.dataset.line;
-      item.style.setProperty("--line-colour", (isDark.matches && LIGHTER[line]) || line);
+      item.style.setProperty("--line-colour", shown(item.dataset.line));
     }
-    set(page().get_model_by_name("ratios"), { text_color: colour("ink"), background_fill_color: colour("paper") });
+    const ground = { background_fill_color: colour("paper") };
+    set(page().get_model_by_name("ratios"), { text_color: colour("ink") });
+    for (const name of ["ratios", "words-data-kept", "words-data-ending"]) set(page().get_model_by_name(name), ground);
+    for (const place of document.querySelectorAll(".drawn")) set(page().get_model_by_name(place.id), ground);
     set(page().get_model_by_name("grounds"), { palette: [colour("unstable"), colour("missed")] });
+  }
+
+  // A legend names what is drawn, and nothing else.
+  function watchLegends() {
+    for (const item of document.querySelectorAll("li[data-source]")) {
+      const source = page().get_model_by_name(item.dataset.source);
+      const follow = () => {
+        item.hidden = (source.data.xs || source.data.x).length === 0;
+      };
+      source.properties.data.change.connect(follow);
+      follow();
+    }
   }
 
   // What is in view is drawn first; the rest once the hand rests, or when it comes into view.
@@ -212,6 +230,7 @@ const explore = (() => {
     document.querySelectorAll(".control").forEach(joinField);
     watchKept();
     watchView();
+    watchLegends();
     dress();
     isDark.addEventListener("change", dress);
   }

@@ -20,6 +20,7 @@ from bokeh.models import (
     DataRange1d,
     FactorRange,
     HoverTool,
+    InlineStyleSheet,
     LinearColorMapper,
     LogTicker,
 )
@@ -55,7 +56,7 @@ _CELLS = Viridis256[32:232]
 # More than one number of two digits, so that no tick of less than a decade reads like another one.
 _TICKS = "return Number(tick.toPrecision(3)).toExponential();"
 _DRAWN_FROM = {
-    "contact": ("contact", "sensor", "peak", "diverging", "kept"),
+    "contact": ("contact", "sensor", "peak", "diverging", "ending", "kept"),
     "admittance": ("gain", "target"),
     "nyquist": ("force", "command", "circle"),
     "requirements": ("bars",),
@@ -132,11 +133,12 @@ class Sender:
 
 @dataclass(frozen=True, kw_only=True)
 class DrawnLine:
-    """A line of a figure for its legend: what it shows, its colour, and `kind`, solid or dashed."""
+    """A line of a figure for its legend: what it shows, its colour, `kind`, solid or dashed, and its data's name."""
 
     label: str
     colour: str
     kind: str
+    source: str
 
 
 class Figures:
@@ -156,7 +158,8 @@ class Figures:
         self.sources["map"] = ColumnDataSource(cells, name="data-map")
         own: dict[str, list[float]] = {"x": [], "y": [], "left": [], "right": [], "bottom": [], "top": []}
         self.sources["own"] = ColumnDataSource({**own, "stable": [], "peak": []}, name="data-own")
-        self.sources["diverging"] = ColumnDataSource({"x": [], "y": [], "text": []}, name="data-diverging")
+        self.sources["diverging"] = ColumnDataSource(dict(_EMPTY), name="data-diverging")
+        self.sources["ending"] = ColumnDataSource({**_EMPTY, "text": [], "align": []}, name="data-ending")
         curves: dict[str, list[float]] = {"xs": [], "ys": [], "x": [], "y": [], "text": []}
         self.sources["kept"] = ColumnDataSource(curves, name="data-kept")
         self.largest_n = math.inf
@@ -178,21 +181,28 @@ class Figures:
         self.colours.tags = self.bar.tags = ["map"]
 
     def _contact(self) -> Any:
-        plot = _plot("contact", "time after the contact [ms]", "force")
+        # Above the highest curve there is room for a word.
+        plot = _plot("contact", "time after the contact [ms]", "force", y_range=DataRange1d(range_padding=0.2))
         kept = self.sources["kept"]
         plot.multi_line("xs", "ys", source=kept, color=_KEPT, line_width=1.0)
-        small: dict[str, Any] = {"text_font_size": "11px", "text_baseline": "bottom", "text_align": "center"}
-        plot.text("x", "y", text="text", source=kept, text_color=_KEPT, **small)
-        self.lines["contact"].append(DrawnLine(label="kept, by number", colour=_KEPT, kind="solid"))
+        self._word(plot, kept, _KEPT, align="center")
+        self.lines["contact"].append(DrawnLine(label="kept, by number", colour=_KEPT, kind="solid", source="data-kept"))
         self._line(plot, self.sources["begun"], "before", "as begun", dashed=True)
         self._line(plot, self.sources["sensor"], "quiet", "at the sensor")
         self._line(plot, self.sources["contact"], "model", "at the contact")
         plot.scatter("x", "y", source=self.sources["peak"], color=COLOURS["model"], size=9, line_color="white")
         diverging = self.sources["diverging"]
         self._line(plot, diverging, "bad", "unstable")
-        small |= {"text_align": "right", "y_offset": -4}
-        plot.text("x", "y", text="text", source=diverging, text_color=COLOURS["bad"], **small)
+        self._word(plot, self.sources["ending"], COLOURS["bad"], align="align")
         return plot
+
+    def _word(self, plot: Any, source: ColumnDataSource, colour: str, *, align: str) -> None:
+        """Write what a source has as `text` above its points, over all curves and on the ground of the paper."""
+        look: dict[str, Any] = {"text_font_size": "12px", "text_baseline": "bottom", "y_offset": -5, "padding": 1}
+        drawn = plot.text(
+            "x", "y", text="text", source=source, text_color=colour, text_align=align, level="overlay", **look
+        )
+        drawn.glyph.update(name=f"words-{source.name}", background_fill_color="white")
 
     def _admittance(self) -> Any:
         plot = _plot("admittance", "frequency [Hz]", "|G|", x_axis_type="log", y_axis_type="log")
@@ -238,6 +248,8 @@ class Figures:
     def _map(self) -> Any:
         ends: dict[str, Any] = {"x_range": (1.0, 2.0), "y_range": (0.0, 1.0)}
         plot = _plot("map", "", "", x_axis_type="log", height=_MAP_HEIGHT, **ends)
+        # Few enough that none meets the next one on a narrow page.
+        plot.xaxis.ticker.desired_num_ticks = 4
         box: dict[str, Any] = {"x": "x", "y": "y", "dw": "dw", "dh": "dh", "source": self.sources["map"]}
         two = LinearColorMapper(palette=[_UNSTABLE, _MISSED], low=0.0, high=1.0, name="grounds")
         plot.image(image="stable", color_mapper=two, **box)
@@ -257,7 +269,8 @@ class Figures:
     def _line(self, plot: Any, source: ColumnDataSource, role: str, label: str, *, dashed: bool = False) -> None:
         kind = "dashed" if dashed else "solid"
         plot.line("x", "y", source=source, color=COLOURS[role], line_width=1.8, line_dash=kind)
-        self.lines[plot.name].append(DrawnLine(label=label, colour=COLOURS[role], kind=kind))
+        line = DrawnLine(label=label, colour=COLOURS[role], kind=kind, source=str(source.name))
+        self.lines[plot.name].append(line)
 
     def changing(self) -> list[Model]:
         """Return what changes whenever a slider moves."""
@@ -298,14 +311,22 @@ class Figures:
     def _show_diverging(self, view: View, sender: Sender) -> None:
         """Show how the force of an unstable contact begins, cut off where it leaves the picture."""
         run = view.diverging
-        data: dict[str, Any] = {"x": [], "y": [], "text": []}
+        data: dict[str, Any] = dict(_EMPTY)
+        ending: dict[str, Any] = {**_EMPTY, "text": [], "align": []}
         if run is not None:
             force, most = run.contact_force_n, min(self.largest_n, _CLIPPED_AT_DRIVE * run.driving_force_n)
             beyond = np.flatnonzero(~(np.abs(force) <= most))
             end, half = (int(beyond[0]) if beyond.size else len(force)), len(force) // 2
             grows = beyond.size or np.max(np.abs(force[half:])) > _GROWS * np.max(np.abs(force[:half]))
             data = _over_time(run.time_s[:end], force[:end])
-            data["text"] = [""] * (len(data["x"]) - 1) + ["diverges" if grows else "does not settle"]
+            # A curve that ends early has its word on its right, so that the frame cuts none off.
+            ending = {
+                "x": data["x"][-1:],
+                "y": data["y"][-1:],
+                "text": ["diverges" if grows else "does not settle"],
+                "align": ["left" if end < half else "right"],
+            }
+        sender.put(self.sources["ending"], data=ending)
         sender.put(self.sources["diverging"], data=data)
 
     def show(self, view: View, sender: Sender) -> None:
@@ -389,7 +410,8 @@ def _plot(key: str, x: str, y: str, **more: Any) -> Any:
         "tools": _TOOLS,
         "x_axis_label": x,
         "y_axis_label": y,
-        "background_fill_alpha": 0.0,
+        # With a ground: without one the engine draws the outline on top of what it drew last, which stays on the paper.
+        "background_fill_color": "white",
         "border_fill_alpha": 0.0,
         "outline_line_color": "#7a7f85",
         "name": key,
@@ -397,6 +419,7 @@ def _plot(key: str, x: str, y: str, **more: Any) -> Any:
     }
     plot = figure(**options)
     plot.toolbar.logo = None
+    plot.toolbar.stylesheets = [InlineStyleSheet(css=".bk-divider { background-color: var(--line); }")]
     # On a touch screen a finger on a figure scrolls the page, until a tool is chosen.
     plot.toolbar.active_drag = None
     plot.toolbar_location = "above"

@@ -12,6 +12,7 @@ from bokeh.models import CustomJS, CustomJSTickFormatter, InlineStyleSheet
 from bokeh.models.widgets import Button, Div, Select, Slider
 from jinja2 import Environment, StrictUndefined, Template
 
+from autotune.charts.palette import dark_colours
 from autotune.formats.units import ROTATIONAL_AXES, axis_units
 from autotune.tuning.search import SearchResult
 from problems.arrays import FloatArray
@@ -61,6 +62,10 @@ dl { display: flex; flex-wrap: wrap; gap: 0.5rem 1.6rem; margin: 0; }
 dt { color: var(--soft); font-size: 0.82rem; } dd { margin: 0; font-size: 1.2rem; font-variant-numeric: tabular-nums; }
 .bk-slider-title { white-space: normal; }
 .bk-slider-value { display: none; }
+.bk-clearfix:empty { display: none !important; }
+.noUi-target { background: var(--pale); border-color: var(--line); box-shadow: none; }
+.noUi-connect { background-color: var(--filled) !important; }
+.noUi-handle { background: var(--handle); border-color: var(--soft); box-shadow: none; }
 :host, .bk-clearfix { min-width: 0; max-width: 100%; }
 .table { overflow-x: auto; } table { border-collapse: collapse; font-size: 0.9rem; font-variant-numeric: tabular-nums; }
 th { color: var(--soft); font-weight: normal; text-align: right; white-space: nowrap; }
@@ -370,7 +375,7 @@ def build_page(exploration: Exploration, target: Target, document: Document) -> 
         keys=KEYS,
         source=exploration.path.name,
     )
-    document.template_variables.update(lines=page.figures.lines, script=_script())
+    document.template_variables.update(lines=page.figures.lines, script=_script(), dark_colours=dark_colours())
     return page
 
 

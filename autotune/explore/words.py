@@ -27,11 +27,11 @@ def verdict(view: View, count: int) -> str:
         return line("warn", f"Stable, but misses {missed}, worst of {count} plants.")
     here = f"|z| = {view.radius:.4f}" if view.radius >= 1.0 else f"|z| = {view.evaluation.spectral_radius:.4f}"
     where = "on the plant that you look at" if view.radius >= 1.0 else "on another plant of the range"
-    return line("bad", f"Unstable {where} (largest {here}): a peak of it is not a number.")
+    return line("bad", f"Unstable {where} (largest {here}), so it has no peak.")
 
 
 def _share(ratio: float) -> str:
-    return f"{min(100.0 / ratio, 99.9):.3g} %" if math.isfinite(ratio) else "none of it"
+    return f"{min(100.0 / ratio, 99.9):.3g}\u00a0% of it" if math.isfinite(ratio) else "none of it"
 
 
 def facts(view: View, units: AxisKind, hand: float) -> str:

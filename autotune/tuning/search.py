@@ -432,7 +432,7 @@ class Search:
         said = "No controller within the bounds meets all requirements in every scenario"
         # The screen passes over what a design misses further on, so this one need not be the closest.
         return InfeasibleError(
-            f"{said}; the search ended at one that misses {_misses(evaluation)}. Relax that requirement, narrow the "
+            f"{said}; the search ended at one that misses {_misses(evaluation)}. Relax what it misses, narrow the "
             "ranges of stiffness and payload, or widen the bounds.",
             bare=said,
             missed=evaluation.violation,

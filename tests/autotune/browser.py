@@ -7,7 +7,8 @@ from typing import Any
 
 import pytest
 
-# The share of a figure's pixels that are painted: what the engine draws lies on canvases inside of shadow roots.
+# The share of a figure's pixels that are drawn on, which have another colour than most: what the engine draws lies on
+# canvases inside of shadow roots.
 PAINTED = """key => {
   const canvases = [];
   const walk = node => {
@@ -17,8 +18,13 @@ PAINTED = """key => {
   walk(document.getElementById(key));
   let painted = 0, all = 0;
   for (const canvas of canvases.filter(each => each.width > 0 && each.height > 0)) {
-    const pixels = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data;
-    for (let i = 3; i < pixels.length; i += 4) { all += 1; painted += pixels[i] > 0; }
+    const pixels = new Uint32Array(canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data.buffer);
+    const counts = new Map();
+    for (const pixel of pixels) counts.set(pixel, (counts.get(pixel) || 0) + 1);
+    counts.delete(0);
+    all += pixels.length;
+    const opaque = [...counts.values()];
+    painted += opaque.reduce((sum, count) => sum + count, 0) - Math.max(0, ...opaque);
   }
   return all ? painted / all : 0;
 }"""

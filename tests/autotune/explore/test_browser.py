@@ -15,6 +15,7 @@ import pytest
 from bokeh.core.types import ID
 from bokeh.util.token import generate_jwt_token
 
+from autotune.charts.palette import dark_colours
 from autotune.formats.canonical import short
 from autotune.formats.controller import read_controller, write_controller
 from tests.autotune.browser import PAINTED, Visit
@@ -28,6 +29,26 @@ SCALES = """() => {
   const plot = Bokeh.documents[0].get_model_by_name('nyquist'), { x_range: x, y_range: y } = plot;
   return [plot.inner_width / (x.end - x.start), plot.inner_height / (y.end - y.start)];
 }"""
+# Paints a figure again, without what the engine's pen has traced since; whether that changes a pixel.
+CHANGES_WHEN_PAINTED_AGAIN = """key => {
+  const view = Bokeh.index.get(Bokeh.documents[0].get_model_by_name(key)), { ctx } = view.canvas_view.primary;
+  const pixels = () => ctx.getImageData(0, 0, ctx.canvas.width, ctx.canvas.height).data;
+  const before = pixels();
+  ctx.beginPath();
+  view.invalidate_painters();
+  view.repaint();
+  return pixels().some((value, i) => value !== before[i]);
+}"""
+# Pixels of a figure's frame to the right of a word's place, and above it.
+ROOM = """name => {
+  const plot = Bokeh.documents[0].get_model_by_name('contact'), { x_range: x, y_range: y } = plot;
+  const across = plot.inner_width / (x.end - x.start), up = plot.inner_height / (y.end - y.start);
+  const { data } = Bokeh.documents[0].get_model_by_name(name);
+  return [...data.x].map((_each, i) => [(x.end - data.x[i]) * across, (y.end - data.y[i]) * up]);
+}"""
+DRAWN_COLOURS = """() => [...Bokeh.documents[0].all_models].map(
+  model => ["line_color", "fill_color", "text_color"].map(key => key in model && model[key])
+).flat().map(given => given && given.value || given).filter(each => typeof each === "string")"""
 CONTACT = "() => Array.from(Bokeh.documents[0].get_model_by_name('data-contact').data.y)"
 
 
@@ -144,6 +165,45 @@ def test_a_number_that_is_typed_moves_its_slider_and_what_is_none_is_put_back(
     margin.press("Enter")
     page.get_by_text("misses modulus margin").wait_for()
     assert visit.complaints == []
+    page.close()
+
+
+@pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (390, "dark")])
+def test_a_turned_figure_has_nothing_of_the_last_one_and_its_words_in_the_frame(
+    browser: Any, served: tuple[str, Path], width: int, scheme: str
+) -> None:
+    visit = visit_of(browser, served[0], width, scheme)
+    page = visit.page
+    legend = page.locator("#contact + ul li")
+    labels = "all => all.filter(each => !each.hidden).map(each => each.textContent)"
+    shown = legend.evaluate_all(labels)
+    assert shown == ["as begun", "at the sensor", "at the contact"]
+    # Nothing is said of a save yet: no line is left free for it.
+    status = page.locator(".now[role=status] .bk-Div").last
+    assert status.evaluate("each => each.getBoundingClientRect().height") == 0
+    page.get_by_role("button", name="Keep this design").click()
+    page.get_by_role("button", name="Return to design 1").wait_for()
+    field = page.get_by_role("textbox", name="B_a admittance damping")
+    for typed in ("900", "300", "110"):
+        field.fill(typed)
+        field.press("Enter")
+        page.wait_for_function(STAR, arg=float(typed))
+    page.get_by_text("Unstable on the plant that you look at").wait_for()
+    assert legend.evaluate_all(labels) == ["kept, by number", "as begun", "unstable"]
+    for key in ("contact", "admittance", "nyquist"):
+        page.locator(f"#{key}").scroll_into_view_if_needed()
+        page.wait_for_function(f"() => ({PAINTED})('{key}') > 0.005", timeout=30_000)
+        assert not page.evaluate(f"({CHANGES_WHEN_PAINTED_AGAIN})('{key}')"), key
+    # A word of 12 px and what lies between it and its place; the longest is 90 px wide.
+    ((right, above),) = page.evaluate(ROOM, "data-ending")
+    assert above > 18
+    aligned = page.evaluate("() => Bokeh.documents[0].get_model_by_name('data-ending').data.align[0]")
+    frame = page.evaluate("() => Bokeh.documents[0].get_model_by_name('contact').inner_width")
+    assert (right if aligned == "left" else frame - right) > 90
+    assert all(above > 18 for _right, above in page.evaluate(ROOM, "data-kept"))
+    drawn = set(page.evaluate(DRAWN_COLOURS)) & set(dark_colours())
+    assert bool(drawn) == (scheme == "light"), drawn
+    visit.check()
     page.close()
 
 

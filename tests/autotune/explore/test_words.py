@@ -20,11 +20,11 @@ def view(missed: dict[str, float], *, radius: float = 0.9, is_stable: bool = Tru
     ("ratio", "share"),
     [
         # Required over achieved of 1.25: four fifths of what is required is achieved.
-        (1.25, "80 %"),
-        (2.0, "50 %"),
-        (3.0, "33.3 %"),
+        (1.25, "80\u00a0% of it"),
+        (2.0, "50\u00a0% of it"),
+        (3.0, "33.3\u00a0% of it"),
         # What is missed is never called whole, however little is missing.
-        (1.0004, "99.9 %"),
+        (1.0004, "99.9\u00a0% of it"),
         (math.inf, "none of it"),
     ],
 )
