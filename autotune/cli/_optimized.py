@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 # Decimals of a price: what is 0 in them saves nothing.
 _DECIMALS = {"N": 2, "N·m": 4}
-_WIDER = 2.0  # how much further a bound that holds a design is proposed
+_WIDEN = "accept it, or widen it"
 
 
 def active_tree(found: "Optimized") -> dict[str, Any]:
@@ -56,6 +56,8 @@ def active_lines(found: "Optimized", name: str) -> list[str]:
     lines = [_active_line(entry, problem, units) for entry in report.active]
     if not report.active:
         lines.append(f"no requirement is active: the peak is the approach {units.force_name} itself")
+    widened = [entry.name for entry, line in zip(report.active, lines, strict=False) if line.endswith(_WIDEN)]
+    lines += _wider_lines(problem, widened, turning=units.force != "N")
     return [*lines, *_optimality_lines(report, units.force, (".2f", ".3f"), bool(problem.requirements.soft_n))]
 
 
@@ -100,8 +102,7 @@ def _active_line(entry: "ActiveConstraint", problem: "DesignProblem", units: "Ax
         bound = f"the {bound_text(entry.name, problem.bounds, units)}"
         if is_nothing or (side == "lower" and problem.bounds[variable][0] == 0.0):
             return f"{bound}, is active, and widening it saves nothing"
-        wider = _wider_bound(problem, variable, side, turning=units.force != "N")
-        return f"{bound}, is active: 1 % wider saves {saved}; {wider}"
+        return f"{bound}, is active: 1 % wider saves {saved}; {_WIDEN}"
     if is_nothing:
         return f"{entry.name} is active, easing it alone saves nothing"
     if entry.soft:
@@ -109,14 +110,13 @@ def _active_line(entry: "ActiveConstraint", problem: "DesignProblem", units: "Ax
     return f"{entry.name} holds the peak up: easing it by 1 % saves {saved}, asking 1 % more costs as much"
 
 
-def _wider_bound(problem: "DesignProblem", variable: str, side: str, *, turning: bool) -> str:
-    """Return the line of problem.yaml that makes room on one side of a variable, where there is any."""
-    from problems.design.problem import VARIABLES
+def _wider_lines(problem: "DesignProblem", names: Sequence[str], *, turning: bool) -> Iterator[str]:
+    """Yield the lines of problem.yaml that widen bounds."""
+    from autotune.formats.canonical import lines_to_paste, place_to_paste
+    from autotune.tuning.bounds import wider_bounds
 
-    low, high = problem.bounds[variable]
-    low, high = (low / _WIDER, high) if side == "lower" else (low, high * _WIDER)
-    line = f"{'bounds' if variable in VARIABLES else 'free'}: {{{variable}: [{low:g}, {high:g}]}}"
-    return f"accept it, or widen it in problem.yaml:\n    {f'rotational: {{{line}}}' if turning else line}"
+    if tree := wider_bounds(problem, names, turning=turning):
+        yield "\n    ".join((f"to widen, in problem.yaml {place_to_paste(tree)}:", *lines_to_paste(tree)))
 
 
 def _optimality_lines(report: "OptimalityReport", unit: str, digits: tuple[str, str], has_soft: bool) -> Iterator[str]:

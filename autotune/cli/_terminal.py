@@ -23,6 +23,8 @@ _FIXED = "\N{NO-BREAK SPACE}"
 _NUMBER = re.compile(r"([+-]?\d+|-)((?:\.\d+)?(?:e[+-]?\d+)?)$")
 _GAP = "  "
 _TO_PASTE = "    "
+# A line of YAML among them: below others of its file it must begin where they do.
+_YAML = re.compile(r" {4}(?=\w+: )")
 _NARROWEST_TEXT = 24
 
 # Every word that judges, with its colour; errors are in bold as well.
@@ -133,7 +135,8 @@ def wrap_lines(
 ) -> list[str]:
     """Return the lines of `print_message` for a width of `columns`, None for any; `error`: for standard error.
 
-    Further lines of the text are lines of their own; what is indented there, to be pasted, is not folded.
+    Further lines of the text are lines of their own. What is indented there, to be pasted, is not folded, and lines of
+    YAML begin at the margin.
     """
     text, *further = text.split("\n")
     whole = f"{indent}{verdict}{text}".rstrip()
@@ -143,7 +146,10 @@ def wrap_lines(
     if verdict and lines[0].startswith(head):
         lines[0] = indent + painted(verdict, error=error) + lines[0][len(head) :]
     for each in further:
-        lines += [each] if columns is None or each.startswith(_TO_PASTE) else _folded(each, "  ", columns)
+        if columns is None or each.startswith(_TO_PASTE):
+            lines.append(_YAML.sub("", each))
+        else:
+            lines += _folded(each, "  ", columns)
     return lines
 
 

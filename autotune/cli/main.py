@@ -294,9 +294,9 @@ def _to_paste(error: BaseException) -> tuple[str, ...]:
         return ()
     if not isinstance(error, InfeasibleError) or not error.suggestion:
         return error.to_paste
-    from autotune.formats.canonical import flow_text
+    from autotune.formats.canonical import lines_to_paste
 
-    return (flow_text(error.suggestion), *error.to_paste)
+    return (*lines_to_paste(error.suggestion), *error.to_paste)
 
 
 def _details(error: BaseException) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from bokeh.document import Document
 from bokeh.models.widgets import Button, Div
 
 from autotune.errors import AutotuneError, CertificateError, InfeasibleError, UsageError
-from autotune.formats.canonical import dump_yaml, short
+from autotune.formats.canonical import dump_yaml, place_to_paste, short
 from autotune.formats.controller import read_controller, write_controller
 from autotune.formats.controller_record import Controller
 from autotune.formats.units import ROTATIONAL_AXES
@@ -285,7 +285,10 @@ def changed_lines(exploration: Exploration) -> str:
     asked = exploration.provenance["options"].get(ASKED_BY_HAND)
     if asked is None:
         return ""
-    notice = plain_line("Its certificate states what is asked here, which differs from the file. In problem.yaml:")
+    notice = plain_line(
+        "Its certificate states what is asked here, which differs from the file. In problem.yaml "
+        f"{place_to_paste(asked)}:"
+    )
     return f"{notice}<pre>{escape(dump_yaml(asked))}</pre>"
 
 

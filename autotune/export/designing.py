@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from autotune.errors import CertificateError, InfeasibleError, UsageError
-from autotune.formats.canonical import flow_text
+from autotune.formats.canonical import lines_to_paste, place_to_paste
 from autotune.formats.controller import ControllerFile, controller_tree
 from autotune.formats.controller_record import Controller
 from autotune.formats.identified import IdentifiedFile
@@ -156,7 +156,8 @@ def certify_for(
             raise
         command = design_command(target, controller, _PROBLEM, str(out))
         raise InfeasibleError(
-            f"With {target.name}: {error} {lines_for(controller)}: {flow_text(error.suggestion)} and run {command}",
+            f"With {target.name}: {error} {lines_for(controller, error.suggestion)}: "
+            f"{'; '.join(lines_to_paste(error.suggestion))} and run {command}",
             error.relaxations,
             suggestion=error.suggestion,
             to_paste=(command,),
@@ -172,7 +173,10 @@ def _rendered(
     return target.render(ExportRequest(source=source, out=out, options=dict(target.design_options), progress=progress))
 
 
-def lines_for(controller: Controller) -> str:
+def lines_for(controller: Controller, lines: Mapping[str, Any]) -> str:
     """Return where lines that ease the requirements are put: into a new problem.yaml, or a copy of the one used."""
     problem = controller.provenance.get("options", {}).get("problem")
-    return f"Put into {_PROBLEM}" if problem in {None, _PROBLEM} else f"Put into {_PROBLEM}, a copy of {problem}"
+    if problem is None:
+        return f"Put into {_PROBLEM}"
+    copied = _PROBLEM if problem == _PROBLEM else f"{_PROBLEM}, a copy of {problem},"
+    return f"Put into {copied} {place_to_paste(lines)}"

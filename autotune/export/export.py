@@ -8,7 +8,7 @@ from typing import Any, cast
 
 from autotune.errors import AutotuneError, CertificateError, InfeasibleError, UsageError
 from autotune.formats.atomic import check_target, write_atomic, write_folder_atomic
-from autotune.formats.canonical import dump_yaml, flow_text
+from autotune.formats.canonical import dump_yaml, lines_to_paste
 from autotune.formats.controller import ControllerFile, read_controller
 from autotune.formats.yaml12 import load_yaml
 from autotune.runtime.load import check_digits, check_expected, verify_signature
@@ -164,7 +164,7 @@ def _with_commands(error: InfeasibleError, target: ExportTarget, request: Export
     """Return the error with the lines that are enough and the two commands that lead to the export."""
     if not error.suggestion:
         return error
-    lines = f"{lines_for(request.source.controller)}: {flow_text(error.suggestion)}"
+    lines = f"{lines_for(request.source.controller, error.suggestion)}: {'; '.join(lines_to_paste(error.suggestion))}"
     commands = _commands(target, request, "problem.yaml")
     return InfeasibleError(
         f"{error} {lines} and run {'; '.join(commands)}",

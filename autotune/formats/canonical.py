@@ -150,14 +150,19 @@ def number_text(number: float) -> str:
     return text if "." in text else text.replace("e", ".0e")
 
 
-def flow_text(tree: Mapping[str, object]) -> str:
-    """Return a part of a file in one line of YAML, as it is pasted into it."""
-    return ", ".join(f"{key}: {_flow(value)}" for key, value in tree.items())
+def lines_to_paste(tree: Mapping[str, object]) -> tuple[str, ...]:
+    """Return a part of a file as lines of YAML that are pasted into it, one for each of its keys."""
+    return tuple(f"{key}: {_flow(value)}" for key, value in tree.items())
+
+
+def place_to_paste(tree: Mapping[str, object]) -> str:
+    """Say where those lines belong in a file that has their keys already: twice the same key is refused."""
+    return f"(where it has {' or '.join(map(str, tree))} already, into that)"
 
 
 def _flow(value: object) -> str:
     if isinstance(value, Mapping):
-        return f"{{{flow_text(value)}}}"
+        return f"{{{', '.join(lines_to_paste(value))}}}"
     if isinstance(value, list):
         return f"[{', '.join(map(_flow, value))}]"
     return number_text(value) if isinstance(value, float) else str(value)

@@ -48,7 +48,8 @@ def check_format(document: Document, name: str) -> None:
     wanted = f"autotune/{name}"
     found = document.tree.get("format")
     if "format" not in document.tree or found != wanted:
-        stated = describe(found) if "format" in document.tree else "no such key"
+        head = f"no such key; begin the file with the lines `format: {wanted}` and `version: {VERSION}`"
+        stated = describe(found) if "format" in document.tree else head
         document.refuse(("format",), f"format must be {wanted}, found {stated}.")
     if "version" not in document.tree:
         document.refuse(("version",), f"version must be {VERSION}, found no such key.")

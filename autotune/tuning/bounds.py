@@ -1,16 +1,19 @@
-"""The bounds of a design problem as a unit cube."""
+"""The bounds of a design problem as a unit cube, and wider ones."""
 
 import math
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from problems.arrays import FloatArray
-from problems.design.problem import DesignProblem
+from problems.design.problem import VARIABLES, DesignProblem
 
 LINEAR_VARIABLES = frozenset({"lead_s", "feedback_damping_s", "compensation_mass_kg"})
 """Variables that may be zero: counted by the width of their bounds, the others by their logarithm."""
+# How much further a bound that holds a design is proposed.
+_WIDER = 2.0
 
 
 def bounds_of(problem: DesignProblem) -> FloatArray:
@@ -21,6 +24,18 @@ def bounds_of(problem: DesignProblem) -> FloatArray:
 def linear_variables(problem: DesignProblem) -> NDArray[np.bool_]:
     """Return which free variables (n,) are counted by the width of their bounds."""
     return np.array([name in LINEAR_VARIABLES for name in problem.variables])
+
+
+def wider_bounds(problem: DesignProblem, names: Iterable[str], *, turning: bool) -> dict[str, Any]:
+    """Return the part of `problem.yaml` that makes room beyond bounds, such as "lower bound of mass"."""
+    tree: dict[str, Any] = {}
+    for name in names:
+        side, _, variable = name.partition(" bound of ")
+        low, high = problem.bounds[variable]
+        ends = (low / _WIDER, high) if side == "lower" else (low, high * _WIDER)
+        below = tree.setdefault("bounds" if variable in VARIABLES else "free", {})
+        below[variable] = [float(f"{end:.6g}") for end in ends]
+    return {"rotational": tree} if turning and tree else tree
 
 
 class Box:

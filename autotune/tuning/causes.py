@@ -6,7 +6,7 @@ from itertools import combinations
 from typing import Any
 
 from autotune.errors import InfeasibleError
-from autotune.formats.canonical import flow_text
+from autotune.formats.canonical import lines_to_paste, place_to_paste
 from autotune.formats.records import record_tree, rename_axis_keys
 from autotune.formats.units import ROTATIONAL_AXES, axis_units
 from problems.design.batch_evaluation import EVERY_REQUIREMENT
@@ -110,8 +110,8 @@ def explanation_message(name: str, problem: DesignProblem, why: Explanation) -> 
         unit = objective.unit_on(turning=turning)
         best = f"{objective.value(why.found.evaluation.cost):.4g} {unit}".rstrip()
         said.append(
-            f"Checked: with these lines in problem.yaml the search finds a controller, {objective.title} {best}: "
-            f"{flow_text(why.suggestion)}"
+            f"Checked: with these lines in problem.yaml {place_to_paste(why.suggestion)} the search finds a "
+            f"controller, {objective.title} {best}: {'; '.join(lines_to_paste(why.suggestion))}"
         )
     if why.is_known_too_little:
         said.append(

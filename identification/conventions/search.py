@@ -82,19 +82,19 @@ class Convention:
         """Return what cell.yaml would have to say, given the frames that it declares now."""
         shown, declared = [], Frames.plain() if frames is None else frames
         if self.hypothesis.order != "xyzw":
-            shown.append("pose.orientation_as: quaternion_wxyz")
+            shown.append("pose: {orientation_as: quaternion_wxyz}")
         if self.hypothesis.inverted:
             shown.append(
-                "pose.parent and pose.child: swapped (what is logged is flange from base), or of a matrix its order: "
-                "pose.orientation_as: matrix_row_major (matrix_column_major where it is row_major now)"
+                "pose: {parent: …, child: …} swapped (what is logged is flange from base), or of a matrix its order: "
+                "pose: {orientation_as: matrix_row_major} (matrix_column_major where it is row_major now)"
             )
         if self.sign_origin is SignOrigin.WRENCH:
-            shown.append("wrench.exerted_by: sensor (payload where it is sensor now)")
+            shown.append("wrench: {exerted_by: sensor} (payload where it is sensor now)")
         if self.sign_origin is SignOrigin.GRAVITY:
             shown.append(f"gravity_direction: {numbers_text(declared.R_WB.inv().apply([0.0, 0.0, 1.0]))}")
         if self.hypothesis.is_turned:
             shown.append(
-                f"sensor.orientation: {numbers_text((declared.R_FS * self.hypothesis.quarter_turn).as_quat())}"
+                f"sensor: {{orientation: {numbers_text((declared.R_FS * self.hypothesis.quarter_turn).as_quat())}}}"
             )
         return tuple(shown) or ("as declared",)
 
@@ -203,7 +203,7 @@ class ConventionRanking:
             return (
                 f"No quarter turn of the sensor fits the weight: {best.residual_rms_n:.2f} N of a swing of "
                 f"{self.swing_rms_n:.2f} N are left under the best of {len(self.candidates)} conventions. The sensor "
-                f"seems mounted at an angle: declare `sensor.orientation: {shown}` in cell.yaml "
+                f"seems mounted at an angle: declare `sensor: {{orientation: {shown}}}` in cell.yaml "
                 "(xyzw, flange from sensor) after checking it against the drawing, or `gravity_direction` if the base "
                 f"is tilted.{alternative}"
             )

@@ -230,7 +230,7 @@ def _findings(
                 severity="warning",
                 message=f"The sensor's axes are turned by {_degrees(mounting.value, mounting.std)} degrees about its "
                 "x, y, z from where they were assumed.",
-                advice=f"Check the mounting; declare `sensor.orientation: [{_numbers(real)}]` in cell.yaml.",
+                advice=f"Check the mounting; declare `sensor: {{orientation: [{_numbers(real)}]}}` in cell.yaml.",
             )
         )
     if is_level is False and tilt.value is not None and tilt.std is not None:

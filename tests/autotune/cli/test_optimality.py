@@ -1,10 +1,14 @@
 """What people read of the requirements and bounds that a result rests on."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
 from autotune.cli._optimized import active_lines
+from autotune.cli._terminal import wrap_lines
+from autotune.formats.problem import read_problem
+from autotune.tuning.bounds import wider_bounds
 from autotune.tuning.optimality_report import ActiveConstraint
 from autotune.tuning.optimize import Optimized
 from tests.autotune.tuning.cases import fast_optimized
@@ -24,10 +28,7 @@ def with_active(*active: ActiveConstraint) -> Optimized:
         ),
         (
             ActiveConstraint(name="upper bound of lead_s", price=0.25),
-            (
-                "the upper bound of K_l, 30 ms, is active: 1 % wider saves 0.25 N; "
-                "accept it, or widen it in problem.yaml:\n    bounds: {lead_s: [0.01, 0.06]}"
-            ),
+            ("the upper bound of K_l, 30 ms, is active: 1 % wider saves 0.25 N; accept it, or widen it"),
         ),
         (
             ActiveConstraint(name="lower bound of damping", price=0.0),
@@ -49,6 +50,23 @@ def with_active(*active: ActiveConstraint) -> Optimized:
 )
 def test_every_kind_of_limit_has_its_sentence(entry: ActiveConstraint, said: str) -> None:
     assert active_lines(with_active(entry), "x")[0] == said
+
+
+def test_all_bounds_to_widen_are_one_part_of_a_problem_file_that_says_where_it_belongs(tmp_path: Path) -> None:
+    named = ("upper bound of lead_s", "modulus_margin", "lower bound of mass", "lower bound of damping")
+    prices = (0.25, 0.3, 0.12, 0.0)
+    found = with_active(*(ActiveConstraint(name=name, price=price) for name, price in zip(named, prices, strict=True)))
+    (said,) = (each for each in active_lines(found, "x") if each.startswith("to widen"))
+    where, *pasted = said.split("\n")
+    assert where == "to widen, in problem.yaml (where it has bounds already, into that):"
+    assert pasted == ["    bounds: {lead_s: [0.01, 0.06], mass: [3.0, 6.0]}"]
+    # As a terminal shows it, below a line that is there.
+    path = tmp_path / "problem.yaml"
+    shown = wrap_lines(said, indent="  ", columns=40)
+    path.write_text("\n".join(("objective: contact_force", *shown[-len(pasted) :])) + "\n", encoding="utf-8")
+    assert dict(read_problem(path).bounds) == {"lead_s": (0.01, 0.06), "mass": (3.0, 6.0)}
+    tree = wider_bounds(found.searches["x"].problem, named[:1], turning=True)
+    assert tree == {"rotational": {"bounds": {"lead_s": [0.01, 0.06]}}}
 
 
 def test_with_soft_limits_the_gap_is_one_of_peak_and_price() -> None:

@@ -6,8 +6,9 @@ from typing import Any
 
 import pytest
 
+from autotune.cli._terminal import set_apart, wrap_lines
 from autotune.errors import InfeasibleError, UsageError
-from autotune.export.designing import certify_for, plant_for, raised_default, specs_for
+from autotune.export.designing import certify_for, lines_for, plant_for, raised_default, specs_for
 from autotune.export.easing import find_easing, heavier_hand, merged
 from autotune.export.export import export_controller
 from autotune.export.fzi_cartesian import FZI_CARTESIAN
@@ -16,7 +17,7 @@ from autotune.export.ros2_axis import Ros2Axis
 from autotune.export.ros2_control import ROS2_CONTROL
 from autotune.export.target import ExportRequest, Rendered
 from autotune.export.urscript import URSCRIPT
-from autotune.formats.canonical import flow_text
+from autotune.formats.canonical import lines_to_paste
 from autotune.formats.controller import write_controller
 from autotune.formats.problem import ProblemSpec, RotationalSpec, read_problem
 from problems.design.requirements import AdmittanceTarget
@@ -53,9 +54,33 @@ def test_the_lines_are_those_of_a_problem_file_and_straight_axes_share_the_easie
     assert isinstance(band, AdmittanceTarget)
     easier = replace(easing, axis="y", eased={"free_space_admittance": replace(band, min_m_s_per_n=1e-4)})
     path = tmp_path / "problem.yaml"
-    path.write_text(flow_text(merged([easing, easier])) + "\n", encoding="utf-8")
+    path.write_text("\n".join(lines_to_paste(merged([easing, easier]))) + "\n", encoding="utf-8")
     asked = read_problem(path).requirements.free_space_admittance
     assert asked == replace(band, min_m_s_per_n=1e-4)
+
+
+def test_lines_of_straight_and_turning_axes_are_pasted_one_below_the_other_and_say_where(tmp_path: Path) -> None:
+    axis = Ros2Axis(task=task_of(peer_controller({"x": LEAD}, HARD)), gains=LEAD)
+    easing = find_easing(axis)
+    assert easing is not None
+    tree = merged([easing, replace(easing, axis="rx")])
+    lines = lines_to_paste(tree)
+    assert [line.partition(":")[0] for line in lines] == ["requirements", "rotational"]
+    said = f"Put into problem.yaml: {'; '.join(lines)} and run that."
+    path = tmp_path / "problem.yaml"
+    shown = wrap_lines(set_apart(said, lines), columns=60)
+    path.write_text("\n".join(("objective: contact_force", *shown[1:-1])) + "\n", encoding="utf-8")
+    spec = read_problem(path)
+    assert spec.requirements.free_space_admittance is not None
+    assert "free_space_admittance" in spec.rotational.requirements
+    # Of a design that had a problem.yaml the lines may have to go into what is there: twice a key is refused.
+    controller = peer_controller({"x": LEAD}, HARD)
+    assert lines_for(controller, tree) == "Put into problem.yaml"
+    for given, said in (("problem.yaml", ""), ("mine.yaml", ", a copy of mine.yaml,")):
+        known = replace(controller, provenance={**controller.provenance, "options": {"problem": given}})
+        assert lines_for(known, tree) == (
+            f"Put into problem.yaml{said} (where it has requirements or rotational already, into that)"
+        )
 
 
 def test_an_admittance_eased_by_more_than_three_says_what_a_hand_then_needs() -> None:

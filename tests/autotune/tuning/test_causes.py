@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from autotune.errors import InfeasibleError
-from autotune.formats.canonical import flow_text
+from autotune.formats.canonical import lines_to_paste
 from autotune.formats.problem import read_problem
 from autotune.tuning.causes import Explanation, explain, explanation_message, find_causes
 from autotune.tuning.relax import Relaxation
@@ -43,8 +43,8 @@ def test_missing_drag_is_named_and_the_suggested_lines_have_a_controller(tmp_pat
     message = explanation_message("x", problem, why)
     assert "this payload has 5 N·s/m of damping to ground (B_p), and about " in message
     path = tmp_path / "problem.yaml"
-    path.write_text(flow_text(why.suggestion) + "\n")
-    assert message.endswith(flow_text(why.suggestion))
+    path.write_text("\n".join(lines_to_paste(why.suggestion)) + "\n")
+    assert message.endswith("; ".join(lines_to_paste(why.suggestion)))
     asked = read_problem(path).requirements.free_space_admittance
     assert asked is not None
     assert not asked.is_default
@@ -99,6 +99,6 @@ def test_a_suggestion_for_a_turning_axis_is_in_its_units() -> None:
     tree = {
         "rotational": {"requirements": {"free_space_admittance": {"min_rad_s_per_n_m": 0.0123, "band_hz": [0.1, 2.0]}}}
     }
-    assert flow_text(tree) == (
-        "rotational: {requirements: {free_space_admittance: {min_rad_s_per_n_m: 0.0123, band_hz: [0.1, 2.0]}}}"
+    assert lines_to_paste(tree) == (
+        "rotational: {requirements: {free_space_admittance: {min_rad_s_per_n_m: 0.0123, band_hz: [0.1, 2.0]}}}",
     )

@@ -98,7 +98,7 @@ def test_a_reversed_sign_is_a_question_with_both_answers() -> None:
     assert {each.sign_origin for each in ranking.alike} == {SignOrigin.WRENCH, SignOrigin.GRAVITY}
     with pytest.raises(EstimateError, match=r"mass negative, and 2 others fit it alike.*cell\.yaml") as caught:
         ranking.chosen()
-    assert "wrench.exerted_by: sensor" in str(caught.value)
+    assert "wrench: {exerted_by: sensor}" in str(caught.value)
     assert "gravity_direction: [0, 0, 1]" in str(caught.value)
     # These poses do turn about the vertical: more of them would show nothing new.
     assert "only you can say" in str(caught.value)
@@ -148,7 +148,7 @@ def test_declared_frames_are_taken_into_account() -> None:
     ranking = rank_conventions(poses, frames)
     chosen = ranking.chosen()
     assert chosen is not None
-    assert chosen.entries(frames) == ("pose.orientation_as: quaternion_wxyz",)
+    assert chosen.entries(frames) == ("pose: {orientation_as: quaternion_wxyz}",)
     assert rank_conventions(poses).verdict is not ConventionVerdict.FOUND
 
 
@@ -158,7 +158,7 @@ def test_touched_rests_do_not_decide() -> None:
         log[i] = replace(log[i], force_S_n=log[i].force_S_n + np.array([push, 0.3 * push, 0.0]))
     chosen = rank_conventions(log).chosen()
     assert chosen is not None
-    assert chosen.entries() == ("pose.orientation_as: quaternion_wxyz",)
+    assert chosen.entries() == ("pose: {orientation_as: quaternion_wxyz}",)
     assert chosen.residual_rms_n < 0.03
 
 
@@ -171,7 +171,7 @@ def test_a_sensor_at_an_angle_is_refused_with_the_entry_that_mends_it(degrees: f
     assert (ranking.mounting * angle.inv()).magnitude() < np.radians(0.1)
     with pytest.raises(EstimateError, match=r"cell\.yaml") as caught:
         ranking.chosen()
-    message = re.search(r"declare `sensor\.orientation: \[(.+?)\]`", str(caught.value))
+    message = re.search(r"declare `sensor: \{orientation: \[(.+?)\]\}`", str(caught.value))
     assert message is not None
     numbers = np.array([float(number) for number in message.group(1).split(",")])
     np.testing.assert_allclose(numbers, angle.as_quat(), rtol=0.0, atol=1e-3)
