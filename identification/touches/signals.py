@@ -248,8 +248,13 @@ def _travel(pose: PoseSignal, stamps: StampArray) -> FloatArray:
     if not pose.is_displacement:
         if not np.all(np.isfinite(pose.quaternion_xyzw)):
             return np.full((len(stamps), 3), np.nan)
-        turned = Rotation.from_quat(np.array(pose.quaternion_xyzw[:-1])).inv()
-        position = np.vstack([np.zeros((1, 3)), np.cumsum(turned.apply(np.diff(position, axis=0)), axis=0)])
+        turned, steps = Rotation.from_quat(np.array(pose.quaternion_xyzw[:-1])).inv(), np.diff(position, axis=0)
+        unknown = np.all(np.isnan(position), axis=0)
+        # Of a tool that does not turn, an axis that was not logged leaves the others as they are.
+        if np.any(unknown) and np.all(pose.quaternion_xyzw == pose.quaternion_xyzw[0]):
+            steps[:, unknown] = 0.0
+        position = np.vstack([np.zeros((1, 3)), np.cumsum(turned.apply(steps), axis=0)])
+        position[:, unknown] = np.nan
     return np.column_stack([np.interp(at, time, column) for column in position.T])
 
 
