@@ -12,6 +12,7 @@ from .roles.registry import Role
 
 _STEADY, _UNSTEADY = 3.0, 3.0
 _DEEPEST_M = 0.5
+_BACK_SHARE = 0.25
 UNLOADED_SHARE = 0.1
 FORCE_UNITS = ("N", "kN", "lbf", "kgf")
 
@@ -77,7 +78,7 @@ def _trace_entries(
     assumed = "" if force.components or place.components else "; along which axis is not said, z is taken"
     length = place.unit if place.unit in ("mm", "cm", "m", "in") else ""
     deepest = float(np.nanmax(np.abs(travel)))
-    is_travel = abs(float(travel[0])) < UNLOADED_SHARE * float(np.ptp(travel)) or not place.components
+    is_travel = _is_displacement(travel, load) or not place.components
     kind = f"a displacement{': it begins near 0' if place.components else ''}" if is_travel else "a place"
     units: dict[str, object] = {"position": length or ("mm" if deepest > _DEEPEST_M else "m")}
     pose = [
@@ -86,8 +87,7 @@ def _trace_entries(
         Entry(key="units", value=units, evidence="by name" if length else f"up to {deepest:.4g}"),
     ]
     by_name = force.unit in FORCE_UNITS
-    # A surface pushes one way only, whatever the tool does after the blow.
-    together = float(np.nansum(load * np.abs(load))) * float(np.nanmean(travel - travel[0])) > 0.0
+    together = _is_force_along(load, travel)
     wrench = [
         topic,
         Entry(key="fields", value={"force": along(force)}, evidence=f"{why}; {span_text(channel, force.paths)}"),
@@ -117,6 +117,29 @@ def _trace_entries(
         )
         roles[Role.COMMAND] = (topic, fields, replace(pose[2], evidence="as of the displacement"))
     return roles
+
+
+def _is_displacement(travel: FloatArray, load: FloatArray) -> bool:
+    """Return whether travel (n,) is one into a surface: from near 0, where the force (n,) begins, to one side."""
+    peak, length = int(np.nanargmax(np.abs(load))), float(np.ptp(travel[np.isfinite(travel)]))
+    into = np.sign(travel[peak] - travel[0]) * (travel - travel[0])
+    off = max(-float(np.nanmin(into)), float(into[_begins_at(load, peak)]))
+    return abs(float(travel[0])) < UNLOADED_SHARE * length and off < _BACK_SHARE * length
+
+
+def _begins_at(load: FloatArray, peak: int) -> int:
+    """Return the last sample before the peak with hardly any force, 0 where there is none."""
+    light = np.flatnonzero(np.abs(load[:peak]) < UNLOADED_SHARE * abs(load[peak]))
+    return int(light[-1]) if light.size else 0
+
+
+def _is_force_along(load: FloatArray, travel: FloatArray) -> bool:
+    """Return whether the largest force (n,) points where the tool goes until then, from where there is hardly any."""
+    peak = int(np.nanargmax(np.abs(load)))
+    onset = _begins_at(load, peak)
+    # A trace may begin with its peak.
+    way = travel[peak] - travel[onset] if peak > onset else np.nanmean(travel - travel[0])
+    return bool(load[peak] * way > 0.0)
 
 
 def span_text(channel: NamedChannel, paths: Sequence[str]) -> str:

@@ -38,7 +38,7 @@ _AGAINST_SHARE = 0.25
 LONGEST_SWING_S = 0.1
 _SMALLEST_PEAK_SHARE = 1.5
 _LEFT_SHARE, _HELD_SHARE = 0.1, 0.5
-_FELT_SHARE, _USUAL_SHARE = 0.25, 0.75
+_FELT_SHARE, _USUAL_SHARE, _ABOVE_NOISE = 0.25, 0.75, 3.0
 _BLOW_SHARE, _RETURN_SAMPLES = 0.2, 3
 
 
@@ -133,7 +133,7 @@ def _on_axis(axis: AxisSignals, free: BoolArray, *, is_contact: bool) -> AxisTou
         longest = round(CONTACT.longest_bounce_s / axis.period_s)
         swing = max(1, round(LONGEST_SWING_S / axis.period_s))
         presses = list(find_presses(pressing, axis.level_n, longest, swing))
-        felt = presses if is_contact else _felt(pressing, axis.level_n, presses, swing)
+        felt = presses if is_contact else _felt(axis, pressing, presses, swing)
         for span, around in zip(presses, felt, strict=True):
             judged = _judge(axis, sign, span, free, is_contact=is_contact)
             if judged is not None:
@@ -159,10 +159,11 @@ def _left_at(axis: AxisSignals, sign: int, span: Span) -> int:
     return span.stop if is_held else rest.start
 
 
-def _felt(pressing: FloatArray, level: float, presses: Sequence[Span], swing: int) -> list[Span]:
+def _felt(axis: AxisSignals, pressing: FloatArray, presses: Sequence[Span], swing: int) -> list[Span]:
     """Return each press from where the force leaves what is usual below the level until it is back there."""
-    small = np.abs(pressing[np.abs(pressing) <= level])
-    usual = max(_FELT_SHARE * level, float(np.quantile(small, _USUAL_SHARE)) if small.size else 0.0)
+    level, small = axis.level_n, np.abs(pressing[np.abs(pressing) <= axis.level_n])
+    common = float(np.quantile(small, _USUAL_SHARE)) + _ABOVE_NOISE * axis.noise_n if small.size else 0.0
+    usual = max(_FELT_SHARE * level, common)
     ends = [0, *(edge for span in presses for edge in (span.start, span.stop)), len(pressing)]
     found = []
     for i, span in enumerate(presses):

@@ -340,3 +340,57 @@ def test_a_test_along_one_axis_with_its_command_shows_the_robot_too(
     assert bandwidth.value == pytest.approx(pole / (2.0 * np.pi), rel=0.01)
     assert abs(delay.value - delay_s) < 3.0 * delay.std + 1e-3
     assert axis.environments
+
+
+def pressed_to_and_fro(stiffness: float) -> FloatArray:
+    """16 kg behind an admittance of 13 kg and 1000 N·s/m, ±20 N in turn, a wall at 10 mm: time, place, force (n, 3).
+
+    The payload is rigid on a robot of two poles at 25 rad/s that gives way a little, as 200 kg do, and has a drag of
+    30 N·s/m; the force is the robot's on it.
+    """
+    step, rng = 1e-4, np.random.default_rng(3)
+    asked = asking = at = speed = felt = 0.0
+    rows = []
+    for k in range(round(26.0 / step)):
+        time = k * step
+        desired = 0.0 if time < 2.0 else 20.0 if int((time - 2.0) / 3.0) % 2 == 0 else -20.0
+        asking += step * (desired - felt - 1000.0 * asking) / 13.0
+        asked += step * asking
+        push = 25.0**2 * (asked - at) + 50.0 * (asking - speed)
+        wall = max(0.0, stiffness * (at - 0.01)) if at > 0.01 else 0.0
+        acceleration = push - (wall + 30.0 * speed) / 200.0
+        felt = 16.0 * acceleration + 30.0 * speed + wall
+        speed += step * acceleration
+        at += step * speed
+        if k % 20 == 0:
+            rows.append((time, at, felt))
+    found = np.array(rows)
+    found[:, 2] += rng.normal(0.0, 0.15, len(found))
+    return found
+
+
+@pytest.mark.parametrize("stiffness", [1500.0, 4000.0])
+def test_a_force_that_turns_to_and_fro_on_a_soft_wall(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], stiffness: float
+) -> None:
+    log = columns(tmp_path / "push.csv", "time,x,fx", pressed_to_and_fro(stiffness))
+    cell, out = tmp_path / "cell.yaml", tmp_path / "identified.yaml"
+    assert main(["inspect", str(log), "--write-cell", str(cell), "--quiet"]) == 0
+    read = read_cell(cell).cell
+    # It goes beyond where it began, and meets the wall on the way: a place, no displacement since the contact.
+    assert read.displacement is None
+    assert read.wrench is not None
+    assert read.wrench.exerted_by == "sensor"
+    assert main(["identify", str(log), "--cell", str(cell), "--allow-partial", "-o", str(out), "--quiet"]) == 0
+    capsys.readouterr()
+    found = read_identified(out).result
+    [surface] = found.axes["x"].environments
+    secant = surface.secant_stiffness_n_per_m
+    assert secant.value is not None
+    assert secant.std is not None
+    assert abs(secant.value - stiffness) < 2.0 * secant.std
+    [timeline] = found.timelines
+    walls = [each for each in timeline.touches if each.surface == surface.name]
+    assert all(each.sign == 1 for each in walls)
+    first = walls[0]
+    assert first.onset_s == pytest.approx(2.0 + 0.01 / 0.0194 + 0.07, abs=0.1)
