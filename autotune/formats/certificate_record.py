@@ -334,6 +334,11 @@ class SoftRequirement:
             object.__setattr__(self, "achieved", None)
 
 
+def _share_of(over: str, share: float) -> str:
+    """Return over what a claim is proved, and that it is only a share of that."""
+    return over if share == 1.0 else f"only {100.0 * share:.3g} % of this set, the rest is swept: {over}"
+
+
 @dataclass(frozen=True, kw_only=True)
 class Certificate:
     """What was shown about the controller, and for which plants.
@@ -383,7 +388,10 @@ class Certificate:
             Proof(
                 claim=f"axis {name}: stable with |1 + L| > {each.modulus:.4g} while a hand holds the payload",
                 method=each.method,
-                over=f"{each.hand.describe(turning=name in ROTATIONAL_AXES)}, on every certified surface and off it",
+                over=_share_of(
+                    f"{each.hand.describe(turning=name in ROTATIONAL_AXES)}, on every certified surface and off it",
+                    each.share,
+                ),
                 numbers={"share": each.share, "cells": each.cells, "arcs": each.arcs},
             )
             for name, each in (self.held or {}).items()
@@ -393,7 +401,10 @@ class Certificate:
             Proof(
                 claim=f"axis {name}: no first contact exceeds {each.force_n:.4g} {axis_units(name).force}",
                 method=each.method,
-                over="every K_e and M_p of the domain and every moment of the touch, everything else nominal",
+                over=_share_of(
+                    "every K_e and M_p of the domain and every moment of the touch, everything else nominal",
+                    each.share,
+                ),
                 numbers={"share": each.share, "staying": each.staying, "cells": each.cells},
             )
             for name, each in (self.peaks or {}).items()
@@ -407,8 +418,11 @@ class Certificate:
             Proof(
                 claim=f"axis {name}: every contact comes to rest, whatever it begins with",
                 method=each.method,
-                over=f"every {', '.join(SYMBOLS[key] for key in each.over)} of the domain, everything else nominal; "
-                f"every constant {axis_units(name).force_name} above 0",
+                over=_share_of(
+                    f"every {', '.join(SYMBOLS[key] for key in each.over)} of the domain, everything else nominal; "
+                    f"every constant {axis_units(name).force_name} above 0",
+                    each.share,
+                ),
                 numbers={"share": each.share, "cells": each.cells, "arcs": each.arcs},
             )
             for name, each in (self.bouncing or {}).items()

@@ -425,8 +425,9 @@ def proof_table(controller: Controller) -> Table:
             # Whole numbers, such as counts and the seed, are written whole.
             shown = {key: f"{value:.{4 if value % 1.0 else 12}g}" for key, value in (proof.numbers or {}).items()}
             numbers = (f"{key.replace('_', ' ')} {text}" for key, text in shown.items())
-            method = TableCell(text=proof.method, tone="quiet")
-            rows.append((proof.claim, TableCell(text=word, tone=tone), proof.over_text(), method, ", ".join(numbers)))
+            method, whole = TableCell(text=proof.method, tone="quiet"), (proof.numbers or {}).get("share", 1.0) == 1.0
+            verdict = TableCell(text=word, tone=tone) if whole else TableCell(text=f"{word} in part", tone="warn")
+            rows.append((proof.claim, verdict, proof.over_text(), method, ", ".join(numbers)))
     return build_table(
         "What the certificate says: proved for every plant that is named, or looked for on many and not found",
         ("claim", "", "over", "by", "numbers"),

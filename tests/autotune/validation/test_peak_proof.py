@@ -7,6 +7,7 @@ import pytest
 from autotune.formats.controller_record import CollisionSettings, Controller, admittance_controller
 from autotune.formats.limits import CollisionResponse
 from autotune.formats.proof_records import PeakProof
+from autotune.report.controller_tables import proof_table
 from autotune.validation.axis_proof import ProofOptions, Prover
 from autotune.validation.bouncing import RefutedError
 from autotune.validation.peak_proof import check_peaks, prove_peaks
@@ -39,6 +40,18 @@ def test_every_design_comes_with_the_largest_peak_plus_the_slack_proved() -> Non
     assert found.message.startswith(f"no first contact exceeds {peak.force_n:.4g} N, over K_e, M_p and the moment")
     claims = [each.claim for each in small_controller().certificate.proved_further]
     assert f"axis x: no first contact exceeds {peak.force_n:.4g} N" in claims
+
+
+def test_a_part_of_the_set_is_not_said_to_be_all_of_it() -> None:
+    whole, part = (
+        next(c for c in with_peak(peak).certificate.proved_further if "first contact" in c.claim)
+        for peak in (stated(), replace(stated(), share=0.375))
+    )
+    assert whole.over_text().startswith("every K_e and M_p")
+    assert part.over_text().startswith("only 37.5 % of this set, the rest is swept: every K_e and M_p")
+    page = proof_table(with_peak(replace(stated(), share=0.375)))
+    words = [row[1].text for row in page.rows if "first contact" in row[0].text]
+    assert words == ["proved in part"]
 
 
 @pytest.mark.parametrize(
