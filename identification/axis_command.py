@@ -40,7 +40,8 @@ class CellSignals:
     `gravity` is None where the weight was taken off before recording; `noise_rms_n` is the force's at rest, and
     `rest_residual_n` what weight and bias leave of it. `robots` are those that the admittance's known gains show where
     no command was logged, and `rebuilt` the command that they make of the wrench; `turns`, the axes about which the
-    tool turned. `coupled` are K_s, B_s, B_p, M_p (4,) by axis, where a search starts, as pushes without a hand show
+    tool turned. `turning_S_n` (n, 3) is what of the force turns the payload, where mass, inertia and torque show it.
+    `coupled` are K_s, B_s, B_p, M_p (4,) by axis, where a search starts, as pushes without a hand show
     them.
     """
 
@@ -55,7 +56,14 @@ class CellSignals:
     robots: Mapping[str, RobotEstimate]
     rebuilt: PoseSignal | None = None
     turns: tuple[AxisTurn, ...] = ()
+    turning_S_n: FloatArray | None = None
     coupled: Mapping[str, FloatArray] = field(default_factory=dict)
+
+    def turning_of(self, axis: str) -> FloatArray | None:
+        """Return what of the force along a straight axis turns the payload (n,), None where that is not known."""
+        known = self.turning_S_n is not None and axis in AXIS_NAMES
+        column = None if not known or self.turning_S_n is None else self.turning_S_n[:, AXIS_NAMES.index(axis)]
+        return None if column is None or not np.all(np.isfinite(column)) else column
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -133,6 +141,7 @@ class _Axis:
             weighed=self.start.weighed,
             shifted_s=recording.wrench_shifted_s,
             least_noise_n=self.cell.noise_rms_n if self.cell.gravity is None else 0.0,
+            turning_n=self.cell.turning_of(self.axis.name),
         )
         if is_smooth and robot is not None and data.command is not None:
             may_jump = robot.behind_hold is not None and data.robot_order == 1

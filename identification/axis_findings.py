@@ -159,6 +159,16 @@ _NOT_DESIGNED_FOR = (
 def payload_findings(axis: str, fit: JointFit) -> list[Finding]:
     """Return what the payload has beside one mass on one spring, of which the coupling is free."""
     findings = []
+    if fit.turned_n_per_m != 0.0:
+        share = 100.0 * fit.turned_n_per_m / fit.value("stiffness_n_per_m")[0]
+        findings.append(
+            Finding.info(
+                "payload-turns",
+                f"Axis {axis}: the payload's centre of mass is off the axis, so it turns on its coupling as it swings. "
+                f"Torque and inertia show it, and it is taken out: K_s would look {share:.2g} % softer.",
+                "",
+            )
+        )
     if fit.is_payload_unclear:
         findings.append(
             Finding.warning(

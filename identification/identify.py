@@ -8,7 +8,7 @@ import numpy as np
 from problems.arrays import FloatArray
 from problems.progress import ProgressSlice, no_progress
 
-from .axes.straight import Travel, find_axes
+from .axes.straight import find_axes
 from .axes.turning import find_turns
 from .axis_command import CellSignals
 from .axis_estimate import AxisResult, axis_evidence, identify_axis
@@ -22,6 +22,7 @@ from .partial import identify_partial
 from .payload.gravity import GravityFit, identify_gravity
 from .payload.gravity_verdicts import com_estimate, gravity_findings, mass_estimate
 from .payload.inertia import InertiaFit, identify_inertia
+from .payload.turning import turning_of_payload
 from .rebuilt_command import rebuilt_command
 from .result import (
     Estimate,
@@ -128,9 +129,8 @@ def _identify(
     report(_WEIGHING_SHARE / 2.0)
     inertia = identify_inertia(log, motion, read.poses, gravity)
     report(_WEIGHING_SHARE / 2.0)
-    cell, about_robots = _signals(read, gravity, given)
-    travel = find_axes(log, motion, cell.force_S_n)
-    results, about_axes = _identify_axes(cell, travel, inertia, lambda share: report(_AXES_SHARE * share))
+    cell, about_robots = _signals(read, gravity, inertia, given)
+    results, about_axes = _identify_axes(cell, inertia, lambda share: report(_AXES_SHARE * share))
     accounted, timeline = account_for_log(cell, results, gravity.mass_kg)
     sensor, about_sensor = describe_sensor(read, gravity, frames)
     late, about_late = _late_wrench(results, read.recording, log.period_s)
@@ -159,7 +159,9 @@ def _identify(
     return settle_cell(found, cell.given), cell, results, payload
 
 
-def _signals(read: ReadLog, gravity: GravityFit, given: Mapping[str, Given]) -> tuple[CellSignals, tuple[Finding, ...]]:
+def _signals(
+    read: ReadLog, gravity: GravityFit, inertia: InertiaFit, given: Mapping[str, Given]
+) -> tuple[CellSignals, tuple[Finding, ...]]:
     """Return what the axes of a weighed log share, and what its gains show of the robot."""
     recording, log, motion = read.recording, read.log, read.motion
     force = gravity.compensated_force_S_n(log)
@@ -176,6 +178,7 @@ def _signals(read: ReadLog, gravity: GravityFit, given: Mapping[str, Given]) -> 
         robots=robots.robots,
         rebuilt=rebuilt,
         turns=find_turns(recording, log, motion, gravity),
+        turning_S_n=turning_of_payload(log, force, gravity, inertia),
     )
     return cell, robots.findings
 
@@ -249,10 +252,10 @@ def _evidence(cell: CellSignals, gravity: GravityFit, results: Mapping[str, Axis
 
 
 def _identify_axes(
-    cell: CellSignals, travel: Travel, inertia: InertiaFit, report: Callable[[float], None]
+    cell: CellSignals, inertia: InertiaFit, report: Callable[[float], None]
 ) -> tuple[dict[str, AxisResult], list[Finding]]:
     """Estimate every axis along which, or about which, the tool moved."""
-    findings: list[Finding] = []
+    travel, findings = find_axes(cell.log, cell.motion, cell.force_S_n), list[Finding]()
     if travel.oblique_share > _OBLIQUE_SHARE:
         findings.append(_oblique(travel.oblique_share))
     if not travel.axes and not cell.turns:

@@ -59,7 +59,7 @@ class JointData:
     `mass_kg`, from gravity, is a start too and no information; M_p is looked for between a fifth of it and five times
     it. `priors` maps names of `ParameterLayout.names` to value and standard deviation known from elsewhere; `weighed`
     is M_p from gravity with its deviation, for ringing that has nothing else to go by. `least_noise_n` is the force's
-    noise where a deadband may hide it at rest.
+    noise where a deadband may hide it at rest; `turning_n` (n,) is what of the force turns a payload that is free.
     """
 
     period_s: float
@@ -81,6 +81,7 @@ class JointData:
     priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     weighed: tuple[float, float] | None = None
     least_noise_n: float = 0.0
+    turning_n: FloatArray | None = None
 
     @property
     def is_smooth(self) -> bool:

@@ -26,10 +26,11 @@ from .free_motion import (
 )
 from .latency import compare_delay_hypotheses, filter_or_delay, fit_filter, fit_latency
 from .model import ParameterLayout
-from .result import JointFit, build_joint_fit, with_robot_of_pose, with_unexplained
+from .result import JointFit, build_joint_fit, with_robot_of_pose, with_turning, with_unexplained
 from .segments import ContactCandidate, FoundContact, group_contacts, start_contact
 from .solve import Point, Problem, linearise, minimise
 from .start import fit_alone, start_surface
+from .turning_payload import take_out_turning
 
 _ROUNDS = 2
 _SAME_SECANT = 1.12
@@ -69,6 +70,8 @@ def _identify(data: JointData, begin: _Beginning, progress: ProgressSlice) -> Jo
     """Fit everything, beginning with the payload alone."""
     base, start = fit_robot(data)
     problem, point = begin(data, base, start[:-3])
+    turning = take_out_turning(data, problem, point)
+    data, problem, point = turning.data, turning.problem, turning.point
     if problem.layout.robot_order == 1:
         # On the wrong side of a whole sample the jumps of the force look like a latency.
         point, _ = compare_delay_hypotheses(problem, point)
@@ -108,7 +111,7 @@ def _identify(data: JointData, begin: _Beginning, progress: ProgressSlice) -> Jo
     is_vague = data.robot_order > 0 and not blurred and fit.value("delay_s")[1] > _VAGUE_SAMPLES * data.period_s
     if data.robot_order and (is_vague or wider.is_wider or fit.quality.noise_ratio_free > _MORE_THAN_NOISE):
         fit = with_robot_of_pose(fit, *robot_of_pose(data, base, start[problem.layout.robot]))
-    return fit
+    return with_turning(fit, turning.move, turning.std)
 
 
 def _require_explained(fit: JointFit) -> None:

@@ -87,7 +87,8 @@ class JointFit:
     gravity. `spans` are what was fitted, span by span. `part` swings on the payload and `friction_n`, value and
     deviation, is in the coupling, where the log shows them; `is_payload_unclear` where it shows either without a value.
     Spans and quality are those of one payload on one spring. `unexplained` is how many times the noise is left of the
-    force in free motion and in contact beside what is reported, 0 where that is not well above it.
+    force in free motion and in contact beside what is reported, 0 where that is not well above it. `turned_n_per_m` is
+    by how much K_s is larger without what the payload turns on its coupling, 0 where the torque does not show that.
     """
 
     names: tuple[str, ...]
@@ -105,6 +106,7 @@ class JointFit:
     friction_n: tuple[float, float] | None = None
     is_payload_unclear: bool = False
     unexplained: tuple[float, float] = (0.0, 0.0)
+    turned_n_per_m: float = 0.0
 
     def __post_init__(self) -> None:
         freeze(self, "ci95")
@@ -358,6 +360,18 @@ def with_unexplained(fit: JointFit, left_n: float, rest_rms_n: float, noise_n: f
     latency = replace(fit.latency, std_s=times * fit.latency.std_s)
     quality = replace(fit.quality, wrench_lag_std_s=times * fit.quality.wrench_lag_std_s)
     return replace(fit, unexplained=(free, contact), latency=latency, quality=quality)
+
+
+def with_turning(fit: JointFit, move: FloatArray | None, std: FloatArray | None) -> JointFit:
+    """Return the fit with by how much the payload's turning moved coupling and robot (a,), and what may be wrong of it.
+
+    As it is where nothing was taken out, which is None.
+    """
+    if move is None or std is None:
+        return fit
+    wrong = np.zeros(len(fit.values))
+    wrong[: len(std)] = std
+    return replace(fit, covariance=fit.covariance + np.outer(wrong, wrong), turned_n_per_m=float(move[0]))
 
 
 def with_robot_of_pose(fit: JointFit, robot: FloatArray, covariance: FloatArray) -> JointFit:

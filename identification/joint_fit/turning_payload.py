@@ -1,0 +1,93 @@
+"""Fit of free motion without what of the force only turns the payload on its coupling (`payload.turning`).
+
+That part u of F moves the centre of mass and not the coupling, so K_s looks softer by as much as u follows F: with the
+centre of mass off the axis by c about m c²/I of it. F − u is the force of a payload that does not turn, behind a flange
+at x + w with K_s w + B_s dw/dt = u.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.interpolate import make_interp_spline
+from scipy.signal import butter, cont2discrete, lfilter, sosfiltfilt
+
+from problems.arrays import FloatArray
+
+from .data import JointData
+from .free_motion import STEPS_LATER, quiet_rests, with_fitted_noise
+from .segments import Segment
+from .solve import Point, Problem, minimise
+
+# A payload turns on its coupling more slowly than this; above is the torque's noise.
+_HIGHEST_HZ, _HIGHEST_SHARE, _ORDER = 100.0, 0.4, 4
+_ABOVE_NOISE, _LARGEST_SHARE = 3.0, 0.1
+_MARGIN_S, _RAMP_S = 0.008, 0.004
+# How well the move is known: the inertia to a few per cent, and the coupling that makes w of u.
+_MOVE_KNOWN = 0.1
+
+
+@dataclass(frozen=True, kw_only=True)
+class WithoutTurning:
+    """Data, problem and minimum without what turns; `move` (p,) is by how much the parameters moved [SI], or None."""
+
+    data: JointData
+    problem: Problem
+    point: Point
+    move: FloatArray | None = None
+
+    @property
+    def std(self) -> FloatArray | None:
+        """What may be wrong of the move, (p,) [SI], None without one."""
+        return None if self.move is None else _MOVE_KNOWN * self.move
+
+
+def take_out_turning(data: JointData, problem: Problem, point: Point) -> WithoutTurning:
+    """Return the fit of the spans in free motion without what turns, as it is where the torque does not show that.
+
+    What is more than a tenth of the force is no correction of a payload on one spring, and stays.
+    """
+    kept = WithoutTurning(data=data, problem=problem, point=point)
+    rests = quiet_rests(data)
+    if data.turning_n is None or not rests or not problem.segments:
+        return kept
+    turning = _smoothed(data.turning_n, data.period_s)
+    noise = float(np.std(np.concatenate([turning[rest] - np.mean(turning[rest]) for rest in rests])))
+    seen, force = (
+        np.concatenate([signal[s.slice] for s in problem.segments]) for signal in (turning, problem.signals.force_n)
+    )
+    if not _ABOVE_NOISE * noise < float(np.std(seen)) < _LARGEST_SHARE * float(np.std(force)):
+        return kept
+    u = turning * _weights(problem.segments, len(turning), data.period_s)
+    moved = _as_path(u, point.values, data.period_s)
+    signals = problem.signals
+    if signals.command_m is not None:
+        signals = replace(signals, yielded=moved if signals.yielded is None else signals.yielded + moved)
+    force_n, position_m = data.force_n - u, data.position_m + moved[:, 0]
+    problem = replace(problem, signals=replace(signals, force_n=force_n, position_m=position_m))
+    problem = with_fitted_noise(problem, point)
+    after, _ = minimise(problem, point, STEPS_LATER)
+    data = replace(data, force_n=force_n, position_m=position_m)
+    return WithoutTurning(data=data, problem=problem, point=after, move=after.values - point.values)
+
+
+def _smoothed(signal: FloatArray, period_s: float) -> FloatArray:
+    cutoff = min(_HIGHEST_HZ, _HIGHEST_SHARE / period_s)
+    return np.asarray(sosfiltfilt(butter(_ORDER, cutoff, fs=1.0 / period_s, output="sos"), signal))
+
+
+def _weights(segments: Sequence[Segment], count: int, period_s: float) -> FloatArray:
+    """Return 1 in the spans and a little around, 0 elsewhere, with ramps: beyond, something may touch the payload."""
+    margin, ramp = max(round(_MARGIN_S / period_s), 2), max(round(_RAMP_S / period_s), 1)
+    inside = np.zeros(count)
+    for each in segments:
+        inside[max(each.start - margin, 0) : each.stop + margin] = 1.0
+    return np.convolve(inside, np.ones(ramp) / ramp, mode="same")
+
+
+def _as_path(force_n: FloatArray, values: FloatArray, period_s: float) -> FloatArray:
+    """Return w with K_s w + B_s w' = u, value and derivatives over factorials per sample (n, 4)."""
+    top, bottom, *_ = cont2discrete(([1.0], [float(values[1]), float(values[0])]), period_s, method="foh")
+    path = make_interp_spline(np.arange(len(force_n)), lfilter(np.ravel(top), bottom, force_n), k=5)
+    ticks = np.arange(len(force_n))
+    return np.column_stack([path(ticks, nu=order) / over for order, over in ((0, 1.0), (1, 1.0), (2, 2.0), (3, 6.0))])
