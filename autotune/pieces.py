@@ -10,7 +10,7 @@ from identification.errors import EstimateError, FewPosesError, LogError, Outsid
 from identification.evidence import Evidence
 from identification.known_payload import KnownPayload
 from identification.logs.long_logs import WindowSpan, windows_of_part
-from identification.logs.read import WINDOW_S, LogSpan, recorded_spans
+from identification.logs.read import WINDOW_S, LogSpan
 from identification.logs.roles.cell import Cell
 from identification.merging.combine import NamedResult
 from identification.verdicts import unidentifiable, unidentifiable_vector
@@ -63,15 +63,12 @@ class LogPiece:
 
     def cut(self, change: PayloadChangedError) -> "tuple[LogPiece, LogPiece]":
         """Return the two sides of a change of the payload in a window."""
-        window, stamp = self.window or Window(start_s=0.0, stop_s=0.0), change.stamp_ns
+        window = self.window or Window(start_s=0.0, stop_s=0.0)
         middle = window.start_s + change.time_s
-        ends = [f"@{each // 10**9}.{each % 10**9:09d}" for each in (stamp, stamp + 1)]
+        earlier, later = self.span.split(change.stamp_ns)
         text = f"{window.name}: {change.what} Both sides are identified on their own."
         before, after = replace(window, stop_s=middle), replace(window, start_s=middle, changed=text)
-        return (
-            replace(self, span=replace(self.span, stop=ends[0]), window=before),
-            replace(self, span=replace(self.span, start=ends[1]), window=after),
-        )
+        return replace(self, span=earlier, window=before), replace(self, span=later, window=after)
 
 
 def pieces_of(
@@ -97,23 +94,16 @@ def pieces_of(
         piece
         for run, windows in found
         for piece in _windows(
-            run,
-            windows if len(windows) > 1 else windows_of_part(run, cell, span, width_s=width_s or WINDOW_S),
-            recorded_spans(run, cell, salvage=salvage),
+            windows or windows_of_part(run, cell, span, width_s=WINDOW_S, salvage=salvage),
             run[0].name if len(runs) > 1 else "",
         )
     ]
 
 
-def _windows(
-    run: tuple[Path, ...], windows: Sequence[WindowSpan], spans: Sequence[tuple[int, int]], log: str
-) -> Iterator[LogPiece]:
-    """Yield the windows of a recording, each with the files that hold something of it."""
+def _windows(windows: Sequence[WindowSpan], log: str) -> Iterator[LogPiece]:
     for each in windows:
-        start, stop = each.span.recorded_ns or (0, 0)
-        inside = tuple(file for file, (first, last) in zip(run, spans, strict=True) if first < stop and last >= start)
         window = Window(log=log, start_s=each.start_s, stop_s=each.stop_s)
-        yield LogPiece(files=inside, span=each.span, window=window)
+        yield LogPiece(files=each.files, span=each.span, window=window)
 
 
 _Worked = list[tuple[LogPiece, PieceOutcome]]

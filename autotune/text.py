@@ -429,3 +429,9 @@ def span_text(speeds: Sequence[float], force: str) -> str:
     low, high = (f"{1e3 * each:.3g}" for each in (min(speeds), max(speeds)))
     unit = "mm/s" if force == "N" else "mrad/s"
     return f"{high} {unit}" if low == high else f"{low} to {high} {unit}"
+
+
+def clock_text(seconds: float) -> str:
+    """Return a time in a long log as people read it: hours, minutes and seconds."""
+    whole = round(seconds)
+    return f"{whole // 3600}:{whole // 60 % 60:02}:{whole % 60:02}"

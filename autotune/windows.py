@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from autotune.drift import MASS, Change, Values, change_text, differences
-from autotune.text import with_deviation
+from autotune.text import clock_text, with_deviation
 from identification.errors import EstimateError
 from identification.result import Finding
 
@@ -44,7 +44,7 @@ class Window:
     @property
     def name(self) -> str:
         """How people find it in the log."""
-        return f"{self.log} {_clock(self.start_s)} to {_clock(self.stop_s)}".lstrip()
+        return f"{self.log} {clock_text(self.start_s)} to {clock_text(self.stop_s)}".lstrip()
 
     def tree(self) -> dict[str, Any]:
         """Return it as plain data for the provenance."""
@@ -73,11 +73,6 @@ class Window:
 def windows_of(provenance: Mapping[str, Any]) -> tuple[Window, ...]:
     """Return the windows in which a plant was identified; none where the log was read as a whole."""
     return tuple(map(Window.from_tree, provenance.get("windows", ())))
-
-
-def _clock(seconds: float) -> str:
-    whole = round(seconds)
-    return f"{whole // 3600}:{whole // 60 % 60:02}:{whole % 60:02}"
 
 
 def most_telling(windows: Sequence[Window]) -> tuple[int, ...]:

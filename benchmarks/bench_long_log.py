@@ -1,7 +1,8 @@
-"""Memory and time of `inspect` and `identify` over the length of a log, beside a plain pass over its chunks.
+"""Memory and time of what reads a log over the log's length, beside a plain pass over its chunks.
 
 `python benchmarks/bench_long_log.py --hours 1 2 4` writes an MCAP of three channels at 1.25 kHz for each length (1.7 GB
-an hour), runs both commands on it, and prints the slope of their memory over the hours, and what a day would take. The
+an hour), runs `inspect`, `identify`, `validate --log` and `predict --log` on it, and prints the slope of their memory
+over the hours, and what a day would take. The controller of the log is one that was optimized for the cell. The
 peer is the MCAP library's own pass over the chunks, with their checksums, without a look into any message.
 """
 
@@ -20,6 +21,8 @@ from mcap.stream_reader import StreamReader
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
+from autotune.formats.controller import read_controller
+from autotune.formats.controller_record import admittance_controller
 from autotune.simulation.truth import SimulatedCell
 from benchmarks.long_log import write_long_log
 
@@ -47,6 +50,18 @@ def _command(words: list[str]) -> int:
     return done.returncode
 
 
+def _tuned_cell(path: Path, folder: Path, said: str) -> SimulatedCell:
+    """Return the cell under a controller that was optimized for it, which is written; its log of minutes is at `path`.
+
+    What `identify` shows of that is written too.
+    """
+    write_long_log(path, 60.0, [SimulatedCell()])
+    _run("identify", str(path), "-o", f"{folder}/identified.yaml", said)
+    _run("optimize", f"{folder}/identified.yaml", "-o", f"{folder}/controller.yaml", said)
+    law = admittance_controller(read_controller(folder / "controller.yaml").controller, "x")
+    return SimulatedCell(controller=law)
+
+
 def _pass(path: Path) -> float:
     begun = time.perf_counter()
     with path.open("rb") as file:
@@ -62,16 +77,24 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--hours", type=float, nargs="+", default=[0.5, 1.0, 2.0], help="lengths of the logs")
     parser.add_argument("--compression", choices=["", "zstd"], default="", help="of the chunks")
+    parser.add_argument("--commands", nargs="+", choices=["inspect", "identify", "validate", "predict"])
     options = parser.parse_args()
-    memories: dict[str, list[float]] = {"inspect": [], "identify": []}
     with tempfile.TemporaryDirectory() as made:
         path, said = Path(made) / "long.mcap", str(Path(made) / "memory.txt")
+        cell = _tuned_cell(path, Path(made), said)
+        of_controller = [f"{made}/controller.yaml", "--log", str(path)]
+        commands = {
+            "inspect": [str(path)],
+            "identify": [str(path), "-o", f"{made}/identified.yaml"],
+            "validate": [*of_controller, "--samples", "0"],
+            "predict": [f"{made}/identified.yaml", "--controller", *of_controller],
+        }
+        memories: dict[str, list[float]] = {name: [] for name in options.commands or commands}
         for hours in options.hours:
-            count = write_long_log(path, 3600.0 * hours, [SimulatedCell()], compression=options.compression)
+            count = write_long_log(path, 3600.0 * hours, [cell], compression=options.compression)
             print(f"{hours:g} h, {path.stat().st_size / 1e9:.2f} GB, {count} messages; a pass: {_pass(path):.1f} s")
             for name, found in memories.items():
-                words = [name, str(path), *(["-o", f"{made}/identified.yaml"] if name == "identify" else [])]
-                wall, spent, memory = _run(*words, said)
+                wall, spent, memory = _run(name, *commands[name], said)
                 found.append(memory)
                 print(f"  {name}: {wall:.1f} s, {spent:.1f} s of processor, largest process {memory:.0f} MiB")
     if len(options.hours) > 1:

@@ -217,7 +217,7 @@ def _compared(output: Output, identified: Path, options: dict[str, Any]) -> "Tou
     from autotune.formats.controller import read_controller
     from autotune.formats.plant_file import read_plant
     from autotune.formats.units import ROTATIONAL_AXES
-    from autotune.pipeline import IdentifyOptions, identify_log
+    from autotune.pipeline import IdentifyOptions, identify_log, identify_windows
     from autotune.predicting import compare_with_touches
     from autotune.prediction.said_gains import parse_gains
 
@@ -235,9 +235,11 @@ def _compared(output: Output, identified: Path, options: dict[str, Any]) -> "Tou
         ran = {name: float(gains[name]) for name in said if name in gains} or None
         of_cell = None if cell is None else read_cell(cell)
         declared = IdentifyOptions(cell=of_cell, allow_partial=True, gains=ran, **reading)
-        found = identify_log(logs, declared, progress=advance)
-        name = ", ".join(log.name for log in logs)
-        return compare_with_touches(file, [(name, found.result)], gains, law, asked, advance)
+        shown = identify_windows(logs, declared, progress=advance)
+        if not shown:
+            found = identify_log(logs, declared, progress=advance)
+            shown = ((", ".join(log.name for log in logs), found.result),)
+        return compare_with_touches(file, shown, gains, law, asked, advance)
 
 
 def _request(options: dict[str, Any], result: Any) -> Any:

@@ -344,23 +344,17 @@ def _print(
 def compare_logs(
     output: Output, controller: "Controller", logs: tuple[Path, ...], options: Mapping[str, Any]
 ) -> "LogComparison":
-    """Read the logs as the parts of one recording, as the options of the command say, and compare every contact."""
+    """Compare every contact of logs, the parts of one recording, as the options of the command say."""
     from autotune.formats.cell import read_cell
-    from autotune.validation.against_log import compare_with_log
-    from autotune.validation.log_touches import compare_touches_of_log
-    from identification.logs.read import LogSpan, read_checked_recording
-    from identification.logs.recording import build_frames
+    from autotune.validation.log_windows import compare_with_logs
+    from identification.logs.read import LogSpan
     from identification.logs.roles.cell import Cell
 
     cell = Cell() if options["cell_path"] is None else read_cell(options["cell_path"]).cell
     cell = cell.with_topics(wrench=None, pose=None, command=options["command_topic"])
     cell, span = cell.with_urdf(options["urdf"], options["tip"]), LogSpan(start=options["start"], stop=options["stop"])
     with output.progress(f"comparing with {', '.join(log.name for log in logs)}", 1.0) as advance:
-        recording = read_checked_recording(logs, cell, span=span)
-        # Without a command the law cannot be held against it, without the weight no contact be followed.
-        is_whole = recording.command is not None and not recording.wrench.gravity_compensated
-        compare = compare_with_log if is_whole else compare_touches_of_log
-        return compare(controller, recording, build_frames(cell), advance)
+        return compare_with_logs(controller, logs, cell, span, advance)
 
 
 def comparison_tree(found: "LogComparison") -> dict[str, Any]:
@@ -370,6 +364,7 @@ def comparison_tree(found: "LogComparison") -> dict[str, Any]:
         "payload_from": "log" if found.is_weighed else "file",
         "inside_share": found.inside_share,
         "passed_over": found.passed_over,
+        "notes": list(found.notes),
         "contacts": [
             {
                 **{name: value for name, value in vars(each).items() if name != "trace"},
@@ -400,6 +395,8 @@ def print_comparison(found: "LogComparison") -> None:
         alone = all(each.law_left_share is None for each in found.contacts)
         why = "no wall, or neither speed nor F^d known" if alone else "another law drove the command there"
         print_message(f"{found.passed_over} more contacts passed over: {why}")
+    for note in found.notes:
+        print_message(note)
 
 
 def _contact_rows(contacts: "Sequence[ComparedContact]") -> Iterator[tuple[str, ...]]:

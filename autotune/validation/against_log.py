@@ -90,12 +90,16 @@ class ComparedContact:
 
 @dataclass(frozen=True, kw_only=True)
 class LogComparison:
-    """All contacts under this controller; `passed_over` counts those whose command follows another law."""
+    """All contacts under this controller; `passed_over` counts those whose command follows another law.
+
+    `notes` are sentences on windows of a long log in which nothing was compared.
+    """
 
     contacts: tuple[ComparedContact, ...]
     passed_over: int
     mass_kg: float
     is_weighed: bool
+    notes: tuple[str, ...] = ()
 
     @property
     def inside_share(self) -> float:

@@ -16,19 +16,11 @@ from .checks.robot_state import without_zero_torques
 from .checks.samples import role_faults
 from .containers.channel import Channel, ChannelInfo
 from .containers.formats import digests
+from .long_logs import WindowSpan, windows_of_part
 from .messages.decode import Series, Wanted
 from .numbers import number_fields, number_findings
 from .opened import OpenedLogs, open_logs
-from .read import (
-    WHOLE,
-    WINDOW_S,
-    LogSpan,
-    cut_series,
-    is_long,
-    read_checked_recording,
-    recorded_spans,
-    window_bounds,
-)
+from .read import WHOLE, LogSpan, cut_series, read_checked_recording
 from .roles.cell import Cell, WrenchSource
 from .roles.choose import Choice, candidates_of, choose, open_questions, source_of, spelled_as_in
 from .roles.registry import ROLES, TRANSFORMS, Role, is_undeclared, layout_of, missing_sentence, roles_of
@@ -68,8 +60,11 @@ def inspect_log(
     """
     files = (paths,) if isinstance(paths, Path) else tuple(paths)
     declared = cell or Cell()
-    if reading is None and span == WHOLE and is_long(files, declared, salvage=salvage):
-        return _inspect_in_windows(files, declared, salvage=salvage)
+    if reading is None and span.recorded_ns is None:
+        windows = windows_of_part(files, declared, span, salvage=salvage)
+        if len(windows) > 1:
+            return _inspect_in_windows(files, declared, windows, salvage=salvage)
+        span = windows[0].span if windows else span
     # A pause of the recorder costs a long log what is around it.
     keeps = salvage or span.recorded_ns is not None
     with open_logs(files, declared, salvage=salvage, recorded_ns=span.recorded_ns) as logs:
@@ -120,14 +115,14 @@ def inspect_log(
     )
 
 
-def _inspect_in_windows(files: tuple[Path, ...], cell: Cell, *, salvage: bool) -> LogSummary:
+def _inspect_in_windows(
+    files: tuple[Path, ...], cell: Cell, windows: Sequence[WindowSpan], *, salvage: bool
+) -> LogSummary:
     """Return the summary of a long log from those of its windows, of which one at a time is in memory."""
-    spans = recorded_spans(files, cell, salvage=salvage)
-    bounds = window_bounds(min(start for start, _ in spans), max(stop for _, stop in spans), WINDOW_S)
-    summaries = [inspect_log(files, cell, salvage=salvage, span=LogSpan(recorded_ns=each)) for each in bounds]
-    first = summaries[0]
+    summaries = [inspect_log(files, cell, salvage=salvage, span=each.span) for each in windows]
+    first, length_s = summaries[0], windows[-1].stop_s - windows[0].start_s
     together = zip(*(each.channels for each in summaries), strict=True)
-    channels = tuple(_joined(parts, (bounds[-1][1] - bounds[0][0]) / 1e9) for parts in together)
+    channels = tuple(_joined(parts, length_s) for parts in together)
     seen: dict[tuple[str, str], list[Finding]] = {}
     for finding in (finding for each in summaries for finding in each.findings):
         # Of messages that differ in their numbers the first one speaks for all.
@@ -138,11 +133,12 @@ def _inspect_in_windows(files: tuple[Path, ...], cell: Cell, *, salvage: bool) -
         else replace(each[0], message=f"{each[0].message} (First of {len(each)} like it.)")
         for each in seen.values()
     )
-    note = f"The log is long: it was looked at in {len(bounds)} windows of {WINDOW_S / 60.0:.0f} minutes, one by one."
+    minutes = length_s / 60.0 / len(windows)
+    note = f"The log is long: it was looked at in {len(windows)} windows of {minutes:.0f} minutes, one by one."
     return replace(
         first,
-        start_ns=bounds[0][0],
-        end_ns=bounds[-1][1] - 1,
+        start_ns=first.start_ns,
+        end_ns=summaries[-1].end_ns,
         channels=channels,
         roles=tuple(_with_rates(role, channels) for role in first.roles),
         findings=(Finding.info("windows", note, ""), *findings),

@@ -54,20 +54,28 @@ def _stamp(stamp_ns: int | None) -> str | None:
 
 @dataclass(frozen=True, kw_only=True)
 class WindowSpan:
-    """A window of a log: what is read of it, and its ends in seconds after the log's first message, as recorded."""
+    """A window of a log: what is read of it, of which files, and its ends in seconds after the log's first message."""
 
+    files: tuple[Path, ...]
     span: LogSpan
     start_s: float
     stop_s: float
 
 
 def windows_of_part(
-    paths: Sequence[Path], cell: Cell, span: LogSpan = WHOLE, *, width_s: float | None = None, salvage: bool = False
+    paths: Sequence[Path],
+    cell: Cell,
+    span: LogSpan = WHOLE,
+    *,
+    width_s: float | None = None,
+    salvage: bool = False,
+    overlap_s: float = 0.0,
 ) -> tuple[WindowSpan, ...]:
     """Return the windows of a span of logs, of `width_s`; without, of ten minutes if the logs are long.
 
-    A log that is not long has none, unless their width is said; a short span of a long one is one window. Messages at
-    the ends of a span are found by the recording clock with a margin, and cut by the log's own.
+    A log that is not long has none, unless their width is said; a short span of a long one is one window. Each reads
+    `overlap_s` of its neighbours too. Messages at the ends of a span are found by the recording clock with a margin,
+    and cut by the log's own.
 
     Raises
     ------
@@ -78,16 +86,29 @@ def windows_of_part(
     """
     if width_s is None and not is_long(paths, cell, salvage=salvage):
         return ()
-    begin = min(first for first, _ in recorded_spans(paths, cell, salvage=salvage))
+    spans = recorded_spans(paths, cell, salvage=salvage)
+    begin, overlap = min(first for first, _ in spans), round(1e9 * overlap_s)
     part = located(paths, cell, span, salvage=salvage)
     start, stop = part.recorded_ns or (0, 0)
     is_short = width_s is None and (stop - start) / 1e9 <= LONGEST_WHOLE_S
     bounds = window_bounds(start, stop - 1, (stop - start) / 1e9 if is_short else width_s or WINDOW_S)
     windows = []
     for k, (first, last) in enumerate(bounds):
-        # Only the ends of the part are cut by the log's clock.
-        ends = part.start if k == 0 else None, part.stop if k == len(bounds) - 1 else None
-        read = first - _MARGIN_NS * (ends[0] is not None), last + _MARGIN_NS * (ends[1] is not None)
-        cut = LogSpan(start=ends[0], stop=ends[1], recorded_ns=read)
-        windows.append(WindowSpan(span=cut, start_s=(first - begin) / 1e9, stop_s=(last - begin) / 1e9))
+        is_first, is_last = k == 0, k == len(bounds) - 1
+        read = (max(first - (_MARGIN_NS if is_first else overlap), 0), last + (_MARGIN_NS if is_last else overlap))
+        windows.append(
+            WindowSpan(
+                files=tuple(path for path, held in zip(paths, spans, strict=True) if _meet(held, read)),
+                # Only the ends of the part are cut by the log's clock.
+                span=LogSpan(
+                    start=part.start if is_first else None, stop=part.stop if is_last else None, recorded_ns=read
+                ),
+                start_s=(first - begin) / 1e9,
+                stop_s=(last - begin) / 1e9,
+            )
+        )
     return tuple(windows)
+
+
+def _meet(held: tuple[int, int], read: tuple[int, int]) -> bool:
+    return held[0] < read[1] and held[1] >= read[0]

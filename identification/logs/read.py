@@ -103,6 +103,11 @@ class LogSpan:
             inside &= stamp_ns >= first
         return inside if last is None else inside & (stamp_ns <= last)
 
+    def split(self, stamp_ns: int) -> "tuple[LogSpan, LogSpan]":
+        """Return what of it lies up to a stamp, and what behind."""
+        last, first = (f"@{each // 10**9}.{each % 10**9:09d}" for each in (stamp_ns, stamp_ns + 1))
+        return replace(self, stop=last), replace(self, start=first)
+
     def __str__(self) -> str:
         first, last = (f"{each:.9g}" if isinstance(each, float) else each for each in (self.start, self.stop))
         return f"{'its start' if first is None else f'{first} s'} to {'its end' if last is None else f'{last} s'}"

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from autotune.drift import MASS
-from autotune.pipeline import IdentifyOptions, identify_log
+from autotune.pipeline import IdentifyOptions, identify_log, identify_windows
 from autotune.results import Identification
 from autotune.simulation.simulate import made_later, simulate_cell
 from autotune.simulation.truth import SimulatedCell
 from autotune.simulation.write import write_mcap
 from autotune.windows import Window, most_telling, window_changes, window_findings, window_rows, windows_of
 from identification.errors import EstimateError, LogError, OutsideSpanError
-from identification.logs import inspect, long_logs, read
+from identification.logs import long_logs, read
 from identification.logs.containers.channel import ByteArray
 from identification.logs.containers.mcap_file import ChunkReader
 from identification.logs.containers.mcap_layout import Chunk
@@ -201,6 +201,28 @@ def test_the_payload_of_another_window_counts_once(shift: Identification) -> Non
     assert "x" in shift.result.axes
 
 
+def test_contacts_of_every_window_are_shown_not_only_of_those_that_give_the_result(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for module in (read, long_logs):
+        monkeypatch.setattr(module, "LONGEST_WHOLE_S", 35.0)
+        monkeypatch.setattr(module, "WINDOW_S", WIDTH_S)
+    monkeypatch.setattr(read, "LARGEST_WHOLE_BYTES", 1_000_000)
+    pressing = replace(PROGRAM, contact_count=2)
+    parts = [simulate_cell(SimulatedCell(), pressing, seed=seed).recording for seed in (1, 2)]
+    log = written(tmp_path / "pressed.mcap", *parts)
+    shown = identify_windows([log], IdentifyOptions(allow_partial=True))
+    assert [name for name, _ in shown] == ["0:00:00 to 0:00:40", "0:00:40 to 0:01:10"]
+    for (_, result), part in zip(shown, parts, strict=True):
+        path = tmp_path / "alone.mcap"
+        write_mcap(part, path)
+        alone = identify_log(path, IdentifyOptions(allow_partial=True)).result
+        assert [touch.peak_force for line in result.timelines for touch in line.touches] == pytest.approx(
+            [touch.peak_force for line in alone.timelines for touch in line.touches]
+        )
+    assert identify_windows([path], IdentifyOptions(allow_partial=True)) == ()
+
+
 def test_a_payload_is_not_handed_on_where_the_sensor_was_tared_in_between(tmp_path: Path) -> None:
     working = replace(PROGRAM, pose_count=1, sweep_s=3.0, contact_count=3)
     tared = replace(SimulatedCell(), force_bias_S_n=(4.2, -6.0, 11.0))
@@ -215,11 +237,13 @@ def test_a_payload_is_not_handed_on_where_the_sensor_was_tared_in_between(tmp_pa
 def test_a_long_log_is_looked_at_in_windows_and_its_channels_are_those_of_the_whole(
     long_log: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    whole = inspect_log(long_log)
+    whole, of_part = inspect_log(long_log), inspect_log(long_log, span=LogSpan(start=35.0))
     for name, value in (("LONGEST_WHOLE_S", 30.0), ("LARGEST_WHOLE_BYTES", 1_000_000)):
         monkeypatch.setattr(read, name, value)
-    monkeypatch.setattr(inspect, "WINDOW_S", WIDTH_S)
+    for name, value in (("LONGEST_WHOLE_S", 30.0), ("WINDOW_S", WIDTH_S)):
+        monkeypatch.setattr(long_logs, name, value)
     found = inspect_log(long_log)
+    assert (found.start_ns, found.end_ns) == (whole.start_ns, whole.end_ns)
     assert [each.topic for each in found.channels] == [each.topic for each in whole.channels]
     for one, other in zip(found.channels, whole.channels, strict=True):
         assert (one.count, one.backwards_steps, one.duplicates) == (
@@ -229,6 +253,10 @@ def test_a_long_log_is_looked_at_in_windows_and_its_channels_are_those_of_the_wh
         )
         assert one.median_gap_s == pytest.approx(other.median_gap_s)
     assert any(finding.code == "windows" for finding in found.findings)
+    part = inspect_log(long_log, span=LogSpan(start=35.0))
+    counts = [each.count for each in part.channels]
+    assert counts == [each.count for each in of_part.channels]
+    assert 0 < counts[0] < 0.7 * whole.channels[0].count
 
 
 @pytest.mark.parametrize(("length_s", "count"), [(10.0, 1), (59.0, 1), (61.0, 2), (120.0, 3), (139.0, 3), (141.0, 4)])
