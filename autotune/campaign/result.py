@@ -13,9 +13,10 @@ from autotune.processes import count_processors
 from autotune.shown import Progress, ResultTable, Shown, data_frame, plain_tree, reporting
 from problems.progress import no_progress
 
+from .dask_pool import dask_executor
 from .fleet import Unusual, changes, unusual
 from .manifest import read_manifest
-from .run import dask_executor, work_on_runs
+from .run import work_on_runs
 from .tables import campaign_rows, write_tables
 from .text import outcome_text, unusual_text
 from .work import RunOptions, RunOutcome

@@ -3,20 +3,21 @@
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ProcessPoolExecutor, wait
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from multiprocessing import get_context
 from pathlib import Path
 
 from autotune.errors import UsageError
 from autotune.processes import one_thread_each, prepare_worker
-from problems.errors import AutotuneError, require_extra
+from problems.errors import AutotuneError
 
+from .dask_pool import MOST_DEATHS, DaskPool
 from .manifest import LoggedRun
 from .work import RunOptions, RunOutcome, RunTask, build_task, read_outcome, work_on
 
-_MOST_DEATHS = 5
+_LOOK_S = 5.0
 _KILLED = (
-    f"The process that worked on it alone ended {_MOST_DEATHS} times without an answer: killed, or out of memory. It "
+    f"The process that worked on it alone ended {MOST_DEATHS} times without an answer: killed, or out of memory. It "
     "is tried again by the next campaign."
 )
 
@@ -78,7 +79,7 @@ def work_on_runs(
         with _workers(executor, jobs) as workers:
             for task in _drain(workers, queue, most, finish):
                 deaths[task.run.name] += most == 1
-                if deaths[task.run.name] < _MOST_DEATHS:
+                if deaths[task.run.name] < MOST_DEATHS:
                     suspects.append(task)
                 else:
                     finish(task, task.refused("killed", _KILLED))
@@ -96,7 +97,7 @@ def _drain(
             while queue and len(running) < most:
                 running[workers.submit(work_on, queue[0])] = queue[0]
                 queue.popleft()
-            for future in wait(running, return_when=FIRST_COMPLETED).done:
+            for future in wait(running, _LOOK_S, return_when=FIRST_COMPLETED).done or _look_after(workers):
                 task = running[future]
                 try:
                     finish(task, future.result())
@@ -141,22 +142,8 @@ def _workers(executor: Executor | None, jobs: int) -> Iterator[Executor]:
     pool.shutdown(cancel_futures=True)
 
 
-@contextmanager
-def dask_executor(scheduler: str, jobs: int) -> Iterator[tuple[Executor, str]]:
-    """Yield the executor of a Dask cluster and its dashboard's address: `dask` starts one here, else its own address.
-
-    Raises MissingExtraError without Dask, UsageError where the cluster does not answer.
-    """
-    require_extra("--scheduler", "distributed", "dask")
-    from distributed import Client, LocalCluster  # noqa: PLC0415 - takes a second
-
-    with ExitStack() as stack:
-        try:
-            if scheduler == "dask":
-                cluster = stack.enter_context(LocalCluster(n_workers=jobs, threads_per_worker=1, processes=True))  # type: ignore[no-untyped-call]
-                client = stack.enter_context(Client(cluster))  # type: ignore[no-untyped-call]
-            else:
-                client = stack.enter_context(Client(scheduler, timeout="10s"))  # type: ignore[no-untyped-call]
-        except (OSError, ValueError) as error:
-            raise UsageError(f"--scheduler {scheduler}: no Dask scheduler answers there ({error}).") from error
-        yield client.get_executor(pure=False, retries=_MOST_DEATHS), str(client.dashboard_link)
+def _look_after(workers: Executor) -> tuple[Future[RunOutcome], ...]:
+    """Look whether the scheduler of a cluster is still there; nothing is done yet."""
+    if isinstance(workers, DaskPool):
+        workers.look_after()
+    return ()

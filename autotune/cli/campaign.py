@@ -82,7 +82,7 @@ def command(
     with ExitStack() as stack:
         executor = None
         if scheduler is not None:
-            from autotune.campaign.run import dask_executor
+            from autotune.campaign.dask_pool import dask_executor
 
             executor, dashboard = stack.enter_context(dask_executor(scheduler, count))
             output.note(f"dashboard: {dashboard}")

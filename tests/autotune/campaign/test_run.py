@@ -13,9 +13,10 @@ from typing import Any
 
 import pytest
 
+from autotune.campaign.dask_pool import dask_executor
 from autotune.campaign.manifest import LoggedRun, read_manifest
 from autotune.campaign.result import run_campaign
-from autotune.campaign.run import dask_executor, work_on_runs
+from autotune.campaign.run import work_on_runs
 from autotune.campaign.tables import write_tables
 from autotune.campaign.work import RESULT, RunOptions, RunOutcome, build_task, read_outcome, work_on
 from autotune.errors import UsageError

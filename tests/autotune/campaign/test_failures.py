@@ -1,0 +1,191 @@
+"""What a campaign survives: a killed scheduler and a full disk. Nothing finished is lost or doubled."""
+
+import resource
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import pytest
+
+from autotune.campaign.dask_pool import dask_executor
+from autotune.campaign.manifest import read_manifest
+from autotune.campaign.run import work_on_runs
+from autotune.campaign.tables import write_tables
+from autotune.campaign.work import RESULT, RunOutcome
+from autotune.errors import UsageError
+
+
+def written_logs(folder: Path, count: int) -> Path:
+    """Tables that `identify` refuses at once: what is tried here is the work around it."""
+    for i in range(count):
+        (folder / f"cell{i % 4}").mkdir(parents=True, exist_ok=True)
+        (folder / f"cell{i % 4}" / f"run{i:02}.csv").write_text(f"t,a\n0,{i}\n1,2\n", encoding="utf-8")
+    return folder
+
+
+def table(folder: Path, outcomes: tuple[RunOutcome, ...]) -> str:
+    folder.mkdir()
+    write_tables(folder, outcomes)
+    return (folder / "campaign.csv").read_text(encoding="utf-8")
+
+
+def results(folder: Path) -> dict[Path, tuple[int, str]]:
+    """When each result was written, and what it says."""
+    found = folder.rglob(RESULT)
+    return {path.relative_to(folder): (path.stat().st_mtime_ns, path.read_text(encoding="utf-8")) for path in found}
+
+
+def until(holds: Callable[[], bool], limit_s: float = 45.0) -> None:
+    end = time.monotonic() + limit_s
+    while not holds():
+        assert time.monotonic() < end, "took too long"
+        time.sleep(0.01)
+
+
+class Cluster:
+    """A scheduler and a worker of Dask, each a process of its own, that can be killed and started again."""
+
+    def __init__(self, folder: Path, stack: ExitStack) -> None:
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            self.port = free.getsockname()[1]
+        self.address, self._folder, self._stack = f"tcp://127.0.0.1:{self.port}", folder, stack
+        self.scheduler = self._started("dask_scheduler", "--host", "127.0.0.1", "--port", str(self.port))
+        self.worker = self._started("dask_worker", self.address, "--nthreads", "1", "--no-nanny")
+
+    def _started(self, what: str, *words: str) -> "subprocess.Popen[bytes]":
+        command = [sys.executable, "-m", f"distributed.cli.{what}", *words, "--no-dashboard"]
+        with (self._folder / f"{what}.log").open("ab") as log:
+            process = subprocess.Popen(command, stdout=log, stderr=log, cwd=self._folder)
+        self._stack.callback(process.wait)
+        self._stack.callback(process.kill)
+        return process
+
+    def restart(self) -> None:
+        """Kill scheduler and worker, and start both again at the same address."""
+        for process in (self.scheduler, self.worker):
+            process.send_signal(signal.SIGKILL)
+            process.wait()
+        self.scheduler = self._started("dask_scheduler", "--host", "127.0.0.1", "--port", str(self.port))
+        self.worker = self._started("dask_worker", self.address, "--nthreads", "1", "--no-nanny")
+
+
+@pytest.fixture
+def cluster(tmp_path: Path) -> Iterator[Cluster]:
+    pytest.importorskip("distributed", reason="Dask is not installed")
+    (tmp_path / "dask").mkdir()
+    with ExitStack() as stack:
+        yield Cluster(tmp_path / "dask", stack)
+
+
+@pytest.fixture
+def logs(tmp_path: Path) -> Path:
+    return written_logs(tmp_path / "logs", 24)
+
+
+def test_a_scheduler_that_is_killed_ends_the_campaign_and_the_next_one_does_the_rest(
+    cluster: Cluster, logs: Path, tmp_path: Path
+) -> None:
+    runs, out = read_manifest(logs), tmp_path / "out"
+    calm = work_on_runs(runs, tmp_path / "calm")
+
+    def kill() -> None:
+        until(lambda: len(results(out)) >= 3)
+        cluster.scheduler.send_signal(signal.SIGKILL)
+
+    killer = threading.Thread(target=kill)
+    killer.start()
+    with (
+        dask_executor(cluster.address, 1) as (executor, _),
+        pytest.raises(UsageError, match="the Dask scheduler is gone"),
+    ):
+        work_on_runs(runs, out, executor=executor)
+    killer.join()
+    left = results(out)
+    assert 3 <= len(left) < len(runs)
+    outcomes = work_on_runs(runs, out)
+    assert {path: left[path] for path in left} == {path: results(out)[path] for path in left}
+    assert table(tmp_path / "a", outcomes) == table(tmp_path / "b", calm)
+
+
+def test_a_scheduler_that_comes_back_goes_on_with_what_it_has_forgotten(
+    cluster: Cluster, logs: Path, tmp_path: Path
+) -> None:
+    runs, out = read_manifest(logs), tmp_path / "out"
+
+    def kill() -> None:
+        until(lambda: len(results(out)) >= 3)
+        cluster.restart()
+
+    killer = threading.Thread(target=kill)
+    killer.start()
+    with dask_executor(cluster.address, 1) as (executor, _):
+        outcomes = work_on_runs(runs, out, executor=executor)
+    killer.join()
+    assert table(tmp_path / "a", outcomes) == table(tmp_path / "b", work_on_runs(runs, tmp_path / "calm"))
+    assert len(results(out)) == len(runs)
+
+
+@contextmanager
+def small_disk(folder: Path, kib: int) -> Iterator[None]:
+    """Mount a file system of a few KiB, which only root may."""
+    folder.mkdir()
+    command = ["mount", "-t", "tmpfs", "-o", f"size={kib}k", "tmpfs", str(folder)]
+    if shutil.which("mount") is None or subprocess.run(command, check=False, capture_output=True).returncode:
+        pytest.skip("may not mount a small file system")
+    try:
+        yield
+    finally:
+        subprocess.run(["umount", str(folder)], check=True)
+
+
+def test_a_full_disk_ends_the_campaign_whose_results_stay_whole(tmp_path: Path) -> None:
+    """Each file takes a page of the file system, so that some of the results have room."""
+    runs, disk = read_manifest(written_logs(tmp_path / "logs", 24)), tmp_path / "disk"
+    with small_disk(disk, 64):
+        with pytest.raises(UsageError, match="No space left on device"):
+            work_on_runs(runs, disk / "out")
+        left = results(disk / "out")
+        assert 0 < len(left) < len(runs)
+        assert list(disk.rglob(".autotune-*")) == []
+        subprocess.run(["mount", "-o", "remount,size=4096k", str(disk)], check=True)
+        outcomes = work_on_runs(runs, disk / "out")
+        assert {path: left[path] for path in left} == {path: results(disk / "out")[path] for path in left}
+        assert len(results(disk / "out")) == len(runs)
+    assert table(tmp_path / "a", outcomes) == table(tmp_path / "b", work_on_runs(runs, tmp_path / "calm"))
+
+
+def test_a_table_that_has_no_room_leaves_the_former_one(tmp_path: Path) -> None:
+    logs, out = written_logs(tmp_path / "logs", 4), tmp_path / "out"
+    first = table_of_command(logs, out)
+    written_logs(logs, 12)
+    done = run_campaign_of(logs, out, limit=len(first.encode()) + 100)
+    assert done.returncode == 2
+    assert "campaign.csv" in done.stderr
+    assert "File too large" in done.stderr
+    assert (out / "campaign.csv").read_text(encoding="utf-8") == first
+    assert len(table_of_command(logs, out).splitlines()) == 13
+
+
+def table_of_command(logs: Path, out: Path) -> str:
+    done = run_campaign_of(logs, out)
+    assert done.returncode == 4, done.stderr  # no run of these is identified
+    return (out / "campaign.csv").read_text(encoding="utf-8")
+
+
+def run_campaign_of(logs: Path, out: Path, *, limit: int | None = None) -> "subprocess.CompletedProcess[str]":
+    """Run the command where no file may have more bytes than `limit`, as on a disk with no more room."""
+    command = [sys.executable, "-m", "autotune", "campaign", str(logs), "-o", str(out), "--no-optimize", "--jobs", "1"]
+
+    def limited() -> None:
+        if limit is not None:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+
+    return subprocess.run(command, check=False, capture_output=True, text=True, preexec_fn=limited)
