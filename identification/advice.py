@@ -15,6 +15,7 @@ from .joint_fit.estimates import COARSE_COMMAND
 from .payload.gravity_verdicts import WITHOUT_TORQUE
 from .result import AxisEstimate, EnvironmentEstimate, Estimate, Finding, Identified, Status, VectorEstimate
 from .robot.logged_command import SECOND_POLE, UNKNOWN_PERIOD
+from .verdicts import MASS_THAT_MOVES
 
 _POSES = (
     "Record 6 to 12 rests of 1 s, the tool tilted by 30 degrees or more in different directions, with nothing touching "
@@ -74,7 +75,11 @@ _COARSE = (
     "faster, or what differs is too little to be seen. If it was held, give the control period (`sample_time_s`); else "
     "log the command that the robot receives, and the pose, at the control rate."
 )
-_TORQUE = "Record the sensor's torques with its forces."
+_BY_NOTE: Mapping[str, str] = {
+    WITHOUT_TORQUE: "Record the sensor's torques with its forces.",
+    MASS_THAT_MOVES: "Record a commanded sweep in free space with no hand on the payload, or the sensor's wrench "
+    "before its weight is taken off.",
+}
 _COMMAND = "Record the position command with the pose, on one clock, at the control rate."
 
 
@@ -107,7 +112,7 @@ def advise(result: Identified) -> tuple[Finding, ...]:
         "centre of mass": result.payload.com_m,
     }
     lacks = [
-        _Lack(name=name, estimate=each, advice=_TORQUE if each.note == WITHOUT_TORQUE else _POSES, needed=True)
+        _Lack(name=name, estimate=each, advice=_BY_NOTE.get(each.note, _POSES), needed=True)
         for name, each in payload.items()
     ]
     findings = list(_findings("", lacks, first, STRAIGHT))

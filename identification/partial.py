@@ -29,6 +29,7 @@ from .touches.inertia import KnownMotion
 from .touches.signals import axis_signals, offset_findings
 from .touches.surfaces import Touched, identify_touches, no_contact
 from .verdicts import (
+    MASS_THAT_MOVES,
     missing,
     unidentifiable,
     unidentifiable_robot,
@@ -68,9 +69,10 @@ def identify_partial(
             led.robots.get(axis),
             led.covariances.get(axis),
             touched.surfaces.get(axis, ()),
+            touched.masses.get(axis),
         )
         for axis in AXES
-        if axis in found.axes or axis in led.robots or axis in touched.surfaces
+        if axis in found.axes or axis in led.robots or axis in touched.surfaces or axis in touched.masses
     }
     mass = _moving_mass(axes)
     known_codes = {finding.code for finding in led.findings}
@@ -187,9 +189,7 @@ def _moving_mass(axes: Mapping[str, AxisEstimate]) -> Estimate:
     if not known:
         return unidentifiable(note=_REMOVED)
     best = min(known, key=lambda mass: np.inf if mass.std is None else mass.std)
-    return replace(
-        best, note="what moves behind the sensor, from acceleration; the weight was removed before recording"
-    )
+    return replace(best, note=MASS_THAT_MOVES)
 
 
 def _removed(recording: Recording, mass: Estimate) -> Finding:
@@ -220,11 +220,14 @@ def _removed(recording: Recording, mass: Estimate) -> Finding:
 def _coupling_findings(axes: Mapping[str, AxisEstimate]) -> tuple[Finding, ...]:
     if any(axis.coupling.stiffness_n_per_m.value is not None for axis in axes.values()):
         return ()
+    moved = any(axis.mass_kg is not None and axis.mass_kg.value is not None for axis in axes.values())
     return (
         missing(
             "coupling",
-            "The force that the payload's inertia makes is hidden by gravity compensation, deadband or the hand, so "
-            "K_s, B_s and B_p cannot be determined.",
+            "The payload is moved too slowly to swing on its coupling, so K_s, B_s and B_p cannot be determined."
+            if moved
+            else "The force that the payload's inertia makes is hidden by gravity compensation, deadband or the hand, "
+            "so K_s, B_s and B_p cannot be determined.",
             "Record wrench and pose with a commanded sweep, hands off.",
         ),
     )
@@ -235,10 +238,13 @@ def _axis(
     led: RobotEstimate | None,
     covariance: Covariance | None,
     surfaces: tuple[EnvironmentEstimate, ...],
+    mass: Estimate | None,
 ) -> AxisEstimate:
     """Join what pose, force and command show of an axis, what the gains show of its robot, and what was touched."""
     unknown = unidentifiable_robot("neither command nor gains identify the robot on this axis")
     axis = found or replace(without_coupling(unknown, _REMOVED), covariance=covariance)
+    if mass is not None and (axis.mass_kg is None or axis.mass_kg.value is None):
+        axis = replace(axis, mass_kg=mass)
     return replace(
         axis,
         # The joint fit knows a surface alone, a touch the surface in series with the coupling.

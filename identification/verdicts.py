@@ -56,6 +56,10 @@ def judged_damping(
     return replace(estimate, ci95=interval)
 
 
+# The note of a payload's mass in a log without its weight.
+MASS_THAT_MOVES = "what moves behind the sensor, from acceleration; the weight was removed before recording"
+
+
 def weak_at_best(estimate: Estimate, why: str) -> Estimate:
     """Return the estimate, `weak` with the reason where it was `identified`."""
     if estimate.status is not Status.IDENTIFIED:

@@ -10,7 +10,7 @@ from scipy.signal import bilinear, lfilter, savgol_filter
 
 from problems.arrays import FloatArray
 
-from ..result import Finding, TouchCause
+from ..result import Estimate, Finding, Status, TouchCause
 from ..signals.segments import Span
 from .find import LONGEST_SWING_S, AxisTouches, FoundTouch
 from .signals import AxisSignals
@@ -24,6 +24,10 @@ _REACH = 7.0
 _MODES_HZ, _DAMPING_RATIOS = tuple(np.geomspace(8.0, 40.0, 24).tolist()), (0.02, 0.06, 0.12)
 _LEAST_EXPLAINED, _MOST_LEFT = 0.9, 0.25
 _FEWEST_ALIKE = 3
+# As well is the mass known at best: a payload that swings, and drag, take part.
+_MASS_KNOWN = 0.05
+_METHOD = "force over acceleration where the payload is moved and nothing else presses"
+_NOTE = "of pushes alone: a sweep shows it better"
 _TURNING_RAD_S = 0.1
 # A tenth of the touches drops out at a time.
 _PARTS = 10
@@ -42,6 +46,12 @@ class PayloadForce:
     spans: tuple[Span, ...]
     mode: tuple[float, float] | None = None
 
+    @property
+    def mass(self) -> Estimate:
+        """The mass [kg], weak: each span leaves it open by the share of its force that is not explained."""
+        std = self.mass_kg * max(float(np.sqrt((1.0 - self.explained) / len(self.spans))), _MASS_KNOWN)
+        return Estimate(value=self.mass_kg, std=std, status=Status.WEAK, method=_METHOD, note=_NOTE)
+
 
 @dataclass(frozen=True, kw_only=True)
 class KnownMotion:
@@ -56,18 +66,21 @@ class KnownMotion:
 
 def without_known(
     found: Sequence[AxisTouches], known: KnownMotion | None, turn_rad_s: FloatArray | None = None
-) -> tuple[tuple[AxisTouches, ...], tuple[Finding, ...]]:
-    """Leave out what fits explain, or where they know nothing, what `without_turning` and `without_inertia` do."""
+) -> tuple[tuple[AxisTouches, ...], tuple[Finding, ...], dict[str, Estimate]]:
+    """Leave out what fits explain, or where they know nothing, what `without_turning` and `without_inertia` do.
+
+    Returns what is left, what is to be said, and by axis the mass that moves.
+    """
     if known is None:
         others, about_turning = without_turning(found, turn_rad_s)
-        kept, about = without_inertia(others)
-        return kept, (*about_turning, *about)
-    others, findings = without_inertia([axis for axis in found if axis.signals.axis not in known.axes])
+        kept, about, masses = without_inertia(others)
+        return kept, (*about_turning, *about), masses
+    others, findings, masses = without_inertia([axis for axis in found if axis.signals.axis not in known.axes])
     kept = tuple(
         replace(axis, touches=tuple(each for each in axis.touches if not _is_turned(each, known))) for axis in others
     )
     turned = [each for axis in others for each in axis.touches if _is_turned(each, known)]
-    return kept, (*findings, *([_about_turning(turned)] if turned else []))
+    return kept, (*findings, *([_about_turning(turned)] if turned else [])), masses
 
 
 def _is_turned(each: FoundTouch, known: KnownMotion) -> bool:
@@ -140,15 +153,20 @@ def _turning_columns(found: Sequence[AxisTouches], rate: FloatArray, width: int)
     return columns.transpose(1, 0, 2).reshape(-1, 4), force.reshape(-1)
 
 
-def without_inertia(found: Sequence[AxisTouches]) -> tuple[tuple[AxisTouches, ...], tuple[Finding, ...]]:
+def without_inertia(
+    found: Sequence[AxisTouches],
+) -> tuple[tuple[AxisTouches, ...], tuple[Finding, ...], dict[str, Estimate]]:
     """Leave out the touches and the leading hands that are the payload's own motion, and say so.
 
     A payload that is shaken presses against the motion without anything being there. Hands move an admittance along its
     acceleration, and walls slow the flange down by what presses: both have the other sign of inertia.
     """
-    kept, findings = [], []
+    kept, findings, masses = [], [], {}
     for axis in found:
         payload = payload_force(axis)
+        # A deadband takes more of small forces than this can tell.
+        if payload is not None and not _is_cut(axis.signals):
+            masses[axis.signals.axis] = payload.mass
         spans = () if payload is None else payload.spans
         own = [each for each in axis.touches if each.span in spans]
         led = tuple(span for span in axis.led if span not in spans)
@@ -156,7 +174,7 @@ def without_inertia(found: Sequence[AxisTouches]) -> tuple[tuple[AxisTouches, ..
         kept.append(replace(axis, touches=touches, led=led, inert=tuple(spans)))
         if payload is not None and own:
             findings.append(_about(axis.signals.axis, own, payload))
-    return tuple(kept), tuple(findings)
+    return tuple(kept), tuple(findings), masses
 
 
 def payload_force(axis: AxisTouches) -> PayloadForce | None:
@@ -194,8 +212,11 @@ def _motion_columns(signals: AxisSignals, sigma: float) -> tuple[FloatArray, Flo
         for values, order in ((signals.force_n, 0), (signals.travel_m, 1), (signals.travel_m, 2))
     )
     # What a deadband takes off is as large in every touch.
-    is_cut = float(np.mean(signals.force_n == 0.0)) > 0.0
-    return np.column_stack([-acceleration, -speed, -np.sign(force) * is_cut]), force
+    return np.column_stack([-acceleration, -speed, -np.sign(force) * _is_cut(signals)]), force
+
+
+def _is_cut(signals: AxisSignals) -> bool:
+    return bool(np.any(signals.force_n == 0.0))
 
 
 def _felt(columns: FloatArray, mode: tuple[float, float] | None, period_s: float) -> FloatArray:

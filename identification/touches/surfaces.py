@@ -61,14 +61,15 @@ class _Contact:
 
 @dataclass(frozen=True, kw_only=True)
 class Touched:
-    """What a log shows of touches: the time line, the surfaces by axis, and what is to be said of them."""
+    """What a log shows of touches: time line, surfaces and moving mass by axis, and what is to be said of them."""
 
     timeline: Timeline
     surfaces: Mapping[str, tuple[EnvironmentEstimate, ...]]
     findings: tuple[Finding, ...]
+    masses: Mapping[str, Estimate]
 
     def __post_init__(self) -> None:
-        freeze(self, "surfaces")
+        freeze(self, "surfaces", "masses")
 
     @property
     def shows_a_wall(self) -> bool:
@@ -94,7 +95,7 @@ def identify_touches(recording: Recording, known: KnownMotion | None = None) -> 
     if not recording.pose.is_displacement:
         check_force_sign(signals)
     touching = find_touches(signals, is_contact=recording.pose.is_displacement)
-    found, about_payload = without_known(touching, known, turn_rates(recording) if signals else None)
+    found, about_payload, masses = without_known(touching, known, turn_rates(recording) if signals else None)
     check_desired_force(found)
     surfaces: dict[str, tuple[EnvironmentEstimate, ...]] = {}
     names: dict[tuple[str, float], str] = {}
@@ -123,7 +124,10 @@ def identify_touches(recording: Recording, known: KnownMotion | None = None) -> 
     findings += [*_undetermined(touches), *_withdrawn(touches)]
     phases: tuple[LogPhase, ...] = build_phases(found, touches)
     return Touched(
-        timeline=Timeline(phases=phases, touches=tuple(touches)), surfaces=surfaces, findings=tuple(findings)
+        timeline=Timeline(phases=phases, touches=tuple(touches)),
+        surfaces=surfaces,
+        findings=tuple(findings),
+        masses=masses,
     )
 
 

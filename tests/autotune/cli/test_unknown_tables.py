@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation, RotationSpline
 from autotune.cli.main import main
 from autotune.formats.cell import read_cell
 from autotune.formats.identified import read_identified
+from identification.result import Status
 from problems.arrays import FloatArray
 
 MASS_KG, RATE_HZ = 7.3, 200.0
@@ -369,9 +370,9 @@ def pressed_to_and_fro(stiffness: float) -> FloatArray:
     return found
 
 
-@pytest.mark.parametrize("stiffness", [1500.0, 4000.0])
+@pytest.mark.parametrize(("stiffness", "shows_mass"), [(1500.0, True), (4000.0, False)])
 def test_a_force_that_turns_to_and_fro_on_a_soft_wall(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], stiffness: float
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], stiffness: float, shows_mass: bool
 ) -> None:
     log = columns(tmp_path / "push.csv", "time,x,fx", pressed_to_and_fro(stiffness))
     cell, out = tmp_path / "cell.yaml", tmp_path / "identified.yaml"
@@ -394,3 +395,11 @@ def test_a_force_that_turns_to_and_fro_on_a_soft_wall(
     assert all(each.sign == 1 for each in walls)
     first = walls[0]
     assert first.onset_s == pytest.approx(2.0 + 0.01 / 0.0194 + 0.07, abs=0.1)
+    # Three pushes or more show what moves, if nothing shows the coupling.
+    mass = found.payload.mass_kg
+    if not shows_mass:
+        return
+    assert mass.status is Status.WEAK
+    assert mass.value is not None
+    assert mass.std is not None
+    assert abs(mass.value - 16.0) < 2.0 * mass.std
