@@ -105,11 +105,16 @@ def _name_next(
     cell: Path | None,
     begun: Path | None,
 ) -> None:
-    known = cell or begun
+    from identification.logs.tables.read import TIME_UNDECLARED
+
+    has_cell = Path("cell.yaml").exists()
+    untimed = any(finding.code == TIME_UNDECLARED for finding in summary.findings)
+    known = cell or begun or (Path("cell.yaml") if untimed and has_cell else None)
     declared = () if known is None else ("--cell", known)
-    if begun is None and any(finding.severity == "error" for finding in summary.findings):
+    errors = {finding.code for finding in summary.findings if finding.severity == "error"}
+    if begun is None and (errors if known is not None else errors - {TIME_UNDECLARED}):
         output.next_command("inspect", *logs, *declared, *reading)  # once what the error names is mended
-    elif summary.missing and known is None and not Path("cell.yaml").exists():
+    elif summary.missing and known is None and not has_cell:
         output.next_command("inspect", *logs, "--write-cell", "cell.yaml", *reading)
     elif begun is not None and any(role.entry == "wrench" and role.topic is None for role in summary.roles):
         output.next_command("inspect", *logs, *declared, *reading)  # once the questions are answered

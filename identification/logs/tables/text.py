@@ -15,6 +15,8 @@ _BLOCK_CHARACTERS = 2**18
 _BLOCK_BYTES = 2**18
 _LINE_LIMIT = 2**20
 _LOOKED_AT = 50
+_HEAD_BYTES = 2**16
+_WESTERN = "cp1252"
 _DELIMITERS = (";", "\t", "|", ",")
 _NUMBER = re.compile(r"\s*([-+]?(\d+([.,]\d*)?|[.,]\d+)([eE][-+]?\d+)?|[-+]?(nan|inf|infinity)|)\s*", re.IGNORECASE)
 COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
@@ -163,14 +165,29 @@ def _opened(path: Path, encoding: str, *, newline: str | None) -> io.TextIOWrapp
 def _encoding(path: Path, layout: TableLayout) -> str:
     try:
         with path.open("rb") as file:
-            head = file.read(4)
+            head = file.read(_HEAD_BYTES)
     except OSError as error:
         raise LogError(f"{path} cannot be read: {error.strerror or error}; name an existing table.") from error
     if not head:
         raise LogError(f"{path.name} is empty (0 bytes); export it again.")
     if head.startswith(_UTF16):
         return "utf-16"
-    return "utf-8-sig" if layout.encoding is None or head.startswith(codecs.BOM_UTF8) else layout.encoding
+    if head.startswith(codecs.BOM_UTF8):
+        return "utf-8-sig"
+    return layout.encoding or (_WESTERN if _is_western(head) else "utf-8-sig")
+
+
+def _is_western(head: bytes) -> bool:
+    """Return whether bytes are no UTF-8, but text as many loggers in Europe write it: ° or ü is one byte.
+
+    It only spells names and remarks; digits are the same.
+    """
+    try:
+        codecs.getincrementaldecoder("utf-8")().decode(head)
+    except UnicodeDecodeError:
+        text = head.decode(_WESTERN, errors="replace")
+        return "\ufffd" not in text and all(each.isprintable() or each.isspace() for each in text)
+    return False
 
 
 def _numbered(path: Path, file: io.TextIOWrapper, count: int) -> Iterator[tuple[int, str]]:

@@ -52,6 +52,17 @@ def test_the_named_commands_lead_from_a_log_to_an_export(
     assert (tmp_path / "controller.o").is_file()
 
 
+def test_a_table_whose_columns_nobody_named_is_followed_by_a_cell_file_that_begins_to(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    rows = "".join(f"{i};{i % 3},5;1,2;{i / 10};0;0\n" for i in range(40))
+    Path("run.csv").write_text(f"Zeit [ms];FX;FY;X_ist;Y_ist;Z_ist\n{rows}", encoding="utf-8")
+    assert following(capsys, "inspect", "run.csv") == ["inspect", "run.csv", "--write-cell", "cell.yaml"]
+    Path("cell.yaml").write_text('format: autotune/cell\nversion: 1\ntable: {time: "Zeit [ms]"}\n', encoding="utf-8")
+    assert following(capsys, "inspect", "run.csv") == ["inspect", "run.csv", "--cell", "cell.yaml"]
+
+
 def test_a_prediction_names_the_search_with_its_gains_beside_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -41,6 +41,17 @@ def test_recorded_tables_are_read_as_numpy_reads_them(shared_data: Path, name: s
     assert (series.stamp_ns, series.frame_ids, series.fields) == (None, (), ("0", "1"))
 
 
+def test_a_table_that_is_no_utf_8_is_read_as_western_loggers_write_it(tmp_path: Path) -> None:
+    content = "# Prüfstand 3, Handführen\nt [ms];α;Winkel [°];größte Kraft\n0;1,5;90;-3\n1;2,5;91;-4\n"
+    layout = TableLayout(columns=("Winkel [°]", "größte Kraft"), time="t [ms]", time_unit="ms")
+    for encoding, first in (("utf-8", "α"), ("cp1252", "a")):
+        path = write(tmp_path / f"{encoding}.csv", content.replace("α", first), encoding)
+        assert list_columns(path) == ("t [ms]", first, "Winkel [°]", "größte Kraft")
+        series = read_table(path, layout)
+        assert series.values.tolist() == [[90.0, -3.0], [91.0, -4.0]]
+        assert series.log_ns.tolist() == [0, 10**6]
+
+
 @settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
 @given(
     rows=st.lists(st.tuples(st.integers(-(2**62), 2**62), st.floats(), st.floats()), min_size=1, max_size=30),
@@ -224,7 +235,8 @@ WRONG: dict[str, tuple[str | bytes, TableLayout, str]] = {
     "blank line": ("t,a,b\n0,1,2\n\n2,3,4\n", TIMED, "line 3: the time `t` is missing"),
     "no such time": ("t,a,b\n0,1,2\n", replace(TIMED, time="time"), "has no column `time`; its columns are: t, a, b."),
     "undeclared time": ("t,a,b\n0,1,2\n", TableLayout(columns=("a",)), "name its time column (`time`, of t, a, b)"),
-    "latin": ("a,b\n1,2\n# ü\n".encode("latin-1"), AB, "is not text in utf-8"),
+    "latin beside a control character": ("a,b\n1,2\n# ü\x01\n".encode("latin-1"), AB, "is not text in utf-8"),
+    "cut off within a character": ("a,b\n1,2\n# ü".encode()[:-1] + b"\n", replace(AB, encoding="utf-8"), "is not text"),
     "odd utf-16": ("a,b\n1,2\n".encode("utf-16")[:-1], AB, "is not text in utf-16"),
     "unknown encoding": ("a,b\n1,2\n", replace(AB, encoding="klingon"), "unknown encoding: klingon"),
     "binary": (bytes(range(256)) * 20, AB, "is not text in utf-8"),
