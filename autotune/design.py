@@ -133,6 +133,9 @@ class Design(Shown):
         listed = "; ".join(_gains_text(name, gains) for name, gains in self.gains.items())
         return f"Design, {self.controller.status.value}: {listed}"
 
+    def _answers(self) -> Sequence[str]:
+        return [f"before → after, axis {name}: {text}" for name, text in self.before_after.items()]
+
     def _tables(self) -> Iterator[ResultTable]:
         rows = tuple(
             (
@@ -142,7 +145,9 @@ class Design(Shown):
             )
             for name, g in self.gains.items()
         )
-        columns = ("axis", "M_a [kg, kg·m²]", "B_a [N·s/m, N·m·s/rad]", "K_l [ms]", "B_fb [ms]")
+        kinds = list(dict.fromkeys(map(axis_units, self.gains)))
+        mass, damping = (", ".join(units) for units in ([k.mass for k in kinds], [k.damping for k in kinds]))
+        columns = ("axis", f"M_a [{mass}]", f"B_a [{damping}]", "K_l [ms]", "B_fb [ms]")
         yield ResultTable(title="gains", columns=columns, rows=rows)
         yield ResultTable(
             title="smallest margins over the domain",
@@ -217,8 +222,8 @@ class Design(Shown):
 
         It returns nothing: call it, do not print it.
         """
-        for name, text in self.before_after.items():
-            print(f"before → after, axis {name}: {text}")
+        for line in self._answers():
+            print(line)
         print()
         print(self)
 

@@ -57,6 +57,10 @@ class Shown:
         """Yield the tables; none unless a result has some."""
         yield from ()
 
+    def _answers(self) -> Sequence[str]:
+        """Return what is read first in a notebook, before the numbers."""
+        return ()
+
     def _notes(self) -> Sequence[str]:
         """Return what should not be overlooked."""
         return ()
@@ -84,7 +88,8 @@ class Shown:
 
     def _repr_html_(self) -> str:
         notes = "".join(f"<p>⚠ {escape(note)}</p>" for note in self._notes())
-        return f"<p>{escape(self._headline())}</p>" + "".join(table.html() for table in self._tables()) + notes
+        lines = "".join(f"<p>{escape(line)}</p>" for line in (*self._answers(), self._headline()))
+        return lines + "".join(table.html() for table in self._tables()) + notes
 
 
 def data_frame(columns: Mapping[str, Any], index: Any = None, index_name: str | None = None) -> Any:

@@ -40,7 +40,7 @@ class FilePath(click.Path):
             return
         if not path.exists():
             said = f"{path} cannot be read: No such file or directory"
-            raise LogError(f"{said}; name an existing log file.") if LOG in self.kinds else UsageError(f"{said}.")
+            raise LogError(f"{said}; name an existing log file.") if self.kinds == (LOG,) else UsageError(f"{said}.")
         check_kind(path, self.kinds)
 
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:

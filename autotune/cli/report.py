@@ -4,6 +4,8 @@ from pathlib import Path
 
 import click
 
+from autotune.formats.kinds import LOG
+
 from ._common import Output, output_options
 from ._options import LOGS, SETTINGS, FilePath, GroupedCommand, PresentType, output_option
 from ._report import check_report, report_refusal, write_report
@@ -17,11 +19,14 @@ Examples:
   autotune report identified.yaml run7.mcap
   autotune report identified.yaml run7.mcap controller.yaml pareto.yaml -o cell.html
 """
+_SHOWN = ("identified", "controller", "pareto", "schedule", LOG)
 _SEARCH = b'-convergence"'
 
 
 @click.command("report", cls=GroupedCommand, epilog=_EPILOG)
-@click.argument("files", metavar="FILE...", nargs=-1, required=True, type=FilePath(*SETTINGS, *LOGS, dir_okay=True))
+@click.argument(
+    "files", metavar="FILE...", nargs=-1, required=True, type=FilePath(*SETTINGS, *LOGS, kinds=_SHOWN, dir_okay=True)
+)
 @output_option("report.html", "Page to write.")
 @click.option(
     "--compare",

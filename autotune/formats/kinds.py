@@ -93,7 +93,8 @@ def check_kind(path: Path, kinds: Sequence[str]) -> None:
         return
     if not found or found in kinds:
         return
-    wanted = " or ".join(f"a {kind}.yaml" if kind in ("cell", "problem") else _named(kind) for kind in kinds)
+    *listed, last = (f"a {kind}.yaml" if kind in ("cell", "problem") else _named(kind) for kind in kinds)
+    wanted = f"{', '.join(listed)} or {last}" if listed else last
     command = _COMMANDS.get(found)
     advice = "" if command is None else f": run `{command.format(shlex.quote(str(path)))}`"
     raise UsageError(f"{path} is {_named(found)}, not {wanted}{advice}.")

@@ -9,6 +9,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import asdict, replace
+from html import escape
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -136,7 +137,13 @@ def test_every_result_shows_copies_and_pickles(design: at.Design, capsys: pytest
         assert isinstance(result.to_dict(), dict)
     assert asdict(design.controller)["axes"]["x"]["mass"] == design.gains["x"]["mass"]
     design.summary()
-    assert "smallest margins" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "smallest margins" in printed
+    # What it changes comes first, in a notebook too, and a straight axis has straight units only.
+    (answer,) = design.before_after.values()
+    assert printed.startswith(f"before → after, axis x: {answer}\n")
+    assert design._repr_html_().startswith(f"<p>before → after, axis x: {escape(answer)}</p><p>Design, validated: ")
+    assert "M_a [kg]  B_a [N·s/m]  " in printed
 
 
 def test_the_summary_says_what_is_not_proved(design: at.Design) -> None:

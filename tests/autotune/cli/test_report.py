@@ -141,7 +141,10 @@ def test_files_that_have_no_report_are_refused_in_a_sentence(folder: Path, capsy
     (folder / "plan.yaml").write_text("format: autotune/plan\nversion: 1\n", encoding="utf-8")
     (folder / "notes.txt").write_text("nothing", encoding="utf-8")
     (folder / "schedule.yaml").write_text(f"format: {FORMAT}\nversion: 1\n", encoding="utf-8")
-    assert "plan.yaml is of the format autotune/plan" in refused(capsys, ["report", "plan.yaml"], 2)
+    known = "not an identified plant, a controller, a Pareto front, a schedule or a log."
+    (folder / "page.html").write_text('<meta name="generator" content="autotune report">', encoding="utf-8")
+    for name, kind in (("plan.yaml", "a plan"), ("page.html", "a report")):
+        assert f"{name} is {kind}, {known}" in refused(capsys, ["report", name], 2)
     assert "notes.txt is no file that autotune wrote; if it is a log, give the identified.yaml" in refused(
         capsys, ["report", "notes.txt"], 2
     )
