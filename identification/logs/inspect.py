@@ -65,6 +65,13 @@ def inspect_log(
         if len(windows) > 1:
             return _inspect_in_windows(files, declared, windows, salvage=salvage)
         span = windows[0].span if windows else span
+    return _inspect(files, declared, salvage=salvage, span=span, reading=reading)
+
+
+def _inspect(
+    files: tuple[Path, ...], declared: Cell, *, salvage: bool, span: LogSpan, reading: Sequence[Finding] | None
+) -> LogSummary:
+    """Return the summary of what is in memory at once."""
     # A pause of the recorder costs a long log what is around it.
     keeps = salvage or span.recorded_ns is not None
     with open_logs(files, declared, salvage=salvage, recorded_ns=span.recorded_ns) as logs:
@@ -119,7 +126,7 @@ def _inspect_in_windows(
     files: tuple[Path, ...], cell: Cell, windows: Sequence[WindowSpan], *, salvage: bool
 ) -> LogSummary:
     """Return the summary of a long log from those of its windows, of which one at a time is in memory."""
-    summaries = [inspect_log(files, cell, salvage=salvage, span=each.span) for each in windows]
+    summaries = [_inspect(files, cell, salvage=salvage, span=each.span, reading=None) for each in windows]
     first, length_s = summaries[0], windows[-1].stop_s - windows[0].start_s
     together = zip(*(each.channels for each in summaries), strict=True)
     channels = tuple(_joined(parts, length_s) for parts in together)
