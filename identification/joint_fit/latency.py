@@ -48,7 +48,8 @@ class WrenchLatency:
     Where `is_filter`, that is the time constant of a first-order low-pass, which the problem's prediction passes.
     Where `is_whole`, it is a number of samples that is deeper than what lies about it.
     Such a force is logged `advanced_s` too early beside it: by what was taken off its stamps as a clock's offset.
-    `evidence` is by how much −2 log L prefers that to a delay, None where the two were not compared.
+    `evidence` is by how much −2 log L prefers that to a delay, None where the two were not compared; `is_doubtful`
+    where nothing explains all of the force.
     """
 
     seconds: float
@@ -58,6 +59,7 @@ class WrenchLatency:
     is_whole: bool = False
     evidence: float | None = None
     advanced_s: float = 0.0
+    is_doubtful: bool = False
 
 
 def fit_latency(
@@ -414,6 +416,8 @@ def find_wrench_filter(
     seconds, std, why = _together(alike)
     if abs(evidence) < DECIDED:
         why = f"a {'delay' if is_filter else 'low-pass'} explains it nearly as well"
+    elif not is_filter and any(latency.is_doubtful for latency in alike.values()):
+        why = "nothing explains all of the force, so it may be a low-pass"
     if is_filter:
         corner = 1.0 / (2.0 * np.pi * seconds)
         estimate = judged(

@@ -351,13 +351,13 @@ def with_unexplained(fit: JointFit, left_n: float, rest_rms_n: float, noise_n: f
 
     `rest_rms_n` is the force's noise at rest, `noise_n` that with what the coupling makes of the pose's. A part or
     friction that is reported is in contacts, too, whose residuals are those of one payload on one spring. A filter of
-    the wrench is known less by as much, since it may be what it was fitted to.
+    the wrench is known less by as much, since it may be what it was fitted to, and a delay may be a filter.
     """
     is_reported = fit.part is not None or fit.friction_n is not None or fit.is_payload_unclear
     touching = 0.0 if is_reported else (fit.quality.noise_ratio_contact or 0.0) * rest_rms_n
     free, contact = (left / noise_n if left > _WELL_ABOVE_NOISE * noise_n else 0.0 for left in (left_n, touching))
     times = max(free, 1.0) if fit.latency.is_filter else 1.0
-    latency = replace(fit.latency, std_s=times * fit.latency.std_s)
+    latency = replace(fit.latency, std_s=times * fit.latency.std_s, is_doubtful=free > 0.0)
     quality = replace(fit.quality, wrench_lag_std_s=times * fit.quality.wrench_lag_std_s)
     return replace(fit, unexplained=(free, contact), latency=latency, quality=quality)
 

@@ -241,7 +241,16 @@ def test_a_filter_is_known_less_where_nothing_explains_what_is_left() -> None:
     fit = replace(plain(), latency=late)
     assert with_unexplained(fit, 0.2, 0.1, 0.1).latency.std_s == 1e-4
     assert with_unexplained(fit, 0.7, 0.1, 0.1).latency.std_s == pytest.approx(7e-4)
-    assert with_unexplained(replace(fit, latency=replace(late, is_filter=False)), 0.7, 0.1, 0.1).latency.std_s == 1e-4
+    delay = replace(late, is_filter=False, evidence=-50.0)
+    left, explained = (with_unexplained(replace(fit, latency=delay), left, 0.1, 0.1).latency for left in (0.7, 0.1))
+    assert left.std_s == 1e-4
+    # Nor is a delay told from a filter there.
+    for latency, status in ((explained, Status.IDENTIFIED), (left, Status.WEAK)):
+        found, (about,) = find_wrench_filter({"z": latency}, 0.0, 1e-3)
+        assert found is not None
+        assert found.delay_s is not None
+        assert found.delay_s.status is status
+        assert ("so it may be a low-pass" in about.message) is (status is Status.WEAK)
 
 
 def test_friction_in_the_coupling_is_reported_and_widens_what_it_moves() -> None:
