@@ -9,7 +9,18 @@ from .axes.straight import AXIS_NAMES
 from .axes.turning import LEVER_M
 from .axis_command import CellSignals
 from .axis_estimate import AxisResult
-from .result import AxisEstimate, EnvironmentEstimate, Finding, LogPhase, Timeline, Touch, TouchCause
+from .result import (
+    CONTACT_UNEXPLAINED,
+    AxisEstimate,
+    EnvironmentEstimate,
+    Finding,
+    LogPhase,
+    PhaseKind,
+    Timeline,
+    Touch,
+    TouchCause,
+)
+from .robot.admittance_motion import with_compensated_force
 from .signals.aligned import AlignedLog
 from .signals.recording import AXES, Recording
 from .timeline.contacts import find_contacts
@@ -17,7 +28,9 @@ from .timeline.left_contacts import Accounted, ObservedAxis, account_for_contact
 from .timeline.payload import observe_payload, press_sign
 from .timeline.timeline import build_timeline, name_surfaces
 from .touches.find import approach_speed, describe_touch, desired_speed
+from .touches.inertia import KnownMotion
 from .touches.signals import AxisSignals, desired_force_of, gains_of, lead_of, sample_noise
+from .touches.surfaces import identify_touches
 
 # A hand that helps, or holds back, by less than this of F^d leaves the approach as it is.
 _SPEED_SHARE = 0.2
@@ -63,6 +76,44 @@ def account_for_log(cell: CellSignals, results: Mapping[str, AxisResult], mass_k
     return accounted, Timeline(phases=accounted.phases, touches=touches)
 
 
+def with_unfitted_touches(
+    cell: CellSignals, results: Mapping[str, AxisResult], accounted: Accounted, timeline: Timeline
+) -> tuple[Accounted, Timeline]:
+    """Return both with what force over the flange's way shows of axes on which motion shows no coupling.
+
+    There the payload's way is not known, so the stiffness is that of surface and coupling in series, as in a log
+    without the payload's weight.
+    """
+    pressed = {touch.axis for touch in timeline.touches}
+    unknown = {
+        name
+        for name, axis in results.items()
+        if name in AXIS_NAMES
+        and name in pressed
+        and axis.estimate.coupling.stiffness_n_per_m.value is None
+        and not accounted.surfaces.get(name)
+    }
+    if not unknown:
+        return accounted, timeline
+    known = KnownMotion(axes=frozenset(AXIS_NAMES) - unknown, turning_s=turning_spans(timeline))
+    touched = identify_touches(with_compensated_force(cell.recording, cell.log, cell.force_S_n), known)
+    shown = {name: touched.surfaces[name] for name in unknown if touched.surfaces.get(name)}
+    if not shown:
+        return accounted, timeline
+    others = [each for each in timeline.touches if each.axis not in shown]
+    found = [each for each in touched.timeline.touches if each.axis in shown]
+    about = [each for each in accounted.findings if each.code != CONTACT_UNEXPLAINED or each.axis not in shown]
+    return (
+        replace(accounted, surfaces={**accounted.surfaces, **shown}, findings=(*about, *touched.findings)),
+        replace(timeline, touches=_in_time((*others, *found))),
+    )
+
+
+def turning_spans(timeline: Timeline) -> tuple[tuple[float, float], ...]:
+    """Return when the tool turned, (start, stop) [s] each."""
+    return tuple((each.start_s, each.stop_s) for each in timeline.phases if each.kind is PhaseKind.TURNING)
+
+
 def with_surfaces(axis: AxisEstimate, added: Sequence[EnvironmentEstimate]) -> AxisEstimate:
     """Return the axis with the surfaces that slopes show, in place of those that the fit leaves without a stiffness."""
     fitted = [each for each in axis.environments if not added or each.stiffness_n_per_m.value is not None]
@@ -100,9 +151,12 @@ def touches_of(
     What presses on a surface is a wall, where a hand is suspected undetermined; what is softer than any surface or does
     work is a hand, and what the way in or out does not show is undetermined, unless F^d alone drove the flange there.
     """
-    found = [touch for axis in axes for touch in _on_axis(recording, log, axis, phases)]
+    return _in_time([touch for axis in axes for touch in _on_axis(recording, log, axis, phases)])
+
+
+def _in_time(touches: Sequence[Touch]) -> tuple[Touch, ...]:
     return tuple(
-        sorted(found, key=lambda touch: (touch.peak_s if touch.onset_s is None else touch.onset_s, touch.axis))
+        sorted(touches, key=lambda touch: (touch.peak_s if touch.onset_s is None else touch.onset_s, touch.axis))
     )
 
 

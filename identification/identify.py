@@ -14,7 +14,13 @@ from .axis_command import CellSignals
 from .axis_estimate import AxisResult, axis_evidence, identify_axis
 from .conventions.choice import ReadLog, read_by_weight
 from .evidence import Evidence
-from .fitted_timeline import account_for_log, hand_findings, with_surfaces, without_surface
+from .fitted_timeline import (
+    account_for_log,
+    hand_findings,
+    with_surfaces,
+    with_unfitted_touches,
+    without_surface,
+)
 from .given import Given, settle_cell
 from .joint_fit.latency import find_wrench_filter
 from .known_payload import KnownPayload, known_payload, read_with_known
@@ -131,7 +137,7 @@ def _identify(
     report(_WEIGHING_SHARE / 2.0)
     cell, about_robots = _signals(read, gravity, inertia, given)
     results, about_axes = _identify_axes(cell, inertia, lambda share: report(_AXES_SHARE * share))
-    accounted, timeline = account_for_log(cell, results, gravity.mass_kg)
+    accounted, timeline = with_unfitted_touches(cell, results, *account_for_log(cell, results, gravity.mass_kg))
     sensor, about_sensor = describe_sensor(read, gravity, frames)
     late, about_late = _late_wrench(results, read.recording, log.period_s)
     report(1.0 - _WEIGHING_SHARE - _AXES_SHARE)

@@ -7,7 +7,7 @@ import numpy as np
 
 from .compensated import CompensatedAxes, identify_compensated_axes
 from .errors import EstimateError, LogError
-from .fitted_timeline import account_for_log, hand_findings, with_surfaces, without_surface
+from .fitted_timeline import account_for_log, hand_findings, turning_spans, with_surfaces, without_surface
 from .given import Given
 from .result import (
     AxisEstimate,
@@ -17,7 +17,6 @@ from .result import (
     Finding,
     Identified,
     PayloadEstimate,
-    PhaseKind,
     RobotEstimate,
     SensorEstimate,
     Status,
@@ -136,8 +135,7 @@ def _touched(recording: Recording, found: CompensatedAxes) -> tuple[CompensatedA
         return found, identify_touches(recording)
     mass_kg = _moving_mass({name: axis.estimate for name, axis in fitted.items()}).value or 0.0
     accounted, timeline = account_for_log(found.cell, fitted, mass_kg)
-    turning = tuple((each.start_s, each.stop_s) for each in timeline.phases if each.kind is PhaseKind.TURNING)
-    others = identify_touches(recording, KnownMotion(axes=frozenset(fitted), turning_s=turning))
+    others = identify_touches(recording, KnownMotion(axes=frozenset(fitted), turning_s=turning_spans(timeline)))
     touches = sorted(
         (*timeline.touches, *others.timeline.touches),
         key=lambda touch: (touch.peak_s if touch.onset_s is None else touch.onset_s, touch.axis),
