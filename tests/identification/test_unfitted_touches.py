@@ -1,6 +1,7 @@
 """Contacts of a log with its weight whose motion shows no coupling: force over the flange's way gives the surface."""
 
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
 from identification.identify import identify_cell
@@ -64,5 +65,5 @@ def test_contacts_without_a_sweep_give_the_surface_in_series_with_the_coupling()
     assert secant.std < 0.2 * SERIES_N_PER_M
     touches = [touch for touch in found.timelines[0].touches if touch.surface == surface.name]
     assert [touch.cause for touch in touches] == [TouchCause.WALL] * 4
-    assert np.allclose([touch.onset_s for touch in touches], onsets, atol=0.05)
+    assert [touch.onset_s for touch in touches] == pytest.approx(onsets, abs=0.05)
     assert not any(each.code in {CONTACT_UNEXPLAINED, "no-contact"} for each in found.findings)
