@@ -2,10 +2,10 @@
 
 That part u of F moves the centre of mass and not the coupling, so K_s looks softer by as much as u follows F: with the
 centre of mass off the axis by c about m c²/I of it. F − u is the force of a payload that does not turn, behind a flange
-at x + w with K_s w + B_s dw/dt = u.
+at x + w with K_s w + B_s dw/dt = u. Drag to the ground is no force of the sensor: where it acts off the centre of mass,
+u holds something that follows the speed, and is left without it as slow motion shows it.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,13 +16,15 @@ from problems.arrays import FloatArray
 
 from .data import JointData
 from .free_motion import STEPS_LATER, quiet_rests, with_fitted_noise
-from .segments import Segment
+from .segments import run, segment_model
 from .solve import Point, Problem, minimise
 
 # A payload turns on its coupling more slowly than this; above is the torque's noise.
 _HIGHEST_HZ, _HIGHEST_SHARE, _ORDER = 100.0, 0.4, 4
 _ABOVE_NOISE, _LARGEST_SHARE = 3.0, 0.1
 _MARGIN_S, _RAMP_S = 0.008, 0.004
+# Drag is looked for below this share of the payload's own frequency, in spans of this length.
+_SLOW, _LONG_S = 0.25, 1.0
 # How well the move is known: the inertia to a few per cent, and the coupling that makes w of u.
 _MOVE_KNOWN = 0.1
 
@@ -51,14 +53,14 @@ def take_out_turning(data: JointData, problem: Problem, point: Point) -> Without
     rests = quiet_rests(data)
     if data.turning_n is None or not rests or not problem.segments:
         return kept
-    turning = _smoothed(data.turning_n, data.period_s)
+    turning = _without_drag(_smoothed(data.turning_n, data.period_s), problem, point)
     noise = float(np.std(np.concatenate([turning[rest] - np.mean(turning[rest]) for rest in rests])))
     seen, force = (
         np.concatenate([signal[s.slice] for s in problem.segments]) for signal in (turning, problem.signals.force_n)
     )
     if not _ABOVE_NOISE * noise < float(np.std(seen)) < _LARGEST_SHARE * float(np.std(force)):
         return kept
-    u = turning * _weights(problem.segments, len(turning), data.period_s)
+    u = turning * _weights(problem, len(turning))
     moved = _as_path(u, point.values, data.period_s)
     signals = problem.signals
     if signals.command_m is not None:
@@ -76,11 +78,33 @@ def _smoothed(signal: FloatArray, period_s: float) -> FloatArray:
     return np.asarray(sosfiltfilt(butter(_ORDER, cutoff, fs=1.0 / period_s, output="sos"), signal))
 
 
-def _weights(segments: Sequence[Segment], count: int, period_s: float) -> FloatArray:
+def _without_drag(turning: FloatArray, problem: Problem, point: Point) -> FloatArray:
+    """Return u (n,) without what follows the payload's speed in motion slower than a quarter of its own frequency."""
+    period, speed = problem.signals.period_s, np.zeros(len(turning))
+    own_hz = float(np.sqrt(point.values[0] / point.values[3])) / (2.0 * np.pi)
+    slow = butter(_ORDER, _SLOW * own_hz, fs=1.0 / period, output="sos")
+    path, margin, along, square = problem.path(point.values), _margin(period), 0.0, 0.0
+    for segment, nuisance in zip(problem.segments, point.nuisances, strict=True):
+        law = segment_model(point.values, nuisance, segment, path, problem.layout, period)
+        mine = run(law, path.cut(segment.slice), segment).states[:, 1]
+        first, last = max(segment.start - margin, 0), min(segment.stop + margin, len(speed))
+        speed[first:last] = np.pad(mine, (segment.start - first, last - segment.stop), mode="edge")
+        if len(segment) * period >= _LONG_S:
+            seen, moved = (sosfiltfilt(slow, each) for each in (turning[segment.slice], mine))
+            along, square = along + float(seen @ moved), square + float(moved @ moved)
+    return turning - (along / square if square > 0.0 else 0.0) * speed
+
+
+def _margin(period_s: float) -> int:
+    return max(round(_MARGIN_S / period_s), 2)
+
+
+def _weights(problem: Problem, count: int) -> FloatArray:
     """Return 1 in the spans and a little around, 0 elsewhere, with ramps: beyond, something may touch the payload."""
-    margin, ramp = max(round(_MARGIN_S / period_s), 2), max(round(_RAMP_S / period_s), 1)
+    period = problem.signals.period_s
+    margin, ramp = _margin(period), max(round(_RAMP_S / period), 1)
     inside = np.zeros(count)
-    for each in segments:
+    for each in problem.segments:
         inside[max(each.start - margin, 0) : each.stop + margin] = 1.0
     return np.convolve(inside, np.ones(ramp) / ramp, mode="same")
 
