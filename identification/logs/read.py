@@ -314,7 +314,8 @@ def _read(
         recording = _continuous(join_recordings(recordings))
         questions = open_questions(logs.infos, cell, logs.name)
         about_log = logs.findings()
-        about_log = (*about_log, *_about_what_is_left(about_log, recording, logs))
+        if span.recorded_ns is None:
+            about_log = (*about_log, *_about_what_is_left(about_log, recording, logs))
         findings = (*about_log, *about_span, *chosen, *cautions, *idle, *questions, *about_clocks, *about_samples)
         beside = joint_findings(choices[Role.POSE], recording, cell, chain, logs)
         findings = (*findings, *recording.findings, *beside)

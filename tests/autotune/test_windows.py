@@ -234,6 +234,28 @@ def test_a_payload_is_not_handed_on_where_the_sensor_was_tared_in_between(tmp_pa
     assert second.refused.startswith("The tool rests in fewer than 4 clearly different orientations here, and the")
 
 
+def test_a_damaged_chunk_of_a_window_costs_that_chunk(
+    long_log: Path, in_windows: Identification, tmp_path: Path
+) -> None:
+    damaged = tmp_path / "damaged.mcap"
+    data = bytearray(long_log.read_bytes())
+    # A chunk of the jogging in the first window; without compression and with a CRC.
+    data[len(data) // 4] ^= 0x10
+    damaged.write_bytes(data)
+    with pytest.raises(LogError, match="the CRC of a chunk does not agree"):
+        read_recording(damaged)
+    found = identify_log(damaged, IN_WINDOWS)
+    windows = windows_of(found.provenance)
+    assert [each.is_used for each in windows] == [True, True]
+    assert windows[0].has_pauses
+    (said,) = (each.message for each in found.result.findings if each.code == "salvaged")
+    assert re.search(r"^0:00:00 to 0:00:40: damaged.mcap is damaged, 1 part\(s\) .* messages \(the CRC", said)
+    assert windows[0].values.keys() == windows_of(in_windows.provenance)[0].values.keys()
+    for key, (value, std) in windows_of(in_windows.provenance)[0].values.items():
+        assert windows[0].values[key][0] == pytest.approx(value, abs=2.0 * std), key
+    assert windows[1].values == windows_of(in_windows.provenance)[1].values
+
+
 def test_a_long_log_is_looked_at_in_windows_and_its_channels_are_those_of_the_whole(
     long_log: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -23,7 +23,19 @@ from zlib_ng import zlib_ng
 from ...errors import LogError
 from ...result import Finding
 from ...signals.recording import StampArray
-from .channel import CHUNK_LIMIT_BYTES, Batch, ByteArray, Channel, Container, Damage, FileBytes, Held, Survey, T
+from .channel import (
+    CHUNK_LIMIT_BYTES,
+    Batch,
+    ByteArray,
+    Channel,
+    Container,
+    Damage,
+    FileBytes,
+    Held,
+    Survey,
+    T,
+    salvaged,
+)
 from .mcap_kernel import FRAME, FRAME_BYTES, RecordCounter, RecordCounts, gather
 from .mcap_layout import KNOWN, Chunk, Definition, Definitions, Layout, Walker
 
@@ -276,10 +288,18 @@ def file_findings(layout: Layout) -> tuple[Finding, ...]:
 
 
 class McapContainer(Container):
-    """An MCAP file."""
+    """An MCAP file.
+
+    Of a window of it a damaged chunk is left out and reported: in a log of hours it costs no more than itself.
+    """
 
     def __init__(self, path: Path) -> None:
         self._file = FileBytes(path)
+        self._lost: dict[int, str] = {}
+
+    def findings(self) -> tuple[Finding, ...]:
+        """Return what is left out of a window."""
+        return salvaged(self._file.name, [text for _, text in sorted(self._lost.items())])
 
     def close(self) -> None:
         """Close the file."""
@@ -348,9 +368,10 @@ class McapContainer(Container):
         missing, found = dict(self._ids), {}
         for chunk in layout.chunks:
             here = [channel for channel, ids in missing.items() if any((chunk.counts or {}).get(i) for i in ids)]
-            if here:
+            opened = self._opened(opener, chunk) if here else chunk
+            if opened.data is not None:
                 selection = Selection({channel: missing.pop(channel) for channel in here})
-                for batch in selection.batches(opener.open(chunk)):
+                for batch in selection.batches(opened):
                     begin = int(batch.starts[0])
                     found[batch.channel] = batch.data[begin : begin + int(batch.sizes[0])].tobytes()
         return found
@@ -363,7 +384,7 @@ class McapContainer(Container):
         selection = Selection({channel: self._ids[channel] for channel in wanted})
 
         def work(chunk: Chunk) -> tuple[tuple[Definition, ...], list[tuple[Channel, T]]]:
-            opened = opener.open(chunk)
+            opened = self._opened(opener, chunk)
             return opened.definitions, [(batch.channel, handle(batch)) for batch in selection.batches(opened)]
 
         chunks = (chunk for chunk in layout.chunks if selection.is_in(chunk))
@@ -372,6 +393,21 @@ class McapContainer(Container):
             for definition in definitions:
                 layout.definitions.add(*definition)
             yield from results
+
+    def _opened(self, opener: ChunkReader, chunk: Chunk) -> Chunk:
+        """Return a chunk with its content, of a window one without where it is damaged."""
+        try:
+            return opener.open(chunk)
+        except Damage as damage:
+            if self.recorded_ns is None:
+                raise
+            self._lost[chunk.start] = f"bytes {chunk.start} to {chunk.stop}, {_described(chunk)} ({damage.reason})"
+            return chunk
+
+
+def _described(chunk: Chunk) -> str:
+    when = f"recorded from {chunk.start_ns} to {chunk.end_ns} ns, " if chunk.has_span else ""
+    return f"{when}{sum((chunk.counts or {}).values())} messages"
 
 
 class Selection:
