@@ -85,7 +85,7 @@ def command(
     if start_path is not None:
         write_cell_start(start_path, summary, guess, force=force)
         output.note(f"written: {start_path}")
-    if start_path is not None and guess is not None and (guess.roles or guess.tables):
+    if start_path is not None and guess is not None and (guess.roles or guess.tables or guess.wrenches):
         # What the log lacks is now what it lacks with the guesses, not what it lacked before them.
         begun = read_cell(start_path).cell.with_urdf(urdf, tip)
         with output.progress(f"reading {', '.join(log.name for log in logs)}", None), suppress(LogError):
@@ -139,6 +139,7 @@ def _guessed(guess: "CellGuess", summary: "LogSummary") -> str:
     asked = [role for role in summary.roles if role.entry in _NEEDED]
     still_open = [role.entry for role in asked if role.topic is None and role.role not in guess.roles]
     guessed += ["time"] if guess.tables else []
+    guessed += [f"{', '.join(each.key for each in entries)} of {topic}" for topic, entries in guess.wrenches.items()]
     still_open += list(_lacking_parts(guess))
     still_open += [f"time of {topic}" for topic in sorted(untimed)]
     return f"guessed: {', '.join(guessed)}; open: {', '.join(still_open) or 'nothing'}; check the guesses"

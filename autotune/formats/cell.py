@@ -170,7 +170,8 @@ def cell_text(summary: LogSummary, guess: CellGuess | None = None) -> str:
         ]
     for role in summary.roles:
         entry = "displacement" if guess.is_displacement and role.role is Role.POSE else role.entry
-        lines += ["", *_role_lines(replace(role, entry=entry), guess.roles.get(role.role, ()))]
+        of_type = guess.wrenches.get(role.topic or "", ()) if role.role is Role.WRENCH else ()
+        lines += ["", *_role_lines(replace(role, entry=entry), guess.roles.get(role.role, of_type))]
     tables = [channel.topic for channel in summary.channels if channel.encoding == "table"]
     return "\n".join(lines) + "\n" + "\n".join(_table_lines(tables, guess)) + _END + _period(summary)
 
@@ -224,7 +225,8 @@ def _role_lines(role: RoleSummary, guessed: Sequence[Entry]) -> Iterator[str]:
         if role.parent is not None and role.child is not None:
             yield f"  parent: {_quoted(role.parent)}"
             yield f"  child: {_quoted(role.child)}"
-        yield from _questions(role, "  # ")
+        yield from (_entry_line(entry, "  ") for entry in guessed)
+        yield from _questions(role, "  # ", answered={entry.key for entry in guessed})
         return
     if guessed:
         yield f"{role.entry}:"

@@ -10,14 +10,15 @@ from problems.arrays import FloatArray
 from problems.frozen import freeze
 
 from ..errors import LogError
+from .containers.channel import Held
 from .guess_trace import FORCE_UNITS, UNLOADED_SHARE, Entry, NamedChannel, guess_trace, span_text
 from .messages.decode import Wanted
 from .names import Meaning, Named, NamedVector, is_unit, joint_groups, leaps, read_names, rises, unevenness
 from .numbers import NumberFields, number_fields
-from .opened import OpenedLogs, open_logs
+from .opened import OpenedLogs, decode_first, open_logs
 from .roles.cell import Cell
 from .roles.orientation import COLUMN_MAJOR, ROW_MAJOR, read_by_weight
-from .roles.registry import JOINT_STATE, Role
+from .roles.registry import JOINT_STATE, POSE_STAMPED, WRENCH_STAMPED, Role
 from .tables.layout import TableLayout
 from .tables.read import TableLog
 
@@ -32,6 +33,8 @@ _FEWEST = 3
 _NINE, _SIXTEEN = 9, 16
 # The first and the last of so many parts of a log.
 _ENDS = 50
+_UNLOADED = "it begins and ends near 0, whatever the payload weighs"
+_FORCE = tuple(f"wrench.force.{axis}" for axis in "xyz")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +42,8 @@ class CellGuess:
     """Guessed entries: `roles` by role (the topic first), `tables` by file name, and remarks on what is open.
 
     `others` maps a topic to its numbers without a guess, each with its range. With `is_displacement` the pose is a
-    travel along one axis from a place that is not known. `joints` maps a topic to its joint angles and why they are.
+    travel along one axis from a place that is not known. `joints` maps a topic to its joint angles and why they are,
+    `wrenches` a topic whose type says that it is one to what its numbers and its frame say of it.
     """
 
     roles: Mapping[Role, tuple[Entry, ...]] = field(default_factory=dict)
@@ -47,9 +51,10 @@ class CellGuess:
     others: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     is_displacement: bool = False
     joints: Mapping[str, tuple[tuple[str, ...], str]] = field(default_factory=dict)
+    wrenches: Mapping[str, tuple[Entry, ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        freeze(self, "roles", "tables", "others", "joints")
+        freeze(self, "roles", "tables", "others", "joints", "wrenches")
 
 
 def guess_cell(paths: Sequence[Path], *, salvage: bool = False) -> CellGuess:
@@ -101,12 +106,39 @@ def guess_cell(paths: Sequence[Path], *, salvage: bool = False) -> CellGuess:
             left = () if trace else tuple(_ranges(channel, angles))
             if left:
                 others[found.topic] = left
+        wrenches = dict(_typed_wrenches(logs))
     is_trace = len(traces) == 1 and not vectors
     is_displacement = is_trace and any("displacement" in each.evidence for each in traces[0][Role.POSE])
     roles = traces[0] if is_trace else dict(_roles(vectors))
     if len(asked) == 1 and Role.DESIRED_FORCE not in roles:
         roles[Role.DESIRED_FORCE] = tuple(_asked_entries(*asked[0]))
-    return CellGuess(roles=roles, tables=tables, others=others, is_displacement=is_displacement, joints=joints)
+    return CellGuess(
+        roles=roles, tables=tables, others=others, is_displacement=is_displacement, joints=joints, wrenches=wrenches
+    )
+
+
+def _typed_wrenches(logs: OpenedLogs) -> Iterator[tuple[str, tuple[Entry, ...]]]:
+    """Yield the topics of WrenchStamped, with what force and frame say of weight and axes."""
+    held = {each.channel: each for part in logs.parts for each in part.survey.held if each.count}
+    posed = {_frame_of(each) for channel, each in held.items() if channel.type_name == POSE_STAMPED}
+    for channel in (channel for channel in held if channel.type_name == WRENCH_STAMPED):
+        force = logs.read({channel: Wanted(fields=_FORCE)})[channel].values
+        if len(force) < _FEWEST or not _is_unloaded(np.linalg.norm(force, axis=1)):
+            continue
+        entries = [Entry(key="gravity_compensated", value=True, evidence=_UNLOADED)]
+        frame = _frame_of(held[channel])
+        if frame and frame in posed:
+            evidence = f"its frame, {frame}, is that of the poses"
+            entries.append(Entry(key="expressed_in", value="base", evidence=evidence))
+        yield channel.topic, tuple(entries)
+
+
+def _frame_of(held: Held) -> str:
+    """Return the frame of a channel's first message, empty without one."""
+    try:
+        return next(iter(decode_first(held, Wanted(fields=())).frame_ids), "")
+    except LogError:
+        return ""
 
 
 def _channel(logs: OpenedLogs, found: NumberFields, units: Sequence[str]) -> NamedChannel | None:
@@ -299,8 +331,7 @@ def _wrench_entries(channel: NamedChannel, chosen: _Chosen, fields: Mapping[str,
         if "hat" in words:
             yield Entry(key="exerted_by", value="sensor", evidence="the robot's force on its surroundings, by name")
     elif not force.is_command and _is_unloaded(loads):
-        evidence = "it begins and ends near 0, whatever the payload weighs"
-        yield Entry(key="gravity_compensated", value=True, evidence=evidence)
+        yield Entry(key="gravity_compensated", value=True, evidence=_UNLOADED)
 
 
 def _is_unloaded(loads: FloatArray) -> bool:

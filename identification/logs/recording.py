@@ -207,6 +207,21 @@ def _wrench(columns: Series, cell: Cell, frames: Frames, pose: PoseSignal) -> tu
                 "Record the raw wrench, or declare `gravity_compensated` (true or false) and `deadband` in cell.yaml.",
             )
         )
+    # The weight of a raw wrench shows in whose axes it is.
+    if (
+        source.gravity_compensated
+        and source.expressed_in is None
+        and pose.frame_id
+        and _frame(columns) == pose.frame_id
+    ):
+        findings.append(
+            Finding.warning(
+                "wrench-frame-assumed",
+                f"The wrench of topic {columns.topic} is taken in the sensor's axes, but its frame, {pose.frame_id}, "
+                "is that of the pose.",
+                "Say in whose axes it is: `wrench: {expressed_in: base}` (or sensor) in cell.yaml.",
+            )
+        )
     wrench = interpret_wrench(
         columns,
         source,

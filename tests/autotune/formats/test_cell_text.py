@@ -1,15 +1,18 @@
 """A cell.yaml to start from says what was found, asks for the rest, and is valid at every step."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from autotune.errors import UsageError
 from autotune.formats.cell import cell_text, check_cell_text, read_cell, write_cell_start
+from identification.logs.guess import guess_cell
 from identification.logs.inspect import inspect_log
 from identification.logs.read import read_recording
-from identification.logs.roles.cell import Cell, PoseSource, WrenchSource
+from identification.logs.roles.cell import Cell, Frame, PoseSource, WrenchSource
 from tests.identification.logs.log_builder import complete, pose_stream, wrench_stream, write_mcap
 from tests.identification.logs.message_builder import Topic, header, write_log
 
@@ -50,6 +53,29 @@ def test_every_answer_offered_is_one_that_the_reader_takes(tmp_path: Path) -> No
     assert cell.wrench.deadband is not None
     assert cell.wrench.saturation.force_n is not None
     assert cell.sensor.orientation == (0.0, 0.0, 0.0, 1.0)
+
+
+@pytest.mark.parametrize(("frame", "axes"), [("base_link", Frame.BASE), ("ft", None)])
+def test_a_wrench_that_is_near_zero_at_both_ends_is_without_its_weight(
+    tmp_path: Path, frame: str, axes: Frame | None
+) -> None:
+    raw = wrench_stream(duration_s=2.0)
+    values = np.random.default_rng(4).normal(size=raw.values.shape) * 0.2
+    values[400:600, 2] += 40.0
+    path = write_mcap(tmp_path / "run.mcap", [replace(raw, values=values, frame_id=frame), pose_stream(duration_s=2.0)])
+    cell = check_cell_text(cell_text(inspect_log(path), guess_cell([path])), Path("cell.yaml"))
+    assert cell.wrench is not None
+    assert (cell.wrench.gravity_compensated, cell.wrench.expressed_in) == (True, axes)
+    loaded = write_mcap(tmp_path / "raw.mcap", [raw, pose_stream(duration_s=2.0)])
+    assert guess_cell([loaded]).wrenches == {}
+    # Whoever declares the one and not the other is told where the axes are in doubt.
+    bare = replace(cell.wrench, expressed_in=None)
+    assert ("wrench-frame-assumed" in codes_of(path, bare)) == (axes is not None)
+    assert "wrench-frame-assumed" not in codes_of(path, replace(bare, expressed_in=Frame.SENSOR))
+
+
+def codes_of(path: Path, wrench: WrenchSource) -> set[str]:
+    return {finding.code for finding in inspect_log(path, Cell(wrench=wrench)).findings}
 
 
 def test_numbers_without_meaning_are_named(tmp_path: Path) -> None:
