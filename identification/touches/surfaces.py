@@ -13,7 +13,8 @@ from ..errors import EstimateError
 from ..result import EnvironmentEstimate, Estimate, Finding, LogPhase, Timeline, Touch, TouchCause
 from ..signals.recording import Recording
 from ..verdicts import judged, missing, unidentifiable
-from .find import AxisTouches, FoundTouch, find_touches, first_fall, touch_peak
+from .doubts import NOT_A_SPRING, between_samples, undetermined, withdrawn
+from .find import FoundTouch, find_touches, first_fall, touch_peak
 from .inertia import KnownMotion, without_known
 from .phases import about_led_walls, build_phases
 from .signals import AxisSignals, axis_signals, turn_rates
@@ -27,8 +28,6 @@ _WEAK_SHARE = 0.5
 _SAME_PLACE_M = 5e-3
 _OTHER_STIFFNESS, _OTHER_STDS = 1.5, 3.0
 _SAME_STIFFNESS = 1.25
-_NOT_A_SPRING = 0.1
-_MOST_LISTED = 8
 # Of the depth: a displacement that begins no farther before the force is one since contact.
 _CONTACT_SHARE = 0.2
 # Of the level: between these a line shows how fast a force grows. One that grows with the cube of time took three
@@ -44,6 +43,7 @@ _NARROW_SAMPLES = 3
 # A blow that is too narrow for the samples has no bound; that it is up to twice its sample is taken for its usual size.
 _NARROW_BLOW = 2.0
 _PEAK_OF_NOTE_N = 10.0
+_MOST_WHYS = 3
 _LOADING = "force over travel while it loads, behind the first blow: mean of its slope through the origin and its peak"
 _BLOW = "force of the first blow over the speed of the approach"
 
@@ -112,7 +112,7 @@ def identify_touches(recording: Recording, known: KnownMotion | None = None) -> 
             names |= {(axis.signals.axis, contact.touch.peak_s): name for contact in group}
         if estimates:
             surfaces[axis.signals.axis] = tuple(estimates)
-        findings += [*about_led_walls(axis), *_between_samples(axis)]
+        findings += [*about_led_walls(axis), *between_samples(axis)]
     touches = sorted(
         (
             replace(each.touch, surface=names.get((each.touch.axis, each.touch.peak_s)))
@@ -121,7 +121,7 @@ def identify_touches(recording: Recording, known: KnownMotion | None = None) -> 
         ),
         key=lambda touch: (touch.peak_s if touch.onset_s is None else touch.onset_s, touch.axis),
     )
-    findings += [*_undetermined(touches), *_withdrawn(touches)]
+    findings += [*undetermined(touches), *withdrawn(touches)]
     phases: tuple[LogPhase, ...] = build_phases(found, touches)
     return Touched(
         timeline=Timeline(phases=phases, touches=tuple(touches)),
@@ -339,9 +339,11 @@ def _without_stiffness(surface: EnvironmentEstimate, contacts: Sequence[_Contact
     if traces:
         value, std, _ = _loading_of(traces)
         whys.insert(0, f"of {significant(value)} ± {significant(std)} N/m more than half is open")
+    different = [*dict.fromkeys(whys)]
+    more = f"; and {len(different) - _MOST_WHYS} more" if len(different) > _MOST_WHYS else ""
     return Finding.warning(
         "no-stiffness",
-        f"Surface {surface.name}: its stiffness cannot be determined: {'; '.join(dict.fromkeys(whys))}.",
+        f"Surface {surface.name}: its stiffness cannot be determined: {'; '.join(different[:_MOST_WHYS])}{more}.",
         "Record wrench and pose at 500 Hz or more, and press harder, under a desired force or a command alone.",
     )
 
@@ -350,89 +352,45 @@ def _about(surface: EnvironmentEstimate, contacts: Sequence[_Contact]) -> list[F
     """Return what is to be said of a surface: why it has no stiffness, a blow first, and what is no spring."""
     name, is_known = surface.name, surface.secant_stiffness_n_per_m.value is not None
     found = [] if is_known else [_without_stiffness(surface, contacts)]
-    for contact in contacts:
-        trace = contact.trace
-        if trace is None:
-            continue
-        if trace.spike is not None:
-            found.append(
-                Finding.warning(
-                    "impact-spike",
-                    f"Surface {name}: the contact begins with a blow of {trace.spike.force_n:.1f} N at "
-                    f"{1e3 * trace.spike.depth_m:.2f} mm, where the secant explains "
-                    f"{trace.secant_n_per_m * trace.spike.depth_m:.1f} N: masses meet, so a slope fitted there is no "
-                    "stiffness.",
-                    "Record wrench, whole pose and command, to determine the masses of payload and surface.",
-                )
+    traces = [contact.trace for contact in contacts if contact.trace is not None]
+    spikes = [(trace.spike, trace.secant_n_per_m * trace.spike.depth_m) for trace in traces if trace.spike is not None]
+    if spikes:
+        blow = _span([spike.force_n for spike, _ in spikes])
+        depth, slope = _span([1e3 * spike.depth_m for spike, _ in spikes]), _span([force for _, force in spikes])
+        found.append(
+            Finding.warning(
+                "impact-spike",
+                f"Surface {name}: {_count(spikes)} with a blow of {blow} N at {depth} mm, where the secant explains "
+                f"{slope} N: masses meet, so a slope fitted there is no stiffness.",
+                "Record wrench, whole pose and command, to determine the masses of payload and surface.",
             )
-        if trace.fit_error > _NOT_A_SPRING and is_known:
-            held = "no hold" if trace.hold_secant_n_per_m is None else f"{trace.hold_secant_n_per_m:.4g} N/m held"
-            found.append(
-                Finding.warning(
-                    "secant-only",
-                    f"Surface {name}: {trace.loading_n_per_m:.4g} N/m while it loads, {trace.secant_n_per_m:.4g} N/m "
-                    f"over the whole contact ({held}), which leaves {100.0 * trace.fit_error:.0f} % of the force "
-                    f"unexplained (contact felt at {1e3 * trace.touch_m:.2f} mm): no single spring.",
-                    "Hold the contact for 1 s after the swings have died out.",
-                )
+        )
+    odd = [trace for trace in traces if trace.fit_error > NOT_A_SPRING and is_known]
+    if odd:
+        held = [1e-3 * each.hold_secant_n_per_m for each in odd if each.hold_secant_n_per_m is not None]
+        loading, whole = (
+            _span([1e-3 * getattr(each, key) for each in odd]) for key in ("loading_n_per_m", "secant_n_per_m")
+        )
+        found.append(
+            Finding.warning(
+                "secant-only",
+                f"Surface {name}: {_count(odd)} with {loading} N/mm while it loads and {whole} N/mm over the whole "
+                f"contact ({f'{_span(held)} N/mm held' if held else 'no hold'}), which leaves "
+                f"{_span([100.0 * each.fit_error for each in odd])} % of the force unexplained: no single spring.",
+                "Hold the contact for 1 s after the swings have died out.",
             )
+        )
     return found
 
 
-def _between_samples(axis: AxisTouches) -> list[Finding]:
-    """Return the finding on peaks that are so narrow that they may lie between the samples."""
-    narrow = []
-    for each in axis.touches:
-        touch = each.touch
-        if touch.cause is TouchCause.HAND or touch.peak_interval is None or touch.rise_samples is None:
-            continue
-        low, high = touch.peak_interval
-        samples = "1 sample" if touch.rise_samples <= 1 else f"{touch.rise_samples} samples"
-        if high is None:
-            narrow.append(f"at {touch.peak_s:.2f} s the peak is at least {low:.1f} N (rise in {samples})")
-        elif high > (1.0 + _NOT_A_SPRING) * low and touch.rise_samples <= 3:
-            narrow.append(f"at {touch.peak_s:.2f} s the peak may be {low:.1f} to {high:.1f} N (rise in {samples})")
-    if not narrow:
-        return []
-    more = f" and {len(narrow) - _MOST_LISTED} more" if len(narrow) > _MOST_LISTED else ""
-    return [
-        Finding.warning(
-            "peak-between-samples",
-            f"Axis {axis.signals.axis}, sampled at {axis.signals.rate_hz:.0f} Hz, force on the sensor: "
-            f"{', '.join(narrow[:_MOST_LISTED])}{more}.",
-            "Record the wrench faster, at 500 Hz or more.",
-        )
-    ]
+def _count(contacts: Sequence[object]) -> str:
+    return "1 contact" if len(contacts) == 1 else f"{len(contacts)} contacts"
 
 
-def _listed(touches: Sequence[Touch]) -> str:
-    shown = ", ".join(
-        f"{touch.peak_s:.2f} s ({touch.axis}, {touch.peak_force:.1f} N"
-        f"{', led' if touch.is_led and touch.cause is not TouchCause.WALL else ''})"
-        for touch in touches[:_MOST_LISTED]
-    )
-    return shown + (f" and {len(touches) - _MOST_LISTED} more" if len(touches) > _MOST_LISTED else "")
-
-
-def _undetermined(touches: Sequence[Touch]) -> list[Finding]:
-    """Return the finding on touches that may be a hand's."""
-    left = [touch for touch in touches if touch.cause is not TouchCause.WALL]
-    message = (
-        f"What was touched at {_listed(left)} cannot be distinguished from a hand: a hand led the payload or the force "
-        "came without motion."
-    )
-    advice = "Approach under a desired force or a command, hands off."
-    return [Finding.warning("touch-undetermined", message, advice)] if left else []
-
-
-def _withdrawn(touches: Sequence[Touch]) -> list[Finding]:
-    """Return the finding on touches that were withdrawn before their peak."""
-    left = [touch for touch in touches if touch.is_withdrawn]
-    message = (
-        f"F^d turned away before the peak of the touch at {_listed(left)}: no whole blow, so no surface is identified "
-        "from it."
-    )
-    return [Finding.warning("touch-withdrawn", message, "Keep pressing for a second after the touch.")] if left else []
+def _span(values: Sequence[float]) -> str:
+    """Return the least and the largest of some numbers as text, one number where they are alike."""
+    low, high = significant(min(values), 3), significant(max(values), 3)
+    return low if low == high else f"{low} to {high}"
 
 
 def no_contact(touched: Touched) -> Finding:
