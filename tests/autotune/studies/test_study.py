@@ -1,12 +1,8 @@
 """Studies: the same trials from the same seed, gone on with after a kill, shared by processes, on any storage."""
 
-import os
-import shutil
 import signal
 import subprocess
-import tempfile
 import time
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -379,49 +375,3 @@ def test_a_storage_that_does_not_open_is_named_without_its_password(tmp_path: Pa
         open_storage(url, tmp_path / "x")
     assert said in str(refused.value)
     assert "secret" not in str(refused.value)
-
-
-@pytest.fixture(scope="module")
-def postgresql() -> Iterator[str]:
-    """A server of its own on a socket in a folder, from Debian's packages; yields the URL of an empty database."""
-    if shutil.which("initdb") is None or shutil.which("pg_ctl") is None:
-        pytest.skip("needs PostgreSQL's initdb and pg_ctl")
-    # Not one of pytest's folders: the server refuses to run as root, and no other account may enter those.
-    folder = Path(tempfile.mkdtemp(prefix="autotune-pg-"))
-    is_root = os.geteuid() == 0
-    if is_root:
-        shutil.chown(folder, "postgres")  # the account that Debian's package makes
-    user = ["runuser", "-u", "postgres", "--"] if is_root else []
-    data = str(folder / "data")
-
-    def run(*command: str) -> None:
-        subprocess.run([*user, *command], check=True, stdout=subprocess.DEVNULL, cwd=folder)
-
-    run("initdb", "-D", data, "-U", "tester", "--auth=trust", "--no-sync")
-    run("pg_ctl", "-D", data, "-w", "-l", str(folder / "log"), "-o", f"-k {folder} -h ''", "start")
-    try:
-        yield f"postgresql+psycopg://tester@/{{}}?host={folder}"
-    finally:
-        run("pg_ctl", "-D", data, "-m", "immediate", "stop")
-        shutil.rmtree(folder)
-
-
-def new_database(server: str, name: str) -> str:
-    """Return the URL of a new database; another test leaves its studies in another one."""
-    from sqlalchemy import create_engine, text
-
-    engine = create_engine(server.format("postgres"), isolation_level="AUTOCOMMIT")
-    with engine.connect() as connection:
-        connection.execute(text(f"create database {name}"))
-    engine.dispose()
-    return server.format(name)
-
-
-@pytest.mark.slow
-def test_postgresql_a_killed_study_goes_on(postgresql: str, tmp_path: Path) -> None:
-    check_kill_and_resume(new_database(postgresql, "killed"), tmp_path)
-
-
-@pytest.mark.slow
-def test_postgresql_two_processes_share_a_study(postgresql: str, tmp_path: Path) -> None:
-    check_two_workers(new_database(postgresql, "workers"), tmp_path)
