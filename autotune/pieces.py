@@ -13,6 +13,7 @@ from identification.logs.long_logs import WindowSpan, windows_of_part
 from identification.logs.read import WINDOW_S, LogSpan
 from identification.logs.roles.cell import Cell
 from identification.merging.combine import NamedResult
+from identification.result import CONTACT_UNEXPLAINED
 from identification.verdicts import unidentifiable, unidentifiable_vector
 
 _MOST_CUTS = 4
@@ -179,7 +180,13 @@ def telling(done: _Worked) -> tuple[list[PieceRun], tuple[Window, ...]]:
             runs.append(_without_payload(each) if windows[k].payload_from and own else each)
             # A payload that is not the window's own counts once.
             own = own or bool(windows[k].payload_from)
-    return [_of_a_window(run, known) for run in runs], tuple(windows)
+    pressed = {
+        name
+        for run in runs
+        for name, axis in run.named.result.axes.items()
+        if any(each.stiffness_n_per_m.value is not None for each in axis.environments)
+    }
+    return [_of_a_window(_with_cut_contacts(run, pressed), known) for run in runs], tuple(windows)
 
 
 def _described(window: Window, outcome: PieceOutcome) -> Window:
@@ -206,6 +213,16 @@ def _without_payload(run: PieceRun) -> PieceRun:
         result.sensor, force_bias_n=none, torque_bias_n_m=none, gravity_residual_rms_n=unidentifiable(note=note)
     )
     return replace(run, named=replace(run.named, result=replace(result, payload=payload, sensor=sensor)))
+
+
+def _with_cut_contacts(run: PieceRun, pressed: Collection[str]) -> PieceRun:
+    """Return a result whose contacts without a surface are no error: a border may cut them, and others know one."""
+    result = run.named.result
+    findings = tuple(
+        replace(each, severity="warning") if each.code == CONTACT_UNEXPLAINED and each.axis in pressed else each
+        for each in result.findings
+    )
+    return replace(run, named=replace(run.named, result=replace(result, findings=findings)))
 
 
 def _of_a_window(run: PieceRun, axes: Collection[str]) -> PieceRun:

@@ -26,6 +26,8 @@ _INCONSISTENT = 16.0
 _PRODUCT_FLOOR = 0.2
 # The equations are of a rigid payload: a gripper that swings at 20 Hz adds 1 % to a turn that takes half a second.
 _MODEL_STD_SHARE = 0.01
+# Of the moments beside it, what is known of a product at best: windows of one log differ by a tenth of that.
+_PRODUCT_STD_SHARE = 1e-3
 # Directions that no move excites stay 0 with a deviation far above any payload (kg, kg·m, kg·m², N, N·m; s).
 _PRIOR_STD = np.concatenate([np.full(16, 1e2), [1.0]])
 _METHOD = "Newton-Euler least squares over moves that turn the tool, below 8 Hz"
@@ -92,7 +94,7 @@ def identify_inertia(
     findings = _disagreement(solution, gravity)
     tied = free if findings else _combined(solution, gravity, tied=True)
     values, distance = nearest_consistent(*tied)
-    std = np.hypot(np.sqrt(np.diag(tied[1]))[4:], _MODEL_STD_SHARE * np.abs(values[4:]))
+    std = np.hypot(np.sqrt(np.diag(tied[1]))[4:], _model_std(values[4:]))
     lag, lag_std = float(solution.values[16]), float(np.sqrt(solution.covariance[16, 16]))
     refused = distance > _INCONSISTENT
     if refused:
@@ -202,6 +204,13 @@ def _combined(solution: MotionSolution, gravity: GravityFit, *, tied: bool) -> t
     updated = values + gain @ (np.concatenate([[mass], mass * com]) - values[:4])
     left = np.eye(10) - gain @ pick
     return updated, np.asarray(left @ covariance @ left.T + gain @ rest @ gain.T)
+
+
+def _model_std(six: FloatArray) -> FloatArray:
+    """Return what the rigid model leaves open of xx, yy, zz, xy, xz, yz (6,)."""
+    sizes = np.sqrt(np.array([abs(six[i] * six[j]) for i, j in PAIRS]))
+    products = _PRODUCT_STD_SHARE * sizes * (np.arange(6) > 2)
+    return np.asarray(np.hypot(_MODEL_STD_SHARE * np.abs(six), products))
 
 
 def _component(index: int, six: FloatArray, std: FloatArray, is_doubtful: bool) -> Estimate:

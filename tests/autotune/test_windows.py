@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from autotune.drift import MASS
+from autotune.pieces import LogPiece, PieceRun, RunSource, telling
 from autotune.pipeline import IdentifyOptions, identify_log, identify_windows
 from autotune.results import Identification
 from autotune.simulation.simulate import made_later, simulate_cell
@@ -16,6 +17,7 @@ from autotune.simulation.truth import SimulatedCell
 from autotune.simulation.write import write_mcap
 from autotune.windows import Window, most_telling, window_changes, window_findings, window_rows, windows_of
 from identification.errors import EstimateError, LogError, OutsideSpanError
+from identification.identify import identify_cell
 from identification.logs import long_logs, read
 from identification.logs.containers.channel import ByteArray
 from identification.logs.containers.mcap_file import ChunkReader
@@ -23,6 +25,8 @@ from identification.logs.containers.mcap_layout import Chunk
 from identification.logs.inspect import inspect_log
 from identification.logs.read import LogSpan, read_checked_recording, read_recording, window_bounds
 from identification.logs.roles.cell import Cell
+from identification.merging.combine import NamedResult
+from identification.result import CONTACT_UNEXPLAINED, Finding
 from identification.signals.recording import Recording, join_recordings
 from tests.autotune.simulation.runs import SHORT
 
@@ -279,6 +283,16 @@ def test_a_long_log_is_looked_at_in_windows_and_its_channels_are_those_of_the_wh
     counts = [each.count for each in part.channels]
     assert counts == [each.count for each in of_part.channels]
     assert 0 < counts[0] < 0.7 * whole.channels[0].count
+
+
+def test_a_contact_that_a_border_cuts_is_no_error_where_a_surface_is_known() -> None:
+    result = identify_cell(simulate_cell(SimulatedCell(), replace(PROGRAM, contact_count=2), seed=1).recording)
+    left = [replace(Finding.error(CONTACT_UNEXPLAINED, "what was touched", ""), axis=axis) for axis in ("x", "y")]
+    source = RunSource(channels={}, clocks={}, sha256={}, span_s=(0.0, 1.0))
+    found = replace(result, findings=tuple(left))
+    run = PieceRun(named=NamedResult(name="w", result=found), source=source, evidence=None)
+    (kept,), _ = telling([(LogPiece(files=(), span=LogSpan(), window=window(0)), run)])
+    assert [(each.axis, each.severity) for each in kept.named.result.findings] == [("x", "warning"), ("y", "error")]
 
 
 @pytest.mark.parametrize(("length_s", "count"), [(10.0, 1), (59.0, 1), (61.0, 2), (120.0, 3), (139.0, 3), (141.0, 4)])
