@@ -19,6 +19,7 @@ from .opened import OpenedLogs, decode_first, open_logs
 from .roles.cell import Cell
 from .roles.orientation import COLUMN_MAJOR, ROW_MAJOR, read_by_weight
 from .roles.registry import JOINT_STATE, POSE_STAMPED, WRENCH_STAMPED, Role
+from .roles.units import TORQUE_N_M
 from .tables.layout import TableLayout
 from .tables.read import TableLog
 
@@ -315,7 +316,7 @@ def _wrench_entries(channel: NamedChannel, chosen: _Chosen, fields: Mapping[str,
     if "torque" in chosen:
         torque = chosen["torque"][1]
         sizes = [float(np.nanmax(np.ptp(channel.of(fields[part]), axis=0))) for part in ("force", "torque")]
-        unit = torque.unit if torque.unit.endswith("m") else ""
+        unit = torque.unit if torque.unit in TORQUE_N_M else ""
         if not unit and sizes[1] > _N_MM_RATIO * sizes[0]:
             unit = "N·mm"
             why.append(f"torques vary {sizes[1] / sizes[0]:.0f} times as much as forces")

@@ -72,10 +72,14 @@ UNITS: Mapping[str, str] = FrozenDict(
         "rad": "rad",
     }
     | {"degrees": "deg", "n": "N", "kn": "kN", "lbf": "lbf", "kgf": "kgf", "nm": "N·m", "n·m": "N·m", "n*m": "N·m"}
-    | {"n.m": "N·m", "nmm": "N·mm", "n·mm": "N·mm", "knm": "kN·m", **_TIME_UNITS}
+    | {"n.m": "N·m", "nmm": "N·mm", "n·mm": "N·mm", "knm": "kN·m", "lbfin": "lbf·in", "lbfft": "lbf·ft"}
+    | {"lbf·in": "lbf·in", "lbf*in": "lbf·in", "lbf·ft": "lbf·ft", "lbf*ft": "lbf·ft", **_TIME_UNITS}
 )
 """Units by how they are written, in small letters."""
-_FORCE_UNITS, _TORQUE_UNITS = frozenset({"N", "kN", "lbf", "kgf"}), frozenset({"N·m", "N·mm", "kN·m"})
+_FORCE_UNITS, _TORQUE_UNITS = (
+    frozenset({"N", "kN", "lbf", "kgf"}),
+    frozenset({"N·m", "N·mm", "kN·m", "lbf·in", "lbf·ft"}),
+)
 _TRAILING = frozenset(UNITS) - {"m", "in", "°"}
 _BRACKETED = re.compile(r"\s*[\[(<{]\s*([^\])>}]*?)\s*[\])>}]\s*$")
 _MATRIX = 16
@@ -224,7 +228,7 @@ def _split(path: str, unit: str) -> tuple[tuple[str, ...], str, str]:
         unit, path = bracketed[1].lower(), path[: bracketed.start()]
     spaced = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", path)
     words = [part for word in re.findall(r"[a-zµäöüß]+|\d+", spaced.lower()) for part in _parted(word)]
-    if len(words) > 1 and words[-1] in _TRAILING and not unit:
+    if len(words) > 1 and not unit and (words[-1] in _TRAILING or _is_length(words)):
         unit = words.pop()
     if not words:
         return (), "", unit
@@ -238,6 +242,17 @@ def _split(path: str, unit: str) -> tuple[tuple[str, ...], str, str]:
     if last[-1] in "xyzw" and (last[:-1] in _KNOWN or _kind_by_unit(unit) is not None):
         return (*before, last[:-1]), last[-1], unit
     return tuple(words), "", unit
+
+
+def _is_length(words: Sequence[str]) -> bool:
+    """Return whether the last word is a unit of length: `x_m` is, `m_m` is not, and of inches `pos_x_in` alone is."""
+    asked = _COMMANDS | _MEASURED
+    *before, component = [word for i, word in enumerate(words[:-1]) if i == 0 or word not in asked]
+    is_component = component in ("x", "y", "z")
+    is_place = component[-1:] in ("x", "y", "z") and component[:-1] in _POSITION
+    if words[-1] == "m":
+        return is_place or (is_component and not _FORCE & {*before})
+    return words[-1] == "in" and (is_place or (is_component and bool((_POSITION | asked) & {*words})))
 
 
 def _parted(word: str) -> tuple[str, ...]:

@@ -83,6 +83,31 @@ def test_what_is_commanded_may_be_said_behind_the_axis(names: str) -> None:
     assert read_names(["ms", "x_cmd"]).times == {"ms": "ms"}
 
 
+@pytest.mark.parametrize(
+    ("names", "unit", "is_command"),
+    [
+        ("{}_m", "m", False),
+        ("pos_{}_m", "m", False),
+        ("p{}_m", "m", False),
+        ("{}_cmd_m", "m", True),
+        ("tcp_{}_in", "in", False),
+        ("target_{}_in", "in", True),
+        ("F{}_lbf", "lbf", None),
+        ("T{} [lbf*ft]", "lbf·ft", None),
+        ("{}_in", "", None),
+        ("f{}_m", "", None),
+    ],
+)
+def test_a_unit_behind_the_axis(names: str, unit: str, is_command: bool | None) -> None:
+    found = read_names([names.format(axis) for axis in "xyz"]).vectors
+    if not unit:
+        assert found == ()  # an input? a moment?
+        return
+    assert [vector.unit for vector in found] == [unit]
+    if is_command is not None:
+        assert [(vector.kind, vector.is_command) for vector in found] == [(Meaning.POSITION, is_command)]
+
+
 def test_units_stand_beside_or_below_a_name() -> None:
     for found in (
         read_names(["x_mm", "y_mm", "z_mm", "time_ms"]),
