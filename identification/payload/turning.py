@@ -7,13 +7,10 @@ import numpy as np
 
 from problems.arrays import FloatArray
 
-from ..result import Estimate
+from ..result import Status
 from ..signals.aligned import AlignedLog
 from .gravity import GravityFit
 from .inertia import InertiaFit, inertia_matrix
-
-# The moments of inertia about the two other axes must be known to this share.
-_KNOWN = 0.1
 
 
 def turning_force(
@@ -33,11 +30,11 @@ def turning_of_payload(
 ) -> FloatArray | None:
     """Return `turning_force` of a log (n, 3), NaN along axes for which the inertia is not known; None for all three.
 
-    Along an axis the turns about the two others count. A product of inertia that is not known is that of a body alike
-    about its centre of mass, and so is the third moment.
+    Along an axis the turns about the two others count, whose moments must be identified. What else is not known of the
+    tensor is that of a body alike in all directions about its centre of mass.
     """
     mass, com = gravity.mass_kg, gravity.com_S_m
-    known = [_is_known(each) for each in inertia.components[:3]]
+    known = [each.status is Status.IDENTIFIED for each in inertia.components[:3]]
     useful = [all(known[i] for i in range(3) if i != axis) for axis in range(3)]
     if not gravity.has_torque or not any(useful):
         return None
@@ -52,10 +49,6 @@ def turning_of_payload(
         return None
     found = turning_force(force_S_n, gravity.compensated_torque_S_n_m(log), mass, com, tensor)
     return np.where(useful, found, np.nan)
-
-
-def _is_known(moment: Estimate) -> bool:
-    return moment.value is not None and moment.std is not None and 0.0 < moment.std < _KNOWN * moment.value
 
 
 def _of_point(mass_kg: float, at_m: FloatArray) -> FloatArray:

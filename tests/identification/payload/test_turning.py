@@ -48,7 +48,7 @@ def test_force_and_torque_of_point_masses_give_what_turns_them() -> None:
 
 def test_an_axis_about_whose_neighbours_the_inertia_is_unknown_has_none() -> None:
     unknown = Estimate(value=None, std=None, status=Status.UNIDENTIFIABLE, method="made")
-    vague = replace(tensor()[2], std=0.5)
+    vague = replace(tensor()[2], status=Status.WEAK)
     for third in (unknown, vague):
         along = found((*tensor()[:2], third, *tensor()[3:]))
         assert along is not None
