@@ -147,6 +147,7 @@ def test_a_damaged_chunk_costs_a_salvaged_log_its_chunk_alone(
     assert {"salvaged", "hole"} <= {finding["code"] for finding in found["findings"]}
 
 
+@pytest.mark.slow
 def test_from_a_log_to_an_exported_controller(
     run_process: RunCli, run_cli: RunCli, tmp_path: Path, plain_log: Path
 ) -> None:

@@ -34,6 +34,7 @@ def test_the_picture_is_an_svg_with_both_curves(repository: Path, tmp_path: Path
     assert any(text and text.startswith("chosen by autotune: peak") for text in texts)
 
 
+@pytest.mark.slow
 def test_uncertainty_costs_peak_force_in_the_example_from_python(repository: Path, tmp_path: Path) -> None:
     lines = _run(repository, "design_from_python.py", str(tmp_path / "controller.yaml")).splitlines()
     peaks = [float(line.partition("largest peak ")[2].split()[0]) for line in lines]

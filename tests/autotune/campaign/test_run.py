@@ -96,6 +96,7 @@ def test_what_was_not_foreseen_ends_the_run_and_not_the_campaign(
     assert read_outcome(task.folder) is None
 
 
+@pytest.mark.slow
 def test_the_same_tables_come_of_a_campaign_whose_workers_are_killed(logs: Path, tmp_path: Path) -> None:
     """Thirty times kill -9, in the midst of work or of starting; each run has one result at the end, and the same."""
     runs = read_manifest(logs)

@@ -66,6 +66,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Whole:
     return Whole(folder=folder, found=results[0], printed=out.getvalue(), notes=notes, shares=shares)
 
 
+@pytest.mark.slow
 def test_the_demo_finds_the_truth_and_a_controller_that_is_certified_for_it(whole: Whole) -> None:
     tree = json.loads(whole.printed)
     *notes, replaced = whole.notes

@@ -252,6 +252,7 @@ def test_a_server_that_has_gone_is_reported_and_nothing_can_be_turned(browser: A
     page.close()
 
 
+@pytest.mark.slow
 def test_only_who_knows_the_address_and_comes_from_it_is_served(served: tuple[str, Path]) -> None:
     url, _ = served
     address = urlsplit(url)

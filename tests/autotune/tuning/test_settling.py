@@ -31,6 +31,7 @@ def few_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bouncing, "RUNS", 64)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("few_runs")
 def test_the_best_design_bounces_and_the_search_goes_on_to_one_that_does_not() -> None:
     problem = bouncing_problem(lead_s=(0.03, BOUNCY.lead_s))
