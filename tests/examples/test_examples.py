@@ -5,6 +5,8 @@ import sys
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
+import pytest
+
 import autotune as at
 from autotune.formats.controller import write_controller
 from tests.autotune.formats.samples import make_controller
