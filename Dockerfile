@@ -2,8 +2,10 @@
 #   docker build -t autotune .
 #   docker run --rm -v "$PWD:/work" autotune identify run7.mcap
 FROM python:3.11-slim AS build
+# `--build-arg EXTRAS=all,dask` for the hosts of a campaign.
+ARG EXTRAS=all
 COPY . /source
-RUN python -m venv /opt/autotune && /opt/autotune/bin/pip install --no-cache-dir "/source[all]"
+RUN python -m venv /opt/autotune && /opt/autotune/bin/pip install --no-cache-dir "/source[${EXTRAS}]"
 # Compiled here, so that no run in a container compiles anew.
 RUN /opt/autotune/bin/autotune warm --quiet
 

@@ -77,6 +77,8 @@ def run_campaign(
     *,
     optimize: bool = True,
     seed: int = 0,
+    allow_partial: bool = False,
+    salvage: bool = False,
     jobs: int | None = None,
     executor: Executor | None = None,
     scheduler: str | None = None,
@@ -94,6 +96,8 @@ def run_campaign(
         Search a controller for every run.
     seed
         Of the searches.
+    allow_partial, salvage
+        As of `identify`, for every run.
     jobs
         How many processes, or tasks at a time; the processors of this machine unless it is said. A script guards its
         own start (`if __name__ == "__main__"`).
@@ -123,7 +127,7 @@ def run_campaign(
         outcomes = work_on_runs(
             runs,
             target,
-            RunOptions(optimize=optimize, seed=seed),
+            RunOptions(optimize=optimize, seed=seed, allow_partial=allow_partial, salvage=salvage),
             jobs=count,
             executor=executor,
             each=lambda _: report(1.0 / len(runs)),

@@ -31,10 +31,16 @@ _STEPS = {LogError: "log", EstimateError: "estimate", InfeasibleError: "requirem
 
 @dataclass(frozen=True, kw_only=True)
 class RunOptions:
-    """What holds of every run: whether controllers are searched, and the seed of the search."""
+    """What holds of every run: whether controllers are searched, the seed of the search, and how `identify` reads."""
 
     optimize: bool = True
     seed: int = 0
+    allow_partial: bool = False
+    salvage: bool = False
+
+    def tree(self) -> dict[str, Any]:
+        """Return what is part of a run's key; options that were not there before are so only where they are used."""
+        return {name: value for name, value in asdict(self).items() if value or name in ("optimize", "seed")}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,7 +105,7 @@ def build_task(run: LoggedRun, folder: Path, options: RunOptions) -> RunTask:
         logs = [_digest(log) for log in run.logs]
     except OSError as error:
         raise UsageError(f"{error.filename} cannot be read: {error.strerror or error}.") from error
-    said = {"version": __version__, "options": asdict(options), "logs": logs, **digests}
+    said = {"version": __version__, "options": options.tree(), "logs": logs, **digests}
     key = sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()
     return RunTask(run=run, folder=folder / "cells" / run.cell / run.run, key=key, options=options)
 
@@ -136,7 +142,8 @@ def _identify_and_tune(task: RunTask, scratch: Path) -> RunOutcome:
     outcome = RunOutcome(cell=run.cell, run=run.run, key=task.key)
     try:
         cell = None if run.cell_file is None else read_cell(run.cell_file)
-        found = identify_log(run.logs, IdentifyOptions(cell=cell))
+        options = IdentifyOptions(cell=cell, allow_partial=task.options.allow_partial, salvage=task.options.salvage)
+        found = identify_log(run.logs, options)
         write_identified(scratch / "identified.yaml", found.result, found.provenance)
         recorded = float(found.provenance["time_span_s"][0])
         outcome = replace(outcome, recorded_s=recorded, values=identified_values(found.result))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ._common import Output, output_options
-from ._options import SETTINGS, FilePath, GroupedCommand
+from ._options import SETTINGS, FilePath, GroupedCommand, salvage_option
 from ._report import check_report, print_report_path, report_option, write_report
 from ._terminal import print_message
 
@@ -47,6 +47,10 @@ Examples:
 @click.option("--optimize/--no-optimize", default=True, show_default=True, help="Search a controller for each run.")
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the searches.")
 @click.option(
+    "--allow-partial", is_flag=True, help="Keep runs of which a parameter is unidentifiable, or logs disagree."
+)
+@salvage_option
+@click.option(
     "--watch", type=click.FloatRange(min=1.0), metavar="S", help="Look for new runs every S seconds until interrupted."
 )
 @report_option
@@ -59,6 +63,8 @@ def command(
     scheduler: str | None,
     optimize: bool,
     seed: int,
+    allow_partial: bool,
+    salvage: bool,
     watch: float | None,
     report: Path | None,
 ) -> None:
@@ -78,7 +84,8 @@ def command(
     if scheduler is not None and scheduler != "dask" and "://" not in scheduler:
         raise UsageError(f"--scheduler must be dask, or an address as in tcp://head:8786; found {scheduler}.")
     check_report(report, [manifest] if manifest.is_file() else [])
-    options, count = RunOptions(optimize=optimize, seed=seed), jobs or count_processors()
+    options = RunOptions(optimize=optimize, seed=seed, allow_partial=allow_partial, salvage=salvage)
+    count = jobs or count_processors()
     with ExitStack() as stack:
         executor = None
         if scheduler is not None:
@@ -168,7 +175,7 @@ def _require(outcomes: "Sequence[RunOutcome]") -> None:
     if broken:
         raise CertificateError(
             f"Not certified for what the newest run of their cell shows are the controllers of {', '.join(broken)}; "
-            "optimize them again."
+            "optimize them again (a campaign that optimizes has done so: controller.yaml in the run's folder)."
         )
     if not cells:
         raise EstimateError(f"None of {len(outcomes)} runs was identified; the reasons are above.")

@@ -67,9 +67,15 @@ def test_options_and_settings_are_part_of_the_key(logs: Path, tmp_path: Path) ->
     with_cell = LoggedRun(cell=run.cell, run=run.run, logs=run.logs, cell_file=cell)
     tasks = [
         build_task(each, tmp_path, options)
-        for each, options in ((run, RunOptions()), (run, RunOptions(seed=1)), (with_cell, RunOptions()))
+        for each, options in (
+            (run, RunOptions()),
+            (run, RunOptions(seed=1)),
+            (run, RunOptions(salvage=True)),
+            (run, RunOptions(allow_partial=True)),
+            (with_cell, RunOptions()),
+        )
     ]
-    assert len({task.key for task in tasks}) == 3
+    assert len({task.key for task in tasks}) == 5
     assert build_task(run, tmp_path / "elsewhere", RunOptions()).key == tasks[0].key
 
 

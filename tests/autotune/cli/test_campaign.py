@@ -57,6 +57,19 @@ def test_a_controller_that_is_not_certified_for_its_cell_is_exit_code_6(
     assert (tmp_path / "out" / "campaign.csv").is_file()
 
 
+def test_a_cut_log_is_read_with_salvage_as_its_refusal_says(run_cli: RunCli, fleet: Path) -> None:
+    log = fleet / "press" / "mon.mcap"
+    log.write_bytes(log.read_bytes()[: -log.stat().st_size // 10])
+    words = ("campaign", fleet, "-o", "out", "--no-optimize", "--jobs", "1", "--json")
+    refused, read = (
+        {run["run"]: run for run in json.loads(run_cli(*words, *more).stdout).get("runs", ())}["mon"]
+        for more in ((), ("--salvage", "--allow-partial"))
+    )
+    assert "--salvage" in refused["reason"]
+    assert read["refused"] == ""
+    assert read["values"]["payload.mass_kg"][0] == pytest.approx(16.2, rel=0.01)
+
+
 def test_nothing_identified_is_exit_code_4_and_a_wrong_manifest_2(run_cli: RunCli, fleet: Path) -> None:
     (fleet / "press" / "mon.mcap").unlink()
     assert run_cli("campaign", fleet, "-o", "out", "--jobs", "1").returncode == 4
