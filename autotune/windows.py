@@ -1,13 +1,14 @@
 """Windows of a long log: what each of them identifies, what changed between them, and which of them give the result."""
 
 import itertools
+import math
 import statistics
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from autotune.drift import MASS, Change, Values, change_text, differences
+from autotune.drift import MASS, Change, Values, change_text, differences, parameter_name
 from autotune.text import clock_text, with_deviation
 from identification.errors import EstimateError
 from identification.result import Finding
@@ -18,6 +19,8 @@ _MOST_USED = 8
 HOLE = "hole"
 """The code of the finding that a log has a pause of the recorder, or lost messages."""
 _OF_A_SURFACE = ".stiffness_n_per_m"
+# Contacts of one surface in other places differ by some percent.
+_OTHER_STDS, _OTHER_SHARE = 3.0, 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,6 +134,29 @@ def window_changes(windows: Sequence[Window]) -> tuple[Change, ...]:
     return tuple(found)
 
 
+def new_surfaces(windows: Sequence[Window]) -> tuple[str, ...]:
+    """Return a sentence on each surface that no earlier window has touched, but for the first of an axis."""
+    seen: dict[str, list[tuple[float, float]]] = {}
+    said = []
+    for window in windows:
+        for name in (name for name in window.values if name.endswith(_OF_A_SURFACE)):
+            axis, (value, std) = name.partition(".")[0], window.values[name]
+            known = seen.setdefault(axis, [])
+            if not all(_is_another((value, std), each) for each in known):
+                continue
+            _, scale, unit = parameter_name(name)
+            others = ", ".join(f"{scale * each:.3g}" for each, _ in known)
+            text = f"{window.name}: on axis {axis} a surface of {scale * value:.3g} {unit} is touched that no window"
+            said += [f"{text} before has touched ({others} {unit})."] if known else []
+            known.append((value, std))
+    return tuple(said)
+
+
+def _is_another(one: tuple[float, float], other: tuple[float, float]) -> bool:
+    apart = abs(one[0] - other[0])
+    return apart > _OTHER_STDS * math.hypot(one[1], other[1]) and apart > _OTHER_SHARE * other[0]
+
+
 def _own(window: Window) -> dict[str, tuple[float, float]]:
     """Return what a window itself shows of the plant."""
     return {name: each for name, each in _plant(window.values).items() if not (name == MASS and window.payload_from)}
@@ -175,6 +201,7 @@ def window_findings(windows: Sequence[Window]) -> tuple[Finding, ...]:
     advice = "Record each payload on its own where this was no drift; the result is of the windows that agree."
     return (
         *(Finding.warning("changed-within-log", text, advice) for text in changed),
+        *(Finding.info("surface-within-log", text, "") for text in new_surfaces(windows)),
         Finding.info(
             "windows",
             f"Of {len(windows)} windows {len(used)} give the result ({', '.join(each.name for each in used)}); "

@@ -15,7 +15,15 @@ from autotune.results import Identification
 from autotune.simulation.simulate import made_later, simulate_cell
 from autotune.simulation.truth import SimulatedCell
 from autotune.simulation.write import write_mcap
-from autotune.windows import Window, most_telling, window_changes, window_findings, window_rows, windows_of
+from autotune.windows import (
+    Window,
+    most_telling,
+    new_surfaces,
+    window_changes,
+    window_findings,
+    window_rows,
+    windows_of,
+)
 from identification.errors import EstimateError, LogError, OutsideSpanError
 from identification.identify import identify_cell
 from identification.logs import long_logs, read
@@ -322,6 +330,15 @@ def test_the_largest_set_that_agrees_gives_the_result_and_a_surface_may_be_anoth
         window(4, surface=2e5),
     ]
     assert most_telling(windows) == (0, 2, 4)
+
+
+def test_a_surface_that_no_window_before_has_touched_is_named_once() -> None:
+    surfaces = [None, 1e5, 1.05e5, 2e5, 1.01e5, 2.02e5]
+    windows = [window(k, (16.2, 0.01), surface=each) for k, each in enumerate(surfaces)]
+    assert new_surfaces(windows) == (
+        "0:03:00 to 0:04:00: on axis x a surface of 200 N/mm is touched that no window before has touched (100 N/mm).",
+    )
+    assert "surface-within-log" in [each.code for each in window_findings(windows)]
 
 
 def test_of_many_windows_those_that_say_most_are_taken() -> None:
