@@ -1,7 +1,7 @@
 """Verify a controller file, write it in another format, as a file or a folder, and return what was written."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
 from typing import Any, cast
@@ -125,8 +125,7 @@ def export_controller(
     try:
         rendered = kind.render(request)
     except MissingOrientationError as error:
-        command = export_command(kind, source.path, out, {**given, **DOWNWARDS})
-        raise UsageError(f"{error} For a tool that points down run {command}", to_paste=(command,)) from error
+        raise _with_orientation(error, kind, request) from error
     except InfeasibleError as error:
         raise _with_commands(error, kind, request) from error
     if kind.is_folder:
@@ -158,6 +157,19 @@ def _check_period(target: ExportTarget, request: ExportRequest) -> None:
             f"{'; '.join(commands)}",
             to_paste=commands,
         )
+
+
+def _with_orientation(error: UsageError, target: ExportTarget, request: ExportRequest) -> UsageError:
+    """Return the error with the command for a tool that points down, and the two that design in the target's law."""
+    downwards = replace(request, options={**request.options, **DOWNWARDS})
+    plain = export_command(target, request.source.path, request.out, downwards.options)
+    problem = request.source.controller.provenance.get("options", {}).get("problem")
+    designed = _commands(target, downwards, problem)
+    return UsageError(
+        f"{error} For a tool that points down run {plain}; where this law is beyond that controller, design in the law "
+        f"that it runs: {'; '.join(designed)}",
+        to_paste=(plain, *designed),
+    )
 
 
 def _with_commands(error: InfeasibleError, target: ExportTarget, request: ExportRequest) -> InfeasibleError:

@@ -10,6 +10,7 @@ from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 from autotune.cli.main import main
 from autotune.formats.canonical import checksum, short
 from autotune.formats.controller import read_controller, write_controller
+from autotune.formats.problem import read_problem
 from autotune.formats.signature import fingerprint
 from autotune.formats.yaml12 import dump_yaml, load_yaml
 from tests.autotune.export.peer_cases import PLAIN, peer_controller, requirements
@@ -147,8 +148,11 @@ def test_gains_along_the_base_ask_for_the_orientation_of_use(
     said, *lines = output.err.splitlines()
     assert "x must move and y, z must not" in said
     # What is to be pasted stands on lines of its own.
-    assert lines
-    assert all(line.startswith("    ") for line in lines)
+    *commands, said = (line for line in lines if line.startswith("    autotune "))
+    assert [line for line in lines if not line.startswith("    ")] == [
+        "where this law is beyond that controller, design in the law that it runs:"
+    ]
+    assert (len(commands), "--orientation 1,0,0,0" in said) == (2, True)
     assert not out.exists()
     assert main([*asked, "--orientation", "0,0,-0.70711,0.70711"]) == 0
     assert "x along its y" in capsys.readouterr().out
@@ -165,8 +169,11 @@ def test_what_another_controller_cannot_do_is_exit_5_and_writes_nothing(
     assert output.out == ""
     said, *lines = output.err.splitlines()
     assert "cannot do what was asked" in said
-    assert lines
-    assert [line for line in lines if not line.startswith("    ")] == ["and run"]
+    # A line of YAML begins where its file does, commands are indented.
+    pasted, *others = (line for line in lines if not line.startswith("    autotune "))
+    assert others == ["and run"]
+    (tmp_path / "problem.yaml").write_text(f"{pasted}\n", encoding="utf-8")
+    assert read_problem(tmp_path / "problem.yaml").requirements.free_space_admittance is not None
     assert not out.exists()
 
 

@@ -195,8 +195,8 @@ def test_what_cannot_be_met_is_exit_5_with_the_reason_and_no_file(
     assert (done.returncode, done.stdout) == (5, "")
     said, *lines = done.stderr.splitlines()
     assert named in said
-    # What is to be pasted stands on lines of its own.
-    assert all(line.startswith("    ") for line in lines)
+    # What is to be pasted stands on lines of its own, at the margin as in its file.
+    assert all(line.startswith("requirements: {") for line in lines)
     assert (tmp_path / "controller.yaml").read_text(encoding="utf-8") == "format: autotune/controller\n"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["controller.yaml", "identified.yaml", "problem.yaml"]
 

@@ -1,5 +1,6 @@
 """What of the requirements is enough to ease for another controller, and a design for it from the start."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -112,6 +113,22 @@ def test_an_export_that_cannot_be_names_lines_and_both_commands(tmp_path: Path) 
         export_controller(source, "ros2_control", out, options={"joints": tuple("abcdef")})
     assert caught.value.suggestion["requirements"]["free_space_admittance"]["min_m_s_per_n"] < 9e-4
     assert not out.exists()
+
+
+def test_an_export_without_an_orientation_names_all_that_leads_to_it_for_a_tool_that_points_down(
+    tmp_path: Path,
+) -> None:
+    source, out = tmp_path / "controller.yaml", tmp_path / "crisp.yaml"
+    write_controller(source, peer_controller({"x": PLAIN}, EASY))
+    with pytest.raises(UsageError, match=r"Give that of the sensor .* --orientation QX,QY,QZ,QW") as caught:
+        export_controller(source, "crisp", out)
+    plain, design, designed = caught.value.to_paste
+    assert plain == f"autotune export {source} --target crisp --orientation 1,0,0,0 -o {out}"
+    assert re.fullmatch(r"autotune optimize \S+ --for crisp .*-o for_target\.yaml", design)
+    assert designed == f"autotune export for_target.yaml --target crisp --orientation 1,0,0,0 -o {out}"
+    assert str(caught.value).endswith(
+        f"run {plain}; where this law is beyond that controller, design in the law that it runs: {design}; {designed}"
+    )
 
 
 def test_a_design_for_a_target_has_no_gains_that_it_lacks() -> None:
