@@ -49,7 +49,7 @@ def _drift_chart(windows: Sequence[Window], names: Sequence[str]) -> Chart:
             Panel(x=Scale(label="time in the log [h]"), y=Scale(label=f"{label} [{unit}]"), elements=(band, dots))
         )
     return Chart(
-        key="windows",
+        key="window-parameters",
         title="Parameters over the log",
         alternative=f"{len(names)} parameters over the windows of the log, with two standard deviations.",
         caption="Each dot is a window on its own.",

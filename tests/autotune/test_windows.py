@@ -8,9 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from autotune.charts.chart import Chart
 from autotune.drift import MASS
 from autotune.pieces import LogPiece, PieceRun, RunSource, telling
 from autotune.pipeline import IdentifyOptions, identify_log, identify_windows
+from autotune.report.page import Page, render_page
+from autotune.report.window_blocks import window_section
 from autotune.results import Identification
 from autotune.simulation.simulate import made_later, simulate_cell
 from autotune.simulation.truth import SimulatedCell
@@ -339,6 +342,14 @@ def test_a_surface_that_no_window_before_has_touched_is_named_once() -> None:
         "0:03:00 to 0:04:00: on axis x a surface of 200 N/mm is touched that no window before has touched (100 N/mm).",
     )
     assert "surface-within-log" in [each.code for each in window_findings(windows)]
+
+
+def test_the_section_of_windows_and_its_chart_have_keys_of_their_own() -> None:
+    section = window_section([window(k, (16.2, 0.01)) for k in range(4)])
+    charts = [block.key for block in section.blocks if isinstance(block, Chart)]
+    assert charts == ["window-parameters"]
+    text = render_page(Page(title="a log", lead="", tone="good", sections=(section,), footer=""))
+    assert "The log window by window" in text
 
 
 def test_of_many_windows_those_that_say_most_are_taken() -> None:
