@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -239,19 +240,25 @@ def _designed_for(
 ) -> "tuple[Optimized, Rendered]":
     """Certify the design as the target runs it, that with the admittance that the target can have where it has one."""
     from autotune.errors import CertificateError, InfeasibleError
-    from autotune.export.designing import first_feasible, raised_default, specs_for
+    from autotune.export.designing import first_feasible, lowered_default, raised_default, specs_for
 
     with output.progress(f"what {target.name} can have", 1.0) as advance:
         raised = raised_default(target, spec, found.controller, advance)
+
+    def design(more: "ProblemSpec", note: str) -> "tuple[Optimized, Rendered]":
+        with output.progress("searching with that", 1.0):
+            again = first_feasible(specs_for(target, more), search)
+        return certify(again, note=note)
+
     if raised is not None:
-        more, note = raised
-        try:
-            with output.progress("searching with that", 1.0):
-                again = first_feasible(specs_for(target, more), search)
-            return certify(again, note=note)
-        except (InfeasibleError, CertificateError):
-            pass
-    return certify(found)
+        with suppress(InfeasibleError, CertificateError):
+            return design(*raised)
+    try:
+        return certify(found)
+    except InfeasibleError as error:
+        if (lowered := lowered_default(target, spec, found.controller, error)) is None:
+            raise
+        return design(*lowered)
 
 
 def _certified_for(

@@ -92,14 +92,39 @@ def raised_default(
     least = usual if reach >= usual else float(f"{_SHARE_OF_REACH * reach:.2g}")
     if least <= used:
         return None
-    raised = AdmittanceTarget(min_m_s_per_n=least, band_hz=band)
+    return _with_default(target, spec, list(lowered), AdmittanceTarget(min_m_s_per_n=least, band_hz=band), reach, usual)
+
+
+def lowered_default(
+    target: ExportTarget, spec: ProblemSpec, controller: Controller, error: InfeasibleError
+) -> tuple[ProblemSpec, str] | None:
+    """Return the problem with four fifths of the admittance that a target can have, and a note on it.
+
+    `error` says that the target cannot do what our own law does. None where somebody asked for that admittance, where
+    more than it is in the way, and for axes that turn.
+    """
+    said = controller.provenance.get("defaults", {})
+    are_straight = set(controller.axes) <= set(AXES[:3]) & set(said)
+    if not are_straight or {name for name, _, _ in error.relaxations} != {_ADMITTANCE}:
+        return None
+    used = next(iter(said.values()))[_ADMITTANCE]["used"]
+    reach, usual = min(possible for _, _, possible in error.relaxations), used["min_m_s_per_n"]
+    least = float(f"{_SHARE_OF_REACH * reach:.2g}")
+    asked = AdmittanceTarget(min_m_s_per_n=least, band_hz=tuple(used["band_hz"]))
+    return _with_default(target, spec, list(said), asked, reach, usual)
+
+
+def _with_default(
+    target: ExportTarget, spec: ProblemSpec, axes: Sequence[str], asked: AdmittanceTarget, reach: float, usual: float
+) -> tuple[ProblemSpec, str]:
     can = f"can have in this cell ({reach:.3g}); the usual {usual:g} cannot be had with it"
+    is_usual = asked.min_m_s_per_n == usual
     note = (
-        f"Axis {', '.join(lowered)}: nobody asked for a free-space admittance, so {least:g} m/s/N are asked from "
-        f"{band[0]:g} to {band[1]:g} Hz, "
-        + (f"as usual, which {target.name} can have" if least == usual else f"four fifths of what {target.name} {can}")
+        f"Axis {', '.join(axes)}: nobody asked for a free-space admittance, so {asked.min_m_s_per_n:g} m/s/N are asked "
+        f"from {asked.band_hz[0]:g} to {asked.band_hz[1]:g} Hz, "
+        + (f"as usual, which {target.name} can have" if is_usual else f"four fifths of what {target.name} {can}")
     )
-    return replace(spec, requirements=replace(spec.requirements, free_space_admittance=raised)), f"{note}."
+    return replace(spec, requirements=replace(spec.requirements, free_space_admittance=asked)), f"{note}."
 
 
 def plant_for(target: ExportTarget | None, plant: IdentifiedFile) -> IdentifiedFile:

@@ -98,6 +98,23 @@ def test_a_controller_reaches_every_target_by_the_commands_that_a_refusal_names(
     assert reported == bool(lacking_gains(TARGETS[target], made))
 
 
+@pytest.mark.slow
+def test_without_an_orientation_the_last_two_commands_lead_there_for_a_tool_that_points_down(
+    folder: Path, run_cli: RunCli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shorten_proofs(monkeypatch)
+    done = run_cli("export", str(folder / "controller.yaml"), "--target", "fzi_cartesian", "-o", "out.txt")
+    assert done.returncode == 2
+    *_, design, export = (line for line in done.stderr.splitlines() if line.startswith("    autotune "))
+    done = run_cli(*shlex.split(design)[1:])
+    assert done.returncode == 0, done.stderr
+    # Nobody asked for the admittance that our own law has, and that one has not.
+    assert "four fifths of what fzi_cartesian can have" in done.stderr
+    done = run_cli(*shlex.split(export)[1:])
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "out.txt").is_file()
+
+
 def test_the_replay_of_a_log_is_that_of_the_law_which_will_run(
     good_log: Path, run_cli: RunCli, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from autotune.cli._terminal import set_apart, wrap_lines
 from autotune.errors import InfeasibleError, UsageError
-from autotune.export.designing import certify_for, lines_for, plant_for, raised_default, specs_for
+from autotune.export.designing import certify_for, lines_for, lowered_default, plant_for, raised_default, specs_for
 from autotune.export.easing import find_easing, heavier_hand, merged
 from autotune.export.export import export_controller
 from autotune.export.fzi_cartesian import FZI_CARTESIAN
@@ -190,3 +190,28 @@ def test_a_default_is_four_fifths_of_what_the_target_can_have() -> None:
     assert raised(lowered, ("free_space_admittance", 7e-4, 3.9e-4)) is None
     assert raised(lowered, ("free_space_admittance", 7e-4, 6e-4), ("modulus_margin", 0.5, 0.4)) is None
     assert raised(usual) is None
+
+
+def test_what_nobody_asked_for_is_lowered_to_four_fifths_of_what_the_target_can_have() -> None:
+    """Our own law has the usual 7e-4; the target has up to 3.74e-4."""
+    used = {"min_m_s_per_n": 7e-4, "band_hz": [0.1, 1.0]}
+    default = {"free_space_admittance": {"used": used, "usual": used, "attainable": None}}
+    plain = peer_controller({"x": PLAIN}, EASY)
+    easing = ("free_space_admittance", 7e-4, 3.74e-4)
+
+    def lowered(defaults: dict[str, Any], *relaxations: tuple[str, float, float]) -> tuple[ProblemSpec, str] | None:
+        made = replace(plain, provenance={"defaults": defaults})
+        return lowered_default(FZI_CARTESIAN, ProblemSpec(), made, InfeasibleError("It cannot.", relaxations))
+
+    found = lowered({"x": default}, easing)
+    assert found is not None
+    spec, note = found
+    assert spec.requirements.free_space_admittance == AdmittanceTarget(min_m_s_per_n=3e-4, band_hz=(0.1, 1.0))
+    assert note == (
+        "Axis x: nobody asked for a free-space admittance, so 0.0003 m/s/N are asked from 0.1 to 1 Hz, four fifths of "
+        "what fzi_cartesian can have in this cell (0.000374); the usual 0.0007 cannot be had with it."
+    )
+    # Somebody asked for it, another axis turns, and more than the admittance is in the way.
+    assert lowered({}, easing) is None
+    assert lowered({"rx": default}, easing) is None
+    assert lowered({"x": default}, easing, ("modulus_margin", 0.5, 0.4)) is None
