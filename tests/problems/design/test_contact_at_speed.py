@@ -103,3 +103,12 @@ def test_what_cannot_be_asked_is_refused(said: dict[str, Any], message: str) -> 
 def test_an_unmet_limit_names_the_speed_at_which_it_would_hold() -> None:
     note = ContactAtSpeedLimit().easing_note(ContactAtSpeed(speed_m_s=0.1, max_force_n=140.0), 280.0)
     assert "140 would hold at 0.05" in note
+
+
+def test_the_forces_of_the_body_regions_are_those_of_the_specification() -> None:
+    """ISO/TS 15066:2016, Table A.2, quasi-static contact; shoulders, 210 N as the back, are not among them."""
+    found = sorted(BODY_REGIONS.items(), key=lambda each: (each[1], each[0]))
+    assert " ".join(f"{name}:{force:.0f}" for name, force in found) == (
+        "face:65 abdomen:110 lower_leg:130 skull:130 chest:140 hand:140 neck:150 upper_arm:150 lower_arm:160 "
+        "pelvis:180 back:210 thigh:220"
+    )
