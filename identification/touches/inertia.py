@@ -38,13 +38,20 @@ class PayloadForce:
     """F = −(m a + b v) of an axis, `explained` of the energy of the force in `spans` that are nothing else.
 
     `mode` is the frequency [Hz] and the damping ratio with which the payload swings on its coupling, None if rigid.
+    `left_n` (n,) is the smoothed force less F: what presses beside it.
     """
 
     mass_kg: float
     drag_n_s_per_m: float
     explained: float
     spans: tuple[Span, ...]
+    left_n: FloatArray
     mode: tuple[float, float] | None = None
+
+    def explains(self, each: FoundTouch) -> bool:
+        """Return whether hardly anything presses in a touch beside F; something may pull, as a wall that is left."""
+        pressing = -each.touch.sign * self.left_n[each.span.slice]
+        return each.touch.hold_s is None and float(np.max(pressing)) <= _MOST_LEFT * each.touch.peak_force
 
     @property
     def mass(self) -> Estimate:
@@ -168,7 +175,12 @@ def without_inertia(
         if payload is not None and not _is_cut(axis.signals):
             masses[axis.signals.axis] = payload.mass
         spans = () if payload is None else payload.spans
-        own = [each for each in axis.touches if each.span in spans]
+        own = [
+            each
+            for each in axis.touches
+            if each.span in spans
+            or (payload is not None and each.touch.cause is TouchCause.UNDETERMINED and payload.explains(each))
+        ]
         led = tuple(span for span in axis.led if span not in spans)
         touches = tuple(each for each in axis.touches if each not in own)
         kept.append(replace(axis, touches=touches, led=led, inert=tuple(spans)))
@@ -236,8 +248,15 @@ def _own_force(signals: AxisSignals, spans: Sequence[Span], sigma: float) -> Pay
         alike = _agreeing(spans, _felt(columns, mode, signals.period_s), force, _not_negative)
         if alike is None or alike.values[0] <= 0.0 or alike.explained < _LEAST_EXPLAINED:
             continue
-        mass, drag, _ = alike.values
-        found = PayloadForce(mass_kg=mass, drag_n_s_per_m=drag, explained=alike.explained, spans=alike.spans, mode=mode)
+        (mass, drag, _), felt = alike.values, _felt(columns, mode, signals.period_s)
+        found = PayloadForce(
+            mass_kg=mass,
+            drag_n_s_per_m=drag,
+            explained=alike.explained,
+            spans=alike.spans,
+            left_n=force - felt @ np.array(alike.values),
+            mode=mode,
+        )
         if mode is None:
             return found
         if best is None or (len(found.spans), found.explained) > (len(best.spans), best.explained):

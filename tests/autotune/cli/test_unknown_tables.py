@@ -391,8 +391,9 @@ def test_a_force_that_turns_to_and_fro_on_a_soft_wall(
     assert secant.std is not None
     assert abs(secant.value - stiffness) < 2.0 * secant.std
     [timeline] = found.timelines
+    # Where F^d turns, the payload's own inertia presses, and that is no touch.
     walls = [each for each in timeline.touches if each.surface == surface.name]
-    assert all(each.sign == 1 for each in walls)
+    assert all(each.sign == 1 for each in (timeline.touches if shows_mass else walls))
     first = walls[0]
     assert first.onset_s == pytest.approx(2.0 + 0.01 / 0.0194 + 0.07, abs=0.1)
     # Three pushes or more show what moves, if nothing shows the coupling.
