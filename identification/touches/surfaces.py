@@ -42,6 +42,7 @@ _FREE_S, _FREE_UNTIL_S = 0.3, 0.05
 _NARROW_SAMPLES = 3
 # A blow that is too narrow for the samples has no bound; that it is up to twice its sample is taken for its usual size.
 _NARROW_BLOW = 2.0
+_PRESSED_SHARE = 0.9
 _PEAK_OF_NOTE_N = 10.0
 _MOST_WHYS = 3
 _LOADING = "force over travel while it loads, behind the first blow: mean of its slope through the origin and its peak"
@@ -200,11 +201,18 @@ def _growth(time: FloatArray, grown: FloatArray, start: int) -> tuple[float, int
 
 
 def _blow(axis: AxisSignals, found: FoundTouch, pressing: FloatArray) -> tuple[float, float] | None:
-    """Return what the peak of the first blow may be, None where a hand pushed or the speed is not known."""
+    """Return what the peak of the first blow may be, None where a hand pushed or the speed is not known.
+
+    A force that never falls from what it is then held at is a press, of which no part is a blow.
+    """
     if found.touch.is_led or not found.touch.approach_speed or found.touch.approach_speed <= 0.0:
         return None
     fallen = first_fall(pressing[found.span.slice], axis.level_n)
     stop = found.span.stop if fallen is None else found.span.start + fallen
+    hold, held = found.touch.hold_s, found.touch.held_force or 0.0
+    is_pressed = held > _PRESSED_SHARE * found.touch.peak_force
+    if hold is not None and is_pressed and float(axis.time_s[stop - 1]) > hold[0]:
+        return None
     top = found.span.start + int(np.argmax(pressing[found.span.start : stop]))
     low, high, _ = touch_peak(axis, pressing, found.span.start, top)
     return low, _NARROW_BLOW * float(pressing[top]) if high is None else high
