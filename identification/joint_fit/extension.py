@@ -38,7 +38,7 @@ _STARTS_HZ = (15.0, 22.0, 30.0, 38.0, 46.0, 55.0, 70.0)
 _START_SHARE, _START_RATIO, _START_FRICTION_N, _NUDGE, _NUDGE_N = 0.08, 0.03, 0.3, 1e-3, 0.02
 _STEPS, _TRIED = 15, 2
 # Every start goes a few steps down, and the lowest of them all the way.
-_FIRST_STEPS, _FOLLOWED = 4, 3
+_FIRST_STEPS, _FOLLOWED = 3, 2
 # −2 log L: a first look, what is kept open, and what is reported.
 _WORTH_A_LOOK, _OPEN, _TOLD = 8.0, 30.0, 60.0
 # The −2 log L that shows a part behind a held command where one mass leaves no more than the noise at rest may be.
