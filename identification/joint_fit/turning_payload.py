@@ -74,15 +74,20 @@ def take_out_turning(data: JointData, problem: Problem, point: Point) -> Without
 
 
 def _smoothed(signal: FloatArray, period_s: float) -> FloatArray:
-    cutoff = min(_HIGHEST_HZ, _HIGHEST_SHARE / period_s)
-    return np.asarray(sosfiltfilt(butter(_ORDER, cutoff, fs=1.0 / period_s, output="sos"), signal))
+    return np.asarray(sosfiltfilt(_low_pass(_HIGHEST_HZ, period_s), signal))
+
+
+def _low_pass(cutoff_hz: float, period_s: float) -> FloatArray:
+    """Return a filter as sections, below what a slow log can show whatever the fit says of the payload's frequency."""
+    cutoff_hz = min(cutoff_hz, _HIGHEST_SHARE / period_s)
+    return np.asarray(butter(_ORDER, cutoff_hz, fs=1.0 / period_s, output="sos"))
 
 
 def _without_drag(turning: FloatArray, problem: Problem, point: Point) -> FloatArray:
     """Return u (n,) without what follows the payload's speed in motion slower than a quarter of its own frequency."""
     period, speed = problem.signals.period_s, np.zeros(len(turning))
     own_hz = float(np.sqrt(point.values[0] / point.values[3])) / (2.0 * np.pi)
-    slow = butter(_ORDER, _SLOW * own_hz, fs=1.0 / period, output="sos")
+    slow = _low_pass(_SLOW * own_hz, period)
     path, margin, along, square = problem.path(point.values), _margin(period), 0.0, 0.0
     for segment, nuisance in zip(problem.segments, point.nuisances, strict=True):
         law = segment_model(point.values, nuisance, segment, path, problem.layout, period)

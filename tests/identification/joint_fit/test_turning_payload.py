@@ -5,11 +5,13 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy.signal import sosfiltfilt
 
 from identification.axis_findings import payload_findings
 from identification.joint_fit.data import JointData, usual_coupling
 from identification.joint_fit.fit import identify_joint
 from identification.joint_fit.result import JointFit
+from identification.joint_fit.turning_payload import _low_pass
 from identification.payload.turning import turning_force
 from identification.signals.segments import Span
 from problems.arrays import FloatArray
@@ -121,3 +123,10 @@ def test_what_is_most_of_the_force_is_no_correction() -> None:
     assert data.turning_n is not None
     large = replace(data, turning_n=20.0 * data.turning_n)
     assert np.array_equal(identify_joint(large).values, without_torque().values)
+
+
+@pytest.mark.parametrize("cutoff_hz", [5.0, 147.2, 588.0])
+def test_a_mode_faster_than_a_slow_log_shows_is_no_reason_to_end(cutoff_hz: float) -> None:
+    sections = _low_pass(cutoff_hz, 1.0 / 294.3)
+    assert np.all(np.isfinite(sections))
+    np.testing.assert_allclose(sosfiltfilt(sections, np.ones(400)), 1.0, atol=1e-9)
