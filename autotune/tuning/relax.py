@@ -25,7 +25,7 @@ _ROUNDS = 6
 _GENERATIONS, _NEARBY_GENERATIONS, _EXPLORED = 30, 15, 0.6
 _DIGITS = 3
 _HAIR = 2e-3
-# Of all together only which ones bind is asked, and where to begin: the grid tells it, no climb to the worst between.
+# Of all together only which ones bind is asked, and where to begin: the grid shows that, without a climb in between.
 _ROUGHLY = 0.03
 _BINDS = 0.9
 

@@ -13,8 +13,8 @@ from ..errors import EstimateError
 from ..result import EnvironmentEstimate, Estimate, Finding, LogPhase, Timeline, Touch, TouchCause
 from ..signals.recording import Recording
 from ..verdicts import judged, missing, unidentifiable
-from .doubts import NOT_A_SPRING, between_samples, undetermined, withdrawn
 from .find import FoundTouch, find_touches, first_fall, touch_peak
+from .findings import NOT_A_SPRING, between_samples, undetermined, withdrawn
 from .inertia import KnownMotion, without_known
 from .phases import about_led_walls, build_phases
 from .signals import AxisSignals, axis_signals, turn_rates
