@@ -93,7 +93,10 @@ class ReplayedSurface:
         upper = "and more" if ends[1] is None else f"{ends[1]:.{digits}f}"
         count = "1 contact" if len(self.touches) == 1 else f"{len(self.touches)} contacts"
         force = predicted.contact.driving_force_n
-        pressed = f", pressed on with {force:.3g} {unit} as in the log" if force > 0.0 else ""
+        # Without F^d and without a hold the log shows no force: what drives the approach under the new law goes on.
+        is_shown = self.after.touch.desired_force is not None
+        source = "as in the log" if is_shown else "as that speed asks, since the log shows no force that was held"
+        pressed = f", pressed on with {force:.3g} {unit} {source}" if force > 0.0 else ""
         return (
             f"in your log {range_text(low, high)} {unit} ({count} on {predicted.surface}, "
             f"{span_text(speeds, unit)}); with {self.law} {where} "

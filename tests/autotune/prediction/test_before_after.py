@@ -91,6 +91,19 @@ def test_the_sentence_says_both_peaks_and_by_how_much_free_motion_changes() -> N
     assert found.sentence().endswith(f"free motion {heavier:.0f} % heavier than with {found.label}")
 
 
+def test_a_force_that_the_log_does_not_show_is_not_said_to_be_of_the_log() -> None:
+    """Without F^d and without a hold what drives the approach under the new law goes on: (B_a + B_p) v."""
+    measured = peak_of(13.0, 1000.0, 0.02)
+    for held, words in (
+        (FORCE, f"pressed on with {FORCE:.3g} N as in the log"),
+        (None, "as that speed asks, since the log"),
+    ):
+        found = compare_before_after(source(touch(measured, held_force=held)), controller(), present=today())["x"]
+        assert words in found.sentence()
+    driving = found.surfaces[0].after.predicted.contact.driving_force_n
+    assert driving == pytest.approx(SPEED * (1200.0 + CELL.drag), rel=0.01)
+
+
 def as_target(made: Controller, *, peak: float = 56.9) -> Controller:
     """Return a file designed for a target that runs the same gains by the law of any linear controller."""
     law = linear_controller(admittance_controller(made, "x"), made.sample_time_s)
