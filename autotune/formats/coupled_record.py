@@ -113,7 +113,8 @@ class CoupledCertificate:
     groups), each checked whole; `neglected` is the share of its modulus that one loses to the axes outside of it.
     `modulus` is the smallest singular value of I + L at `modulus_hz`, torques divided by the lever of 0.2 m;
     `modulus_apart` that of the axes one by one, `disk` the disk margin of all loops at a time, `mode_hz` the frequency
-    of the slowest decaying mode that swings. `points` are contacts by axis, `method` says how they were found.
+    of the slowest decaying mode that swings. `points` are contacts by axis, `method` says how they were found;
+    `min_modulus` is what was asked of `modulus`.
     """
 
     axes: Annotated[tuple[Axis, ...], Rule(minItems=1)]
@@ -131,6 +132,7 @@ class CoupledCertificate:
     points: Mapping[_Straight, tuple[PointContact, ...]]
     method: Text
     proofs: tuple[CoupledProof, ...] = ()
+    min_modulus: Annotated[float | None, Rule(minimum=0, maximum=1)] = None
 
     def __post_init__(self) -> None:
         freeze(self, "loops", "points")

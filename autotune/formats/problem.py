@@ -90,6 +90,7 @@ class ProblemSpec:
     `uncertain` maps further parameters of the plant to a range, to "identified" (the confidence set of the identified
     file) or to "nominal" (as if it were known). `limits` are those that the runtime enforces.
     `contact_points_m` are where the payload may touch, in the sensor frame; () those of the cell.
+    `least_modulus_together` is asked of min σ(I + L) of axes that act on each other, None nothing but stability.
     `options` holds those ranges that were said outside of the file (`with_options`), `with_unit` names those whose unit
     was typed.
     """
@@ -110,6 +111,7 @@ class ProblemSpec:
     compliance: ComplianceSpec | None = None
     limits: LimitsSpec = field(default_factory=LimitsSpec)
     contact_points_m: tuple[tuple[float, float, float], ...] = ()
+    least_modulus_together: float | None = None
     options: Mapping[str, Interval] = field(default_factory=dict)
     with_unit: frozenset[str] = frozenset()
 
@@ -117,6 +119,9 @@ class ProblemSpec:
         self._check_types()
         points = tuple(as_numbers("contact_points_m", each, 3) for each in self.contact_points_m)
         object.__setattr__(self, "contact_points_m", points)
+        least = self.least_modulus_together
+        if least is not None and not 0.0 < least < 1.0:
+            raise ParameterError("least_modulus_together", least, "above 0 and below 1")
         for name in ("environment_stiffness", "payload_mass", "collision_threshold", "variable_damping"):
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, _range(name, getattr(self, name)))
@@ -202,6 +207,7 @@ def read_problem(path: Path) -> ProblemSpec:
             compliance=_compliance(document),
             limits=_limits(tree.get("limits", {})),
             contact_points_m=tuple(tree.get("payload", {}).get("contact_points_m", ())),
+            least_modulus_together=tree.get("axes_together", {}).get("min_modulus"),
             rotational=_rotational(turned),
         )
     except ParameterError as error:

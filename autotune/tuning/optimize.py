@@ -32,7 +32,8 @@ from problems.progress import ProgressSlice, no_progress
 from .causes import explain, explanation_message
 from .compare import SideBySide, check_comparable, compare, start_design
 from .compliance import Compliance, build_compliance_problems, choose_compliance, infeasible_message, settle_compliance
-from .coupled import TogetherCheck
+from .coupled import TogetherAsked, TogetherCheck
+from .coupled_search import CoupledSearch
 from .defaults import DefaultAdmittance, default_admittance, default_message, lower_default
 from .limits import LimitsSettings, limits_settings, with_limits
 from .optimality_report import OptimalityReport, report_optimality
@@ -126,7 +127,12 @@ def optimize(
         problems = {name: compliance.on_chosen(problems[name]) for name, compliance in chosen.items()}
     searches = _search_all(problems, present, chosen, seed, relax, report)
     chosen = {name: settle_compliance(problems[name], each, searches[name], seed) for name, each in chosen.items()}
-    settled = _settle_all(searches, asked, seed, report)
+    points, least = spec.contact_points_m, spec.least_modulus_together
+    together = TogetherCheck(
+        TogetherAsked(identified=identified.result, contact_points_m=points, least_modulus=least), asked
+    )
+    beside = CoupledSearch(together, payload, seed)
+    settled = _settle_all(searches, asked, seed, report, beside)
     searches = {name: each.search for name, each in settled.items()}
     optimality_reports = {name: each.optimality for name, each in settled.items()}
     by_default = {name: default_admittance(problems[name], each) for name, each in searches.items()}
@@ -134,7 +140,6 @@ def optimize(
     problems = {name: each.problem for name, each in searches.items()}
     provenance = make_provenance(identified, problems, spec, seed, problem_path, present, asked)
     provenance |= result_trees(problems, identified.result, optimality_reports, defaults, chosen)
-    together = TogetherCheck(identified.result, asked, spec.contact_points_m)
     controller, checked = certify(
         searches, payload, provenance, asked, lambda done: report((1.0 - _SEARCH_SHARE) * done),
         strategies=strategy_settings(identified.result, spec),
@@ -146,6 +151,7 @@ def optimize(
     notes = [
         default_message(name, each, problems[name]) for name, each in defaults.items() if each.attainable is not None
     ]
+    notes += beside.notes(searches)
     notes += design_notes(identified, controller, problems, spec, has_compliance=bool(chosen))
     controller = with_notes(controller, notes, before_after)
     return Optimized(
@@ -171,13 +177,25 @@ def replay_log(
 
 
 def _settle_all(
-    searches: Mapping[str, SearchResult], asked: ProofOptions, seed: int, report: Callable[[float], None]
+    searches: Mapping[str, SearchResult],
+    asked: ProofOptions,
+    seed: int,
+    report: Callable[[float], None],
+    beside: CoupledSearch,
 ) -> dict[str, Settled]:
-    """Return what nothing refutes of every axis, see `settle`."""
-    settled = {}
-    for name, search in searches.items():
-        settled[name] = settle(name, search, asked, seed=seed)
-        report((1.0 - _SEARCH_SHARE) * _PROOF_SHARE / len(searches))
+    """Return what nothing refutes of every axis, see `settle`, nor of all axes on their payload."""
+    settled: dict[str, Settled] = {}
+
+    def settle_each(found: Mapping[str, SearchResult]) -> dict[str, SearchResult]:
+        portion = (1.0 - _SEARCH_SHARE) * _PROOF_SHARE / len(found) if not settled else 0.0
+        now = dict(found)
+        for name, search in found.items():
+            settled[name] = settle(name, search, asked, seed=seed, counterexamples=beside.beside(name, now))
+            now[name] = settled[name].search
+            report(portion)
+        return now
+
+    beside.agreed(searches, settle_each)
     return settled
 
 
@@ -347,13 +365,16 @@ def _search(
     return found
 
 
-def settle(name: str, found: SearchResult, asked: ProofOptions, *, seed: int) -> Settled:
+def settle(
+    name: str, found: SearchResult, asked: ProofOptions, *, seed: int, counterexamples: Counterexamples = NOTHING
+) -> Settled:
     """Search again until nothing refutes the result, then from the reference's design where that is better.
 
-    The plant at which a proof fails joins the scenarios; an impact that bounces for ever must come to rest. Raises
-    CertificateError where that does not help within a few rounds, InfeasibleError where no controller is left.
+    The plant at which a proof fails joins the scenarios; an impact that bounces for ever must come to rest, which adds
+    to the `counterexamples`. Raises CertificateError where that does not help within a few rounds, InfeasibleError
+    where no controller is left.
     """
-    first = _unrefuted(name, found, asked, NOTHING, seed)
+    first = _unrefuted(name, found, asked, counterexamples, seed)
     search, start = first.search, first.optimality.reference.design
     if not first.optimality.gap > _LARGEST_GAP or not ImpactTest(search.problem, first.counterexamples).passes(start):
         return first

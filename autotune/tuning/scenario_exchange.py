@@ -1,7 +1,7 @@
 """Scenario exchange: the worst plants of the whole uncertainty for a design, and which of them join a search.
 
 `WholeSet` looks over grid, corners and samples, then locally from the worst few. Beyond them a search takes in
-counterexamples: plants at which a proof failed, and impacts that bounced for ever.
+counterexamples: plants at which a proof failed, impacts that bounced for ever, and the other axes on the payload.
 """
 
 import math
@@ -216,10 +216,12 @@ class Counterexamples:
     """Plants that join the scenarios of a search, and impacts that must come to rest as (plant, ratio s).
 
     s is the speed at the impact times (B_a + B_p) over F^d, so that it is the same impact whatever the damping.
+    `beside` says of a law whether it goes with those of the other axes on the payload; None where nothing is asked.
     """
 
     scenarios: tuple[Scenario, ...] = ()
     impacts: tuple[tuple[Scenario, float], ...] = ()
+    beside: Callable[[AdmittanceController], bool] | None = None
 
     def joined(self, error: RefutedError) -> "Counterexamples":
         """Return the same with what an error names."""
@@ -233,10 +235,11 @@ NOTHING = Counterexamples()
 
 
 class ImpactTest:
-    """Tests whether designs of a problem come to rest after the impacts of counterexamples."""
+    """Tests whether designs of a problem come to rest after the impacts of counterexamples, and go `beside` others."""
 
     def __init__(self, problem: DesignProblem, counterexamples: Counterexamples) -> None:
         self._problem = problem
+        self._beside = counterexamples.beside
         self._known: dict[bytes, bool] = {}
         self._cases: list[tuple[SampledContact, Sequence[float]]] = []
         for scenario, ratio in counterexamples.impacts:
@@ -244,14 +247,22 @@ class ImpactTest:
             self._cases.append((pair, (ratio, *_LADDER)))
 
     def __bool__(self) -> bool:
-        return bool(self._cases)
+        return bool(self._cases) or self._beside is not None
+
+    @property
+    def failing(self) -> str:
+        """What a design does that does not pass, for a sentence."""
+        if self._beside is None:
+            return "lets a contact bounce for ever"
+        return "does not go with the other axes on the payload" + (", or lets a contact bounce" if self._cases else "")
 
     def passes(self, design: FloatArray) -> bool:
-        """Return whether every impact comes to rest with a design (n,) that is stable in both loops."""
+        """Return whether a design (n,) that is stable in both loops passes everything."""
         key = np.asarray(design).tobytes()
         if key not in self._known:
             controller = self._problem.controller(design)
-            self._known[key] = all(_comes_to_rest(pair, controller, ratios) for pair, ratios in self._cases)
+            goes = self._beside is None or self._beside(controller)
+            self._known[key] = goes and all(_comes_to_rest(pair, controller, ratios) for pair, ratios in self._cases)
         return self._known[key]
 
     def walk_back(self, passing: FloatArray, end: FloatArray) -> FloatArray:

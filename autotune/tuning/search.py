@@ -422,7 +422,7 @@ class Search:
                 f"{evaluation.spectral_radius:.4f}); raise the upper bound of the damping or narrow the ranges."
             )
         if self.impacts and evaluation.is_feasible:
-            said = "Every controller that was found to meet all requirements lets a contact bounce for ever"
+            said = f"Every controller that was found to meet all requirements {self.impacts.failing}"
             return InfeasibleError(
                 f"{said}; ask for a larger modulus_margin, narrow the ranges of stiffness and payload, or widen the "
                 "bounds.",

@@ -61,6 +61,9 @@ def _wrong(stated: CoupledCertificate, radius: float, modulus: float, peaks: Seq
         return f"unstable together: largest |z| {radius:.6f}, by the eigenvalues of the step matrix"
     if any(len(group) > 1 for group in stated.groups) and modulus < (1.0 - _SAME_MODULUS) * stated.modulus:
         return f"smallest singular value of I + L {modulus:.4g} by a second method, stated {stated.modulus:.4g}"
+    asked = stated.min_modulus
+    if asked is not None and modulus < (1.0 - _SAME_MODULUS) * asked:
+        return f"smallest singular value of I + L {modulus:.4g} by a second method, {asked:g} is asked"
     worst = max(peaks, default=0.0)
     if worst > _SAME_PEAK:
         return f"a contact at a point is {significant(100.0 * worst)} % harder by a second method than stated"

@@ -43,13 +43,21 @@ class CoupledCell:
     def of(cls, controller: Controller, body: CoupledBody) -> "CoupledCell":
         """Return the cell of a controller whose payload is `body`."""
         domains = {name: controller.certificate.domain[name] for name in controller.axes}
+        laws = {name: admittance_controller(controller, name) for name in domains}
+        return cls.build(domains, laws, body, controller.sample_time_s)
+
+    @classmethod
+    def build(
+        cls, domains: Mapping[str, AxisDomain], laws: Mapping[str, Law], body: CoupledBody, sample_time_s: float
+    ) -> "CoupledCell":
+        """Return the cell of laws, one for every domain, whose payload is `body`."""
         return cls(
             domains=domains,
-            laws={name: admittance_controller(controller, name) for name in domains},
+            laws=laws,
             held=dict(body.held),
             payload=body.rigid(),
             contact_points_m=body.contact_points_m,
-            sample_time_s=controller.sample_time_s,
+            sample_time_s=sample_time_s,
         )
 
     @cached_property

@@ -2,74 +2,25 @@
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
-from autotune.formats.coupled_record import CoupledBody, CoupledCertificate, PointContact, TogetherMargins, Vector
+from autotune.formats.coupled_record import CoupledBody, CoupledCertificate, PointContact, TogetherMargins
 from autotune.formats.units import AXES, ROTATIONAL_AXES, axis_units
 from autotune.text import stiffness_text
-from problems.arrays import FloatArray
-from problems.contact.bouncing import Ending
-from problems.contact.coupled_contact import CoupledPair, build_coupled_pair, simulate_coupled_contact
-from problems.contact.transient import build_sampled_contact, simulate_contact
-from problems.model.controller import AdmittanceController
-from problems.model.coupled import (
-    CoupledLoop,
-    CoupledPlant,
-    CoupledSampledPlant,
-    build_coupled_loop,
-    build_coupled_sampled_plant,
-)
+from problems.model.coupled import CoupledPlant, Law, build_coupled_loop, build_coupled_sampled_plant
 from problems.model.sampled import build_sampled_plant
-from problems.stability.coupled_margins import (
-    CoupledMargins,
-    coupled_sensitivities,
-    find_coupled_margins,
-    worst_mode,
-)
+from problems.stability.coupled_margins import CoupledMargins, coupled_sensitivities, find_coupled_margins
 from problems.stability.margins import Margins, find_margins
 
 from .coupled_cell import UNCOUPLED, CoupledCell
+from .coupled_failure import CoupledCase, CoupledFailure, TouchedPoint, find_failure, weak_modulus
+from .coupled_points import first_bounce, law_of, touch
 
 METHOD = "margins searched and contacts simulated on the exact sampled loop of all axes; a sweep, no proof"
-# Corners, edges and the middle of a face come first.
-_MOST_POINTS = 9
 _POINTS = 240  # frequencies at which the axes outside of a group are held against it
-
-
-@dataclass(frozen=True, kw_only=True)
-class CoupledFailure:
-    """A plant on which the axes together are unstable, or bounce for ever: where, which mode, which axis moves most."""
-
-    group: tuple[str, ...]
-    axis: str
-    mode_hz: float
-    radius: float
-    where: str
-    bounces: bool = False
-
-    def message(self) -> str:
-        """Return it in a sentence."""
-        together = " and ".join([", ".join(self.group[:-1]), self.group[-1]] if len(self.group) > 1 else self.group)
-        if self.bounces:
-            return f"{together} together bounce for ever {self.where}; {self.axis} moves most, at {self.mode_hz:.3g} Hz"
-        return (
-            f"{together} act on each other through the payload and are unstable together {self.where}: a mode at "
-            f"{self.mode_hz:.3g} Hz grows (largest |z| {self.radius:.6f}), in which {self.axis} moves most"
-        )
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Case:
-    """A group of axes on one plant."""
-
-    group: tuple[str, ...]
-    where: str
-    sampled: CoupledSampledPlant
-    loop: CoupledLoop
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,15 +31,15 @@ class CoupledSweep:
     failure: CoupledFailure | None = None
 
 
-def sweep_coupled(cell: CoupledCell, body: CoupledBody) -> CoupledSweep:
-    """Sweep a cell. Raises ParameterError where no body has such a payload."""
+def sweep_coupled(cell: CoupledCell, body: CoupledBody, least_modulus: float | None = None) -> CoupledSweep:
+    """Sweep a cell; below the `least_modulus` it fails. Raises ParameterError where no body has such a payload."""
     cases = _all_cases(cell)
     failure = _first_failure(cell, cases)
     points: dict[str, tuple[PointContact, ...]] = {}
     turns = any(each in ROTATIONAL_AXES for each in cell.names)
     for name in cell.domains if turns and failure is None else ():
         if name not in ROTATIONAL_AXES:
-            contacts = _touch(cell, name)
+            contacts = touch(cell, name)
             if isinstance(contacts, CoupledFailure):
                 failure = contacts
                 break
@@ -96,6 +47,10 @@ def sweep_coupled(cell: CoupledCell, body: CoupledBody) -> CoupledSweep:
     if failure is not None:
         return CoupledSweep(certificate=None, failure=failure)
     found = [(case, _margins(cell, case)) for case in cases]
+    if least_modulus is not None:
+        weak = min(found, key=lambda each: each[1].modulus, default=None)
+        if weak is not None and weak[1].modulus < least_modulus:
+            return CoupledSweep(certificate=None, failure=weak_modulus(*weak, least_modulus))
     apart = {name: _apart(cell, name) for name in cell.domains}
     single = [apart[group[0]] for group in cell.groups() if len(group) == 1 and group[0] in apart]
     every: list[Margins | CoupledMargins] = [*single, *(margins for _, margins in found)]
@@ -116,6 +71,7 @@ def sweep_coupled(cell: CoupledCell, body: CoupledBody) -> CoupledSweep:
             loops=_loops(found, cell),
             points=points,
             method=METHOD,
+            min_modulus=least_modulus,
         )
     )
 
@@ -137,17 +93,17 @@ def _plants(cell: CoupledCell) -> Iterator[tuple[tuple[str, ...], str, CoupledPl
                 yield group, where, cell.plant(group, mass, cell.surface(group, name, stiffness))
 
 
-def _case(cell: CoupledCell, group: tuple[str, ...], where: str, plant: CoupledPlant) -> _Case:
+def _case(cell: CoupledCell, group: tuple[str, ...], where: str, plant: CoupledPlant) -> CoupledCase:
     sampled = build_coupled_sampled_plant(plant, cell.sample_time_s)
-    return _Case(group=group, where=where, sampled=sampled, loop=build_coupled_loop(sampled, cell.law(group)))
+    return CoupledCase(group=group, where=where, sampled=sampled, loop=build_coupled_loop(sampled, cell.law(group)))
 
 
-def _all_cases(cell: CoupledCell) -> list[_Case]:
+def _all_cases(cell: CoupledCell) -> list[CoupledCase]:
     """Return the groups on the plants of the sweep, their loops closed."""
     return [_case(cell, *each) for each in _plants(cell)]
 
 
-def _first_failure(cell: CoupledCell, cases: Sequence[_Case]) -> CoupledFailure | None:
+def _first_failure(cell: CoupledCell, cases: Sequence[CoupledCase]) -> CoupledFailure | None:
     """Return the first unstable one of the groups' cases, then of all axes together where they are no group."""
     whole = _whole_plants(cell) if cell.groups() != (cell.names,) else ()
     for case in itertools.chain(cases, (_case(cell, cell.names, *each) for each in whole)):
@@ -157,24 +113,42 @@ def _first_failure(cell: CoupledCell, cases: Sequence[_Case]) -> CoupledFailure 
     return None
 
 
-def find_failure(case: _Case, *, bounces: bool = False) -> CoupledFailure | None:
-    """Return the mode that grows, or with `bounces` the slowest one; None where all decay."""
-    mode = worst_mode(case.sampled, case.loop)
-    if mode.radius < 1.0 and not bounces:
-        return None
-    return CoupledFailure(
-        group=case.group,
-        axis=case.group[mode.axis],
-        mode_hz=mode.frequency_hz,
-        radius=mode.radius,
-        where=case.where,
-        bounces=bounces,
-    )
+class CoupledPlants:
+    """The plants of a sweep, sampled once, for many laws on them: stability, and `least_modulus` where one is asked.
 
+    Of the contacts with points of the payload only those `touched` are asked, which must come to rest.
+    """
 
-def first_failure(cell: CoupledCell) -> CoupledFailure | None:
-    """Return the first plant of the sweep on which the axes together are unstable, without margins and contacts."""
-    return _first_failure(cell, _all_cases(cell))
+    def __init__(
+        self, cell: CoupledCell, touched: Sequence[TouchedPoint] = (), least_modulus: float | None = None
+    ) -> None:
+        self.cell, self.least_modulus = cell, least_modulus
+        self.touched = tuple(touched)
+        whole = _whole_plants(cell) if cell.groups() != (cell.names,) else ()
+        every = (*_plants(cell), *((cell.names, *each) for each in whole))
+        self._groups = {group for group in cell.groups() if len(group) > 1}
+        self._sampled = [
+            (group, where, build_coupled_sampled_plant(plant, cell.sample_time_s)) for group, where, plant in every
+        ]
+
+    def failure(self, laws: Mapping[str, Law], among: tuple[str, ...] = ()) -> CoupledFailure | None:
+        """Return what fails first with these laws, None where nothing does; `among` one group of axes alone."""
+        cell = replace(self.cell, laws=laws)
+        for place, (group, where, sampled) in enumerate(self._sampled):
+            if among and among not in (group, cell.names):
+                continue
+            loop = build_coupled_loop(sampled, cell.law(group))
+            case = CoupledCase(group=group, where=where, sampled=sampled, loop=loop)
+            failure = find_failure(case)
+            if failure is None and self.least_modulus is not None and group in self._groups:
+                margins = _margins(cell, case)
+                if margins.modulus < self.least_modulus:
+                    failure = weak_modulus(case, margins, self.least_modulus)
+            if failure is not None:
+                # The next laws are much like these, and fail at the same plant.
+                self._sampled.insert(0, self._sampled.pop(place))
+                return failure
+        return first_bounce(cell, self.touched) if among in ((), cell.names) else None
 
 
 def damped_by(cell: CoupledCell, factor: float) -> CoupledCell:
@@ -186,11 +160,11 @@ def damped_by(cell: CoupledCell, factor: float) -> CoupledCell:
     return replace(cell, laws=laws)
 
 
-def _margins(cell: CoupledCell, case: _Case) -> CoupledMargins:
+def _margins(cell: CoupledCell, case: CoupledCase) -> CoupledMargins:
     return find_coupled_margins(case.sampled, cell.law(case.group), cell.scale(case.group), case.loop)
 
 
-def _loops(found: Sequence[tuple[_Case, CoupledMargins]], cell: CoupledCell) -> dict[str, TogetherMargins]:
+def _loops(found: Sequence[tuple[CoupledCase, CoupledMargins]], cell: CoupledCell) -> dict[str, TogetherMargins]:
     """Return the least margins of each axis with the loops of the others closed."""
     loops: dict[str, TogetherMargins] = {}
     for case, margins in found:
@@ -201,19 +175,12 @@ def _loops(found: Sequence[tuple[_Case, CoupledMargins]], cell: CoupledCell) -> 
     return loops
 
 
-def _law(cell: CoupledCell, name: str) -> AdmittanceController:
-    law = cell.laws[name]
-    if law is None:
-        raise KeyError(name)
-    return law
-
-
 def _apart(cell: CoupledCell, name: str) -> Margins:
     """Return the margins of one axis alone at that of the same plants which has the least modulus."""
     domain = cell.domains[name]
     masses = cell.masses_kg if name not in ROTATIONAL_AXES else _inertias(cell, name)
     plants = [domain.plants.at(mass, stiffness) for mass in masses for stiffness in (0.0, *cell.stiffnesses(name))]
-    law = _law(cell, name)
+    law = law_of(cell, name)
     found = [find_margins(build_sampled_plant(plant, cell.sample_time_s), law) for plant in plants]
     return min(found, key=lambda each: each.modulus)
 
@@ -262,101 +229,3 @@ def _whole_plants(cell: CoupledCell) -> Iterator[tuple[str, CoupledPlant]]:
             for stiffness in cell.domains[name].environment_stiffness_n_per_m:
                 where = f"touching along {name}, K_e {stiffness_text(stiffness, axis_units(name))}, M_p {mass:.4g} kg"
                 yield where, cell.plant(cell.names, mass, cell.surface(cell.names, name, stiffness))
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Touching:
-    """One axis that touches with points of the payload: the plants, its peak alone on each, and the free cell."""
-
-    cell: CoupledCell
-    name: str
-
-    @cached_property
-    def plants(self) -> tuple[tuple[float, float], ...]:
-        """The ends of mass and stiffness."""
-        return tuple(itertools.product(self.cell.masses_kg, self.cell.stiffnesses(self.name)))
-
-    @cached_property
-    def alone_n(self) -> dict[tuple[float, float], float]:
-        """The peak of the axis alone."""
-        domain, h = self.cell.domains[self.name], self.cell.sample_time_s
-        pairs = {
-            (mass, stiffness): build_sampled_contact(build_sampled_plant(domain.plants.at(mass, stiffness), h))
-            for mass, stiffness in self.plants
-        }
-        law = _law(self.cell, self.name)
-        return {
-            plant: simulate_contact(pair, law, domain.approach).peak_contact_force_n for plant, pair in pairs.items()
-        }
-
-    @cached_property
-    def free(self) -> dict[float, tuple[CoupledSampledPlant, CoupledLoop]]:
-        """The cell in free space, by mass."""
-        found = {}
-        for mass in self.cell.masses_kg:
-            sampled = build_coupled_sampled_plant(self.cell.plant(self.cell.names, mass), self.cell.sample_time_s)
-            found[mass] = sampled, build_coupled_loop(sampled, self.cell.law(self.cell.names))
-        return found
-
-    def pair(self, point: Vector, mass: float, stiffness: float) -> CoupledPair:
-        """Return the cell on the surface."""
-        cell, names = self.cell, self.cell.names
-        plant = cell.plant(names, mass, cell.surface_at(names, self.name, point, stiffness))
-        normal = np.array([float(each == self.name) for each in names])
-        return build_coupled_pair(plant, cell.law(names), cell.sample_time_s, free=self.free[mass], normal=normal)
-
-    def points(self) -> tuple[Vector, ...]:
-        """Return the points that differ: what is beside the known axes makes no difference. The first of too many."""
-        names = self.cell.names
-        found: dict[tuple[float, ...], Vector] = {}
-        for point in self.cell.touched(self.name):
-            direction = self.cell.surface_at(names, self.name, point, 1.0).direction
-            found.setdefault(tuple(np.round(direction, 9).tolist()), point)
-        points = tuple(found.values())
-        return points if self.cell.contact_points_m else points[:_MOST_POINTS]
-
-    def force(self) -> tuple[FloatArray, float | None]:
-        """Return F^d (k,) along the axis, and the speed where the approach says one."""
-        approach = self.cell.domains[self.name].approach
-        along = np.array([float(each == self.name) for each in self.cell.names])
-        return along * (approach.force_n or 1.0), approach.speed_m_s
-
-
-def _touch(cell: CoupledCell, name: str) -> tuple[PointContact, ...] | CoupledFailure:
-    """Return the worst contact of one axis with each point of the payload, or the one that does not come to rest."""
-    touching, found = _Touching(cell=cell, name=name), []
-    force, speed = touching.force()
-    for point in touching.points():
-        ratio, leaves, found_here = 0.0, 0, []
-        for mass, stiffness in touching.plants:
-            pair = touching.pair(point, mass, stiffness)
-            at = "(" + ", ".join(f"{each:.3g}" for each in point) + ") m"
-            where = (
-                f"touching along {name} at {at}, K_e {stiffness_text(stiffness, axis_units(name))}, M_p {mass:.4g} kg"
-            )
-            cases = [
-                _Case(group=cell.names, where=where, sampled=pair.contact, loop=pair.contact_loop),
-                _Case(group=cell.names, where=where, sampled=pair.free, loop=pair.free_loop),
-            ]
-            failure = next((each for case in cases if (each := find_failure(case)) is not None), None)
-            if failure is not None:
-                return failure
-            seen = simulate_coupled_contact(pair, force, speed)
-            if seen.ending is Ending.BOUNCING:
-                return find_failure(cases[0], bounces=True)  # type: ignore[return-value]  # never None then
-            found_here.append((seen.peak_contact_force_n, seen.time_of_peak_s, stiffness, mass))
-            leaves = max(leaves, seen.leaves)
-            ratio = max(ratio, seen.peak_contact_force_n / touching.alone_n[mass, stiffness])
-        peak, when, stiffness, mass = max(found_here)
-        found.append(
-            PointContact(
-                point_m=point,
-                environment_stiffness_n_per_m=stiffness,
-                payload_mass_kg=mass,
-                peak_contact_force_n=peak,
-                time_of_peak_s=when,
-                largest_ratio=ratio,
-                leaves=float(leaves),
-            )
-        )
-    return tuple(found)
