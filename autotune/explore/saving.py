@@ -19,6 +19,7 @@ from autotune.formats.controller import read_controller, write_controller
 from autotune.formats.controller_record import Controller
 from autotune.formats.units import ROTATIONAL_AXES
 from autotune.tuning.compare import judge_design
+from autotune.tuning.coupled import TogetherCheck
 from autotune.tuning.optimize import certify
 from autotune.tuning.search import SearchResult
 from autotune.validation.axis_proof import ProofOptions
@@ -143,8 +144,15 @@ def save_controller(
             except InfeasibleError as error:
                 raise InfeasibleError(f"Axis {name}: {error}") from error
             progress(0.0)
+        asked = exploration.together
         controller, report = certify(
-            searches, exploration.payload, exploration.provenance, ProofOptions(), progress, exploration.strategies
+            searches,
+            exploration.payload,
+            exploration.provenance,
+            ProofOptions(),
+            progress,
+            exploration.strategies,
+            together=None if asked is None else TogetherCheck(asked, ProofOptions()),
         )
         checks = len(report.checks)
         return keep_deadband(exploration, controller)

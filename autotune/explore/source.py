@@ -19,6 +19,7 @@ from autotune.formats.yaml12 import kind_of_file
 from autotune.prediction.as_run_by import designed_for, own_law_notes
 from autotune.tuning.bounds import Box
 from autotune.tuning.compare import start_design
+from autotune.tuning.coupled import TogetherAsked
 from autotune.tuning.optimize import carried_payload
 from autotune.tuning.problems import build_problems, within_domain
 from autotune.tuning.provenance import make_provenance
@@ -67,8 +68,8 @@ class AxisStart:
 class Exploration:
     """All axes of a file, by name, and what a controller that is saved takes over: `payload`, `provenance`, `gains`.
 
-    `gains` are those of an explored controller, of which the deadband is kept; `threshold` asks for a collision
-    response to the gains that are saved.
+    `gains` are those of an explored controller, of which the deadband is kept; `strategies` asks for what is chosen
+    for the gains that are saved, and `together` says on which payload all axes are checked, None where none is known.
     """
 
     path: Path
@@ -77,6 +78,7 @@ class Exploration:
     provenance: Mapping[str, Any]
     gains: Mapping[str, AxisGains] = field(default_factory=dict)
     strategies: StrategySettings | None = None
+    together: TogetherAsked | None = None
 
     def __post_init__(self) -> None:
         freeze(self, "axes", "provenance", "gains")
@@ -114,6 +116,11 @@ def _from_identified(path: Path, problem_path: Path | None, progress: Progress) 
         payload=payload,
         provenance=_by_hand(provenance),
         strategies=strategy_settings(identified.result, spec),
+        together=TogetherAsked(
+            identified=identified.result,
+            contact_points_m=spec.contact_points_m,
+            least_modulus=spec.least_modulus_together,
+        ),
     )
 
 
@@ -188,6 +195,7 @@ def _from_controller(read: ControllerFile) -> Exploration:
         seen = tuple(dict.fromkeys((*problem.scenarios(*_GRID), *further)))
         axes[name] = AxisStart(problem=problem, design=design, scenarios=seen, note=_dropped(controller))
     before = {"path": str(read.path), "checksum": read.checksum}
+    coupled = controller.certificate.coupled
     origin = {"identified": controller.provenance["identified"]} if "identified" in controller.provenance else {}
     return Exploration(
         path=read.path,
@@ -195,6 +203,7 @@ def _from_controller(read: ControllerFile) -> Exploration:
         payload=controller.payload,
         provenance=_by_hand({"tool": f"autotune {__version__}", **origin, "options": {"controller": before}}),
         gains=controller.axes,
+        together=None if coupled is None else TogetherAsked(body=coupled.body, least_modulus=coupled.min_modulus),
     )
 
 

@@ -43,9 +43,13 @@ class OnPayload:
 
 @dataclass(frozen=True, kw_only=True)
 class TogetherAsked:
-    """What is known and asked of all axes together: where the payload may touch, and the least modulus, if any."""
+    """What is known and asked of all axes together: where the payload may touch, and the least modulus, if any.
 
-    identified: Identified
+    The payload is what was `identified`, or the `body` of an earlier certificate.
+    """
+
+    identified: Identified | None = None
+    body: CoupledBody | None = None
     contact_points_m: tuple[Vector, ...] = ()
     least_modulus: float | None = None
 
@@ -53,7 +57,9 @@ class TogetherAsked:
         self, domains: Mapping[str, AxisDomain], laws: Mapping[str, Law], payload: RuntimePayload, sample_time_s: float
     ) -> tuple[OnPayload, CoupledBody | None]:
         """Return the laws on the payload, and the body that it is; the sweep is still to be made."""
-        body = _body(domains, payload, self.identified, self.contact_points_m)
+        body = self.body
+        if body is None and self.identified is not None:
+            body = _body(domains, payload, self.identified, self.contact_points_m)
         if body is None:
             return OnPayload(cell=None, unchecked="payload.com_m is not known"), None
         if len(domains) + len(body.held) < 2:

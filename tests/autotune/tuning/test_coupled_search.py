@@ -10,9 +10,13 @@ import numpy as np
 import pytest
 
 from autotune.errors import InfeasibleError, UsageError
+from autotune.explore.saving import Target, save_controller
+from autotune.explore.source import read_exploration
+from autotune.formats.controller import read_controller, write_controller
 from autotune.formats.controller_record import Controller
 from autotune.formats.identified import IdentifiedFile
 from autotune.formats.problem import ProblemSpec, read_problem
+from autotune.tuning.coupled import TogetherAsked
 from autotune.tuning.optimize import Optimized, optimize
 from autotune.validation.axis_proof import ProofOptions
 from autotune.validation.coupled import build_dense_loop, check_coupled
@@ -143,3 +147,24 @@ def test_the_modulus_of_both_is_read_and_has_bounds(tmp_path: Path) -> None:
         read_problem(path)
     with pytest.raises(ParameterError, match="least_modulus_together"):
         ProblemSpec(least_modulus_together=1.0)
+
+
+def test_explore_saves_no_gains_that_are_unstable_together(tmp_path: Path) -> None:
+    """Gains set by hand are checked on the payload as searched ones are, and the file says so."""
+    good, bad = tmp_path / "good.yaml", tmp_path / "bad.yaml"
+    write_controller(good, searched_again().controller)
+    exploration = read_exploration(good)
+    assert exploration.together is not None
+    designs = {name: start.design for name, start in exploration.axes.items()}
+    save_controller(exploration, designs, Target(tmp_path / "saved.yaml"))
+    saved = read_controller(tmp_path / "saved.yaml").controller.certificate.coupled
+    stated = searched_again().controller.certificate.coupled
+    assert saved is not None
+    assert stated is not None
+    assert (saved.modulus, saved.min_modulus) == (pytest.approx(stated.modulus, rel=1e-6), stated.min_modulus)
+    write_controller(bad, apart().controller)
+    known_plant = replace(read_exploration(bad), together=TogetherAsked(identified=plant()))
+    designs = {name: start.design for name, start in known_plant.axes.items()}
+    with pytest.raises(InfeasibleError, match="unstable together"):
+        save_controller(known_plant, designs, Target(tmp_path / "refused.yaml"))
+    assert not (tmp_path / "refused.yaml").exists()
