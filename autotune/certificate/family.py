@@ -8,11 +8,11 @@ from itertools import pairwise
 import numpy as np
 
 from problems.arrays import FloatArray
-from problems.design.uncertainty import MASS, STIFFNESS, UNCERTAIN, Scenario
+from problems.design.uncertainty import ENVIRONMENT_MASS, MASS, STIFFNESS, UNCERTAIN, Scenario
 from problems.errors import ParameterError
 from problems.frozen import freeze
 from problems.model.plant import FREE_SPACE, Environment, Plant
-from problems.model.plant_parameters import PARAMETERS
+from problems.model.plant_parameters import PARAMETERS, with_values
 from problems.model.robot import vary_robot
 from problems.model.sampled import split_delay
 
@@ -20,7 +20,7 @@ Interval = tuple[float, float]
 
 LAG, LATE = "wrench_time_constant_s", "wrench_delay_s"
 PROVABLE = tuple(name for name in UNCERTAIN if PARAMETERS[name].is_provable)
-"""What is proved over."""
+"""What is proved over, M_e as part of the mass in contact (`build_families`)."""
 _ENVIRONMENT = frozenset(name for name in UNCERTAIN if PARAMETERS[name].part == "environment")
 
 
@@ -33,18 +33,20 @@ class Family:
     a name that is not provable, for a range that is none, for an environment with mass, for a filter of the wrench
     that reaches 0, and for a delay that crosses a whole number of samples, where the loop changes its order
     (`build_families` cuts there). A delay of the wrench makes the same loop as a longer T_d: `build_families` adds
-    them, and `shared_delay` then holds the ranges of both.
+    them, and `shared_delay` then holds the ranges of both. So does an environment's mass with a larger payload, in
+    contact: `shared_mass` holds the ranges of both.
     """
 
     nominal: Plant
     ranges: Mapping[str, Interval]
     sample_time_s: float
     shared_delay: tuple[Interval, Interval] | None = None
+    shared_mass: tuple[Interval, Interval] | None = None
 
     def __post_init__(self) -> None:
         freeze(self, "ranges")
         for name, (low, high) in self.ranges.items():
-            if name not in PROVABLE:
+            if name not in PROVABLE or name == ENVIRONMENT_MASS:
                 raise ParameterError("ranges", name, f"one of {', '.join(PROVABLE)}")
             if not 0.0 <= low <= high < math.inf:
                 raise ParameterError(name, (low, high), "[lowest, highest] with 0 ≤ lowest ≤ highest")
@@ -101,7 +103,9 @@ class Family:
     def in_free_space(self) -> "Family":
         """Return the same plants with nothing to touch."""
         kept = {name: span for name, span in self.ranges.items() if name not in _ENVIRONMENT}
-        return replace(self, nominal=self.nominal.in_contact_with(FREE_SPACE), ranges=kept)
+        if self.shared_mass is not None:
+            kept[MASS] = self.shared_mass[0]
+        return replace(self, nominal=self.nominal.in_contact_with(FREE_SPACE), ranges=kept, shared_mass=None)
 
     def on_springs_up_to(self, stiffness: float) -> "Family":
         """Return plants of free space on springs to ground of every stiffness from above 0 [N/m]."""
@@ -124,23 +128,33 @@ class Family:
             values[MASS] = 1.0 / values[MASS]
         inside = {name: min(max(value, self.ranges[name][0]), self.ranges[name][1]) for name, value in values.items()}
         if self.shared_delay is not None:
-            inside |= self._shared(inside.get("delay_s", self.range_of("delay_s")[0]))
+            own, late = _parted(inside.get("delay_s", self.range_of("delay_s")[0]), self.shared_delay)
+            inside |= {"delay_s": own, LATE: late}
+        if self.shared_mass is not None:
+            own, moved = _parted(inside.get(MASS, self.range_of(MASS)[0]), self.shared_mass)
+            inside |= {MASS: own, ENVIRONMENT_MASS: moved}
         return Scenario(**{STIFFNESS: self.range_of(STIFFNESS)[0], MASS: self.range_of(MASS)[0], **inside})
-
-    def _shared(self, whole: float) -> dict[str, float]:
-        """Return T_d and the wrench's delay whose sum is `whole`, each as far into its range as the other."""
-        own, late = self.shared_delay or ((0.0, 0.0), (0.0, 0.0))
-        width = own[1] - own[0] + late[1] - late[0]
-        share = min(max((whole - own[0] - late[0]) / width, 0.0), 1.0) if width > 0.0 else 0.0
-        return {"delay_s": own[0] + share * (own[1] - own[0]), LATE: late[0] + share * (late[1] - late[0])}
 
     def plant(self, point: FloatArray) -> Plant:
         """Return the plant at coordinates (d,)."""
         return self.scenario(point).plant(self.nominal)
 
 
+def _parted(whole: float, spans: tuple[Interval, Interval]) -> tuple[float, float]:
+    """Return two numbers whose sum is `whole`, each as far into its range as the other."""
+    (low, high), (other_low, other_high) = spans
+    width = high - low + other_high - other_low
+    share = min(max((whole - low - other_low) / width, 0.0), 1.0) if width > 0.0 else 0.0
+    return low + share * (high - low), other_low + share * (other_high - other_low)
+
+
 def build_families(nominal: Plant, ranges: Mapping[str, Interval], sample_time_s: float) -> tuple[Family, ...]:
-    """Return all plants as families, cut where the delay passes a tick of the controller."""
+    """Return all plants as families in contact, cut where the delay passes a tick of the controller.
+
+    While they touch, payload and environment are one mass M_p + M_e, so that the loop is that of such a payload on an
+    environment without mass. In free space it is M_p alone (`Family.in_free_space`).
+    """
+    nominal, ranges, shared_mass = _with_joined_masses(nominal, ranges)
     late = ranges.get(LATE, (nominal.wrench_filter.delay_s,) * 2)
     shared: tuple[Interval, Interval] | None = None
     if late[1] > 0.0:
@@ -157,5 +171,19 @@ def build_families(nominal: Plant, ranges: Mapping[str, Interval], sample_time_s
     ends = [low, *(each for k in range(first, last) if low < (each := k * sample_time_s) < high), high]
     spans = [dict(ranges) if "delay_s" not in ranges else {**ranges, "delay_s": span} for span in pairwise(ends)]
     return tuple(
-        Family(nominal=nominal, ranges=each, sample_time_s=sample_time_s, shared_delay=shared) for each in spans
+        Family(nominal=nominal, ranges=each, sample_time_s=sample_time_s, shared_delay=shared, shared_mass=shared_mass)
+        for each in spans
     )
+
+
+def _with_joined_masses(
+    nominal: Plant, ranges: Mapping[str, Interval]
+) -> tuple[Plant, Mapping[str, Interval], tuple[Interval, Interval] | None]:
+    """Return plant and ranges with M_e in the payload, rounded outwards, and the ranges of both where there is any."""
+    moved = ranges.get(ENVIRONMENT_MASS, (nominal.environment.mass_kg,) * 2)
+    kept = {name: span for name, span in ranges.items() if name != ENVIRONMENT_MASS}
+    if moved[1] == 0.0:
+        return nominal, kept, None
+    own = ranges.get(MASS, (nominal.payload.mass_kg,) * 2)
+    kept[MASS] = float(np.nextafter(own[0] + moved[0], 0.0)), float(np.nextafter(own[1] + moved[1], np.inf))
+    return with_values(nominal, {ENVIRONMENT_MASS: 0.0}), kept, (own, moved)

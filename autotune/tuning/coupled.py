@@ -14,6 +14,7 @@ from autotune.validation.coupled_failure import CoupledFailure
 from autotune.validation.coupled_proof import prove_together
 from autotune.validation.coupled_sweep import CoupledPlants, CoupledSweep, damped_by, sweep_coupled
 from identification.result import AxisEstimate, Estimate, Identified
+from problems.design.uncertainty import ENVIRONMENT_MASS
 from problems.errors import ParameterError
 from problems.model.coupled import Law
 
@@ -62,6 +63,8 @@ class TogetherAsked:
             body = _body(domains, payload, self.identified, self.contact_points_m)
         if body is None:
             return OnPayload(cell=None, unchecked="payload.com_m is not known"), None
+        if any(domain.plants.range_of(ENVIRONMENT_MASS)[1] > 0.0 for domain in domains.values()):
+            return OnPayload(cell=None, unchecked="the surface moves with a mass (environment_mass_kg)"), None
         if len(domains) + len(body.held) < 2:
             return OnPayload(cell=None, unchecked=f"not known: {', '.join(body.missing)}"), None
         try:

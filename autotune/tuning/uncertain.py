@@ -18,7 +18,7 @@ from identification.result import RESPONSE_DIFFERS, AxisEstimate, Covariance, Es
 from problems.arrays import ComplexArray, FloatArray
 from problems.design.problem import DesignProblem
 from problems.design.requirements import MultiplicativeError
-from problems.design.uncertainty import FURTHER_UNCERTAIN, SYMBOLS, Ellipsoid
+from problems.design.uncertainty import ENVIRONMENT_MASS, FURTHER_UNCERTAIN, SYMBOLS, Ellipsoid
 from problems.model.plant import FREE_SPACE
 from problems.model.plant_parameters import PARAMETERS, with_values
 from problems.model.response import plant_response
@@ -63,6 +63,9 @@ def with_uncertainty(problem: DesignProblem, axis: AxisEstimate, name: str, said
     if origins.get(_WALL_DAMPING) == "identified":
         ranges[_WALL_DAMPING] = _environment_damping(axis, name)
         problem = _moved(problem, ranges)
+    if origins.get(ENVIRONMENT_MASS) == "identified":
+        ranges[ENVIRONMENT_MASS] = _environment_mass(axis, name)
+        problem = _moved(problem, ranges)
     if _WALL_DAMPING not in said and (largest := _largest_environment_damping(axis)) > 0.0:
         # Less damping is mostly the harder case, but not always; another surface than those of the log may have none.
         ranges[_WALL_DAMPING] = (0.0, largest)
@@ -73,7 +76,7 @@ def with_uncertainty(problem: DesignProblem, axis: AxisEstimate, name: str, said
 
 def _moved(problem: DesignProblem, ranges: Mapping[str, Interval]) -> DesignProblem:
     """Return the problem with its nominal values inside the ranges."""
-    nominal = problem.plants.nominal_values()
+    nominal = {ENVIRONMENT_MASS: problem.plants.nominal.environment.mass_kg, **problem.plants.nominal_values()}
     inside = {key: min(max(nominal[key], low), high) for key, (low, high) in ranges.items() if key in nominal}
     return replace(problem, plants=replace(problem.plants, nominal=with_values(problem.plants.nominal, inside)))
 
@@ -188,6 +191,20 @@ def _environment_damping(axis: AxisEstimate, name: str) -> Interval:
     if not found:
         raise EstimateError(f"Axis {name} has no identified environment, so there is no damping of it to take.")
     return min(low for low, _ in found), max(high for _, high in found)
+
+
+def _environment_mass(axis: AxisEstimate, name: str) -> Interval:
+    """Return the range that holds M_e of every surface with its deviation: from 0 where one of them has none."""
+    found = [(each.mass_kg.value, each.mass_kg.std or 0.0) for each in axis.environments]
+    known = [(value, std) for value, std in found if value is not None]
+    if not known:
+        key = axis_key(name, ENVIRONMENT_MASS)
+        raise EstimateError(
+            f"problem.yaml takes {key} from the identified file, and no surface of axis {name} has a mass there; give "
+            "a range [low, high]."
+        )
+    low = min(max(value - _REACH * std, 0.0) for value, std in known) if len(known) == len(found) else 0.0
+    return _digits(low, down=True), _digits(max(value + _REACH * std for value, std in known), down=False)
 
 
 def _within(covariance: Covariance, symbol: str) -> Interval:

@@ -13,7 +13,7 @@ from autotune.formats.controller_record import Controller
 from autotune.formats.proof_records import BouncingProof
 from autotune.formats.units import axis_units
 from problems.contact.multiplier import Multiplier
-from problems.design.uncertainty import ALWAYS_UNCERTAIN, SYMBOLS, PlantSet
+from problems.design.uncertainty import ALWAYS_UNCERTAIN, ENVIRONMENT_MASS, SYMBOLS, PlantSet
 from problems.errors import ParameterError
 from problems.model.controller import AdmittanceController
 
@@ -39,6 +39,7 @@ class _RestClaim:
     def prove(self) -> RestOutcome:
         """Return what comes of it; raises ParameterError for what this proof does not cover."""
         box = self.plants.only(self.over)
+        _check_massless(box)
         parts: list[RestOutcome] = []
         for family in build_families(box.nominal, box.ranges, self.sample_time_s):
             left = max(self.work - sum(part.work for part in parts), 0)
@@ -64,6 +65,13 @@ class _Searched:
     def search(self) -> BounceSearch:
         """Return what came of it."""
         return search_bouncing(self.axis, self.domain, self.law, self.sample_time_s, is_short=self.is_short)
+
+
+def _check_massless(box: PlantSet) -> None:
+    """Refuse a surface that moves with a mass: its force is no monotone function of the place of the payload."""
+    moved = box.range_of(ENVIRONMENT_MASS)[1]
+    if moved > 0.0:
+        raise ParameterError(ENVIRONMENT_MASS, moved, "0, to be proved over")
 
 
 def prove_bouncing(
@@ -114,12 +122,13 @@ def _proved(
     prover: Prover, plants: PlantSet, law: AdmittanceController, sample_time_s: float, options: ProofOptions
 ) -> BouncingProof | None:
     """Return the widest set for which a multiplier is found that proves it; None where there is none."""
-    further = tuple(key for key in plants.further if key in PROVABLE)
+    further = tuple(key for key in plants.further if key in PROVABLE and key != ENVIRONMENT_MASS)
     undamped = tuple(key for key in further if key != DAMPING)
     work = int(options.further_s * WORK_PER_SECOND)
     for over in dict.fromkeys((*ALWAYS_UNCERTAIN, *each) for each in (further, undamped, ())):
         box = plants.only(over)
         try:
+            _check_massless(box)
             multiplier = find_multiplier(build_families(box.nominal, box.ranges, sample_time_s), law)
             if multiplier is None:
                 continue
@@ -128,7 +137,7 @@ def _proved(
             )
             found = prover.once(claim, claim.prove)
         except ParameterError:
-            # A late wrench beside a law that reads the position.
+            # A late wrench beside a law that reads the position, or a surface with mass.
             continue
         if found.holds:
             return BouncingProof(

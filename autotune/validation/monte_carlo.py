@@ -153,7 +153,7 @@ def _is_simulated(controller: Controller, name: str) -> bool:
     domain, predicted = controller.certificate.domain.get(name), controller.predicted.get(name)
     if domain is None or predicted is None or not predicted.scenarios:
         return False
-    return domain.environment_mass_kg == 0.0 and (domain.approach_force_n or domain.approach_speed_m_s) is not None
+    return (domain.approach_force_n or domain.approach_speed_m_s) is not None
 
 
 def _driving(domain: AxisDomain, law: AdmittanceController) -> tuple[float, float]:

@@ -12,7 +12,7 @@ from autotune.formats.proof_records import PeakProof
 from autotune.formats.units import axis_units
 from autotune.text import scenario_text
 from problems.contact.transient import Approach
-from problems.design.uncertainty import PlantSet
+from problems.design.uncertainty import ENVIRONMENT_MASS, PlantSet
 from problems.errors import ParameterError
 from problems.model.controller import AdmittanceController
 
@@ -38,6 +38,9 @@ class _PeakClaim:
     def prove(self) -> PeakOutcome:
         """Return what comes of it; raises ParameterError for what this proof does not cover."""
         box = self.plants.only()
+        moved = box.nominal.environment.mass_kg
+        if moved > 0.0:
+            raise ParameterError(ENVIRONMENT_MASS, moved, "0: the blow with which a mass is met is not in the proof")
         (family,) = build_families(box.nominal, box.ranges, self.sample_time_s)
         return prove_peak(family, self.law, self.approach, self.limit_n, work=self.work)
 
@@ -61,7 +64,7 @@ def prove_peaks(
     try:
         found = prover.once(claim, claim.prove)
     except ParameterError:
-        # A filtered wrench, or a force that ends at the impact.
+        # A filtered wrench, a force that ends at the impact, or a surface with mass.
         return None
     if found.refuted_by is not None:
         units = axis_units(name)

@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import expm
 
 from autotune.formats.limits import VariableDampingSettings
 from problems.arrays import FloatArray
@@ -169,7 +170,14 @@ def _fine_contact(plant: Plant, sample_time_s: float) -> FineContact:
     near = build_plant_matrices(plant, sample_time_s)
     far = build_plant_matrices(plant.in_contact_with(FREE_SPACE), sample_time_s)
     whole, late = divmod(round(plant.loop_delay_s / sample_time_s * SUBSTEPS), SUBSTEPS)
-    stiffness, damping, _ = plant.environment.coefficients
+    stiffness, damping, moved = plant.environment.coefficients
+    h = sample_time_s
+    # F_e = K_e x_p + B_e v_p + M_e a_p of both as one mass; the place of the speed is the last of the states.
+    pressed = moved / h**2 * near.a[-1]
+    pressed[-2:] += stiffness, damping / h
+    wall = np.zeros((2, 2))
+    if moved > 0.0:
+        wall = expm(np.array([[0.0, 1.0], [-stiffness * h * h / moved, -damping * h / moved]]) / SUBSTEPS)
     return FineContact(
         near=Substep(*hold(near.a, near.b, 1.0 / SUBSTEPS)),
         far=Substep(*hold(far.a, far.b, 1.0 / SUBSTEPS)),
@@ -182,6 +190,10 @@ def _fine_contact(plant: Plant, sample_time_s: float) -> FineContact:
         damping=damping / sample_time_s,
         whole=whole,
         late=late,
+        share=plant.payload.mass_kg / (plant.payload.mass_kg + moved),
+        alone=np.ascontiguousarray(wall),
+        pressed=pressed,
+        pressed_direct=float(moved / h**2 * near.b[-1]),
     )
 
 

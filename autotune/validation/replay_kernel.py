@@ -73,7 +73,9 @@ class Substep(NamedTuple):
 class FineContact(NamedTuple):
     """The plant in contact and in free space; commands act `whole` samples and `late` substeps late.
 
-    `stiffness` and `damping` (times the sample time) are those of the wall.
+    `stiffness` and `damping` (times the sample time) are those of the wall. A wall that moves with a mass takes
+    `share` M_p/(M_p + M_e) of the payload's speed; `alone` steps its place and speed while nothing touches it, and
+    `pressed` and `pressed_direct` are F_e while they move together, by state and command. Without a mass `share` is 1.
     """
 
     near: Substep
@@ -87,6 +89,10 @@ class FineContact(NamedTuple):
     damping: float
     whole: int
     late: int
+    share: float
+    alone: FloatArray
+    pressed: FloatArray
+    pressed_direct: float
 
 
 class RobotAlone(NamedTuple):
@@ -209,6 +215,52 @@ def contact_sample(
     return state
 
 
+# Of a wall with a mass: its place and speed, 1 while it is touched and else 0, and F_e at the end of the sample.
+_PLACE, _SPEED, _JOINED, _FORCE = 0, 1, 2, 3
+
+
+@equation
+def joined_force(contact: FineContact, state: FloatArray, command: float) -> float:
+    """Return F_e of a payload that moves with the wall's mass."""
+    return float(contact.pressed @ state + contact.pressed_direct * command)
+
+
+@equation
+def moving_sample(
+    contact: FineContact, state: FloatArray, wall: FloatArray, older: float, newer: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return payload and wall with a mass one sample later: one mass while they press, met without rebound."""
+    for sub in range(SUBSTEPS):
+        command = older if sub < contact.late else newer
+        if wall[_JOINED] == 0.0 and state[_PAYLOAD] > wall[_PLACE]:
+            common = contact.share * state[_VELOCITY] + (1.0 - contact.share) * wall[_SPEED]
+            state[_VELOCITY], wall[_JOINED] = common, 1.0
+        if wall[_JOINED] == 1.0:
+            force = joined_force(contact, state, command)
+            if force < 0.0:
+                wall[_JOINED], wall[_PLACE], wall[_SPEED] = 0.0, state[_PAYLOAD], state[_VELOCITY]
+        if wall[_JOINED] == 1.0:
+            state = contact.near.phi @ state + contact.near.gamma * command
+            wall[_PLACE], wall[_SPEED] = state[_PAYLOAD], state[_VELOCITY]
+            wall[_FORCE] = joined_force(contact, state, command)
+        else:
+            state = contact.far.phi @ state + contact.far.gamma * command
+            wall[:2], wall[_FORCE] = contact.alone @ wall[:2], 0.0
+    return state, wall
+
+
+@equation
+def presses(contact: FineContact, state: FloatArray, wall: FloatArray) -> bool:
+    """Whether the payload presses on the wall, with a mass or without."""
+    return bool(wall[_JOINED] == 1.0) if contact.share < 1.0 else is_touching(contact, state)
+
+
+@equation
+def pressed_by(contact: FineContact, state: FloatArray, wall: FloatArray) -> float:
+    """Return the force on the wall, with a mass or without."""
+    return max(0.0, wall[_FORCE]) if contact.share < 1.0 else wall_force(contact, state)
+
+
 @compiled
 def replay_ticks(
     contact: FineContact,
@@ -225,6 +277,7 @@ def replay_ticks(
     """Follow a contact from rest at `start`, before the wall, for so many ticks (`replay_contact`)."""
     state = np.zeros(len(contact.c_force))
     state[_ROBOT] = state[_PAYLOAD] = start
+    wall, moves = np.zeros(4), contact.share < 1.0
     past = rest_at(start)
     # What acts at the end of a tick is a command of `whole` ticks before; before the first tick the robot rests.
     sent = np.full(contact.whole + 1 + ticks, start)
@@ -236,11 +289,11 @@ def replay_ticks(
         gains = with_damping(gains, mass, damping)
     for tick in range(ticks):
         force = contact.c_force @ state + contact.d_force * sent[tick]
-        if touch < 0 and is_touching(contact, state):
+        if touch < 0 and presses(contact, state, wall):
             touch = tick
         if touch >= 0:
             # A payload that has left the wall again still shakes the sensor.
-            sensor, peak = max(sensor, -force), max(peak, wall_force(contact, state))
+            sensor, peak = max(sensor, -force), max(peak, pressed_by(contact, state, wall))
         felt, position = force if abs(force) > deadband else 0.0, float(contact.c_position @ state)
         if schedule.period > 0 and tick > 0 and tick % schedule.period == 0:
             speed_now = abs(position - past.seen) / gains.h
@@ -260,8 +313,12 @@ def replay_ticks(
         fastest = max(fastest, abs(speed))
         # That a response stops the command is not limited.
         hardest = hardest if is_held else max(hardest, abs(speed - slower))
-        state = contact_sample(contact, state, sent[tick], sent[tick + 1], far_samples)
-    return ReplayedContact(sensor, peak, touch, detection, fastest, hardest, is_touching(contact, state), opposed)
+        if moves:
+            state, wall = moving_sample(contact, state, wall, sent[tick], sent[tick + 1])
+        else:
+            state = contact_sample(contact, state, sent[tick], sent[tick + 1], far_samples)
+    pressing = presses(contact, state, wall)
+    return ReplayedContact(sensor, peak, touch, detection, fastest, hardest, pressing, opposed)
 
 
 @compiled

@@ -10,15 +10,15 @@ from scipy.special import betaincinv
 from autotune.formats.certificate_record import AxisDomain
 from autotune.processes import count_processors
 from problems.arrays import BoolArray, FloatArray, IntArray
-from problems.contact.many_contacts import FULL_CONTACT, ManyContacts, simulate_plants
+from problems.contact.many_contacts import FULL_CONTACT, PEAKS, ManyContacts, simulate_plants
 from problems.contact.nonlinear_simulation import DrawnNoise, NonlinearRun, needed_substeps, simulate_nonlinear
 from problems.contact.nonlinearities import NO_NONLINEARITIES, Nonlinearities
-from problems.design.uncertainty import Scenario
+from problems.design.uncertainty import ENVIRONMENT_MASS, Scenario
 from problems.model.controller import AdmittanceController
 from problems.model.plant_arrays import build_plant_arrays
 from problems.model.sampled import check_wrench_delay
 from problems.stability.margins import UnstableLoopError
-from problems.stability.polynomials import STABLE, UNSTABLE
+from problems.stability.polynomials import DOUBTFUL, STABLE, UNSTABLE
 
 CHUNK = 256
 """Plants that are drawn together, whatever is asked for: plant and noise of an index hang on the seed alone."""
@@ -89,19 +89,8 @@ class SampledContacts:
 
         Raises ParameterError for what cannot be simulated.
         """
-        draws, nominal = self.draw(chunk, count), self.domain.plants.nominal
-        plants = build_plant_arrays(nominal, draws.values)
-        for place in np.flatnonzero(plants.wrench_delay_s > 0.0)[:1]:
-            check_wrench_delay(draws.scenario(int(place)).plant(nominal), self.law)
-        found = simulate_plants(
-            plants,
-            self.law,
-            self.domain.approach,
-            sample_time_s=self.sample_time_s,
-            effects=self.effects,
-            draws=draws.noise,
-            traced=traced,
-        )
+        draws = self.draw(chunk, count)
+        found = self._simulate_together(draws, traced)
         for place in np.flatnonzero((found.verdicts != STABLE) & (found.verdicts != UNSTABLE)):
             try:
                 runs = [self.run(draws, int(place), disturbed=disturbed) for disturbed in (False, True)]
@@ -114,6 +103,28 @@ class SampledContacts:
             if place < traced:
                 found.traces_n[place] = runs[-1].contact_force_n
         return found
+
+    def _simulate_together(self, draws: PlantDraws, traced: int) -> ManyContacts:
+        """Simulate plants in one kernel, which knows walls without mass alone: others are left open, one by one."""
+        nominal, count = self.domain.plants.nominal, len(draws.noise.late)
+        if self.domain.plants.range_of(ENVIRONMENT_MASS)[1] > 0.0:
+            return ManyContacts(
+                verdicts=np.full(count, DOUBTFUL, dtype=np.int64),
+                peaks_n=np.full((count, PEAKS), np.nan),
+                traces_n=np.zeros((min(traced, count), self.ticks)),
+            )
+        plants = build_plant_arrays(nominal, draws.values)
+        for place in np.flatnonzero(plants.wrench_delay_s > 0.0)[:1]:
+            check_wrench_delay(draws.scenario(int(place)).plant(nominal), self.law)
+        return simulate_plants(
+            plants,
+            self.law,
+            self.domain.approach,
+            sample_time_s=self.sample_time_s,
+            effects=self.effects,
+            draws=draws.noise,
+            traced=traced,
+        )
 
     def simulate(self, count: int, progress: Callable[[float], None], *, traced: int = 0) -> ManyContacts:
         """Simulate `count` plants and keep the contact force of the first ones, at most `CHUNK`.

@@ -138,8 +138,6 @@ def _supported(case: AxisCase) -> Iterator[Check]:
         wrong = "the certificate does not say what was asked of rotational axes (rotational_requirements)"
     elif controller.compensation_mass_kg != 0.0 and rotates:
         wrong = "compensation_mass_kg is a mass and says nothing of an axis that turns; it must be 0"
-    elif case.domain.environment_mass_kg != 0.0:
-        wrong = "an environment with mass cannot be verified by this release; environment_mass_kg must be 0"
     if wrong:
         yield case.check("controller", wrong)
 

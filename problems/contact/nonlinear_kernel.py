@@ -15,6 +15,7 @@ from ..model import difference
 from ..model.controller import controller_step, write_blocks
 from ..model.difference import DAMPING as PLACE_OF_DAMPING
 from ..model.difference import Entry
+from .events import advance_surface
 from .kernel_types import (
     CONTACT_PEAK,
     CONTACT_TIME,
@@ -205,19 +206,36 @@ class KernelOutputs(NamedTuple):
     found: FloatArray
 
 
+# How a step is made: against a wall without mass, as one mass with a wall, or away from it.
+UNILATERAL, JOINED, AWAY = 0, 1, 2
+# Of a wall with mass: its place and speed, 1 while it is touched and else 0, and F_e.
+_WALL_PLACE, _WALL_SPEED, _TOUCHED, _PRESSED, WALL = 0, 1, 2, 3, 4
+
+
 @compiled
-def runge_kutta(motion: Motion, state: FloatArray, held: float, push: float, step: float, work: FloatArray) -> None:
-    """Advance `state` by one classical Runge–Kutta step; every stage asks the wall anew. `work` is (3, n)."""
-    flow, n, trial, rate, change = motion.flow, len(state), work[0], work[1], work[2]
+def runge_kutta(
+    motion: Motion, state: FloatArray, held: float, push: float, step: float, work: FloatArray, mode: int
+) -> None:
+    """Advance `state` by one classical Runge–Kutta step; every stage asks the wall anew. `work` is (3, n).
+
+    `mode` is UNILATERAL for a wall without mass, JOINED or AWAY for one with.
+    """
+    flow, wall, n, trial, rate, change = motion.flow, motion.wall, len(state), work[0], work[1], work[2]
     trial[:], change[:] = state, 0.0
     for stage in range(4):
-        outside = push - wall_force(motion, trial[n - 2], trial[n - 1])
+        outside = push
+        if mode == UNILATERAL:
+            outside -= wall_force(motion, trial[n - 2], trial[n - 1])
+        elif mode == JOINED:
+            outside -= wall.stiffness * trial[n - 2] + wall.damping * trial[n - 1]
         advance, weight = step if stage == 2 else 0.5 * step, step / (6.0 if stage % 3 == 0 else 3.0)
         for i in range(n):
             total = flow[i, n] * held + flow[i, n + 1] * outside
             for j in range(n):
                 total += flow[i, j] * trial[j]
             rate[i] = total
+        if mode == JOINED:
+            rate[n - 1] *= wall.share
         for i in range(n):
             change[i] += weight * rate[i]
             trial[i] = state[i] + advance * rate[i]
@@ -247,7 +265,7 @@ def cross_sample(
             push = pushes.before if np.isnan(found[IMPACT_TIME]) else pushes.after
             passed = start - tick + (j + 0.5) * (duration / steps)
             push += pulls.before + passed * (pulls.after - pulls.before)
-            runge_kutta(motion, state, commands[part], push, duration / steps, work)
+            runge_kutta(motion, state, commands[part], push, duration / steps, work, UNILATERAL)
             pressed, moment = wall_force(motion, state[n - 2], state[n - 1]), start + (j + 1) * (duration / steps)
             if pressed > 0.0 and np.isnan(found[IMPACT_TIME]):
                 found[IMPACT_TIME], found[IMPACT_SPEED] = moment, state[n - 1]
@@ -257,15 +275,109 @@ def cross_sample(
 
 
 @compiled
-def write_motion(motion: Motion, state: FloatArray, held: float, h: float, traces: FloatArray, tick: int) -> int:
+def joined_force(motion: Motion, state: FloatArray, held: float, push: float) -> float:
+    """Return F_e = M_e dv_p/dt + B_e v_p + K_e x_p of a payload that moves with the wall's mass."""
+    flow, wall, n = motion.flow, motion.wall, len(state)
+    spring = wall.stiffness * state[n - 2] + wall.damping * state[n - 1]
+    rate = flow[n - 1, n] * held + flow[n - 1, n + 1] * (push - spring)
+    for i in range(n):
+        rate += flow[n - 1, i] * state[i]
+    return float(wall.mass * wall.share * rate + spring)
+
+
+@compiled
+def cross_with_mass(
+    motion: Motion,
+    state: FloatArray,
+    surface: FloatArray,
+    commands: tuple[float, float],
+    pushes: BeforeAfter,
+    pulls: BeforeAfter,
+    tick: int,
+    found: FloatArray,
+    work: FloatArray,
+) -> None:
+    """Advance plant and wall (WALL,) over one sample where the wall has a mass, met without rebound; `cross_sample`."""
+    n, start, wall = len(state), float(tick), motion.wall
+    for part in range(2):
+        duration, steps = (1.0 - motion.fraction if part == 1 else motion.fraction), motion.steps[part]
+        for j in range(steps):
+            step = duration / steps
+            push = pushes.before if np.isnan(found[IMPACT_TIME]) else pushes.after
+            push += pulls.before + (start - tick + (j + 0.5) * step) * (pulls.after - pulls.before)
+            mode = JOINED if surface[_TOUCHED] == 1.0 else AWAY
+            runge_kutta(motion, state, commands[part], push, step, work, mode)
+            moment = start + (j + 1) * step
+            if mode == JOINED:
+                surface[_PRESSED] = joined_force(motion, state, commands[part], push)
+                surface[_WALL_PLACE], surface[_WALL_SPEED] = state[n - 2], state[n - 1]
+                if surface[_PRESSED] <= 0.0:
+                    surface[_TOUCHED], surface[_PRESSED] = 0.0, 0.0
+            else:
+                advance_surface(surface, wall, step)
+                if state[n - 2] > surface[_WALL_PLACE]:
+                    if np.isnan(found[IMPACT_TIME]):
+                        found[IMPACT_TIME], found[IMPACT_SPEED] = moment, state[n - 1]
+                    state[n - 1] = wall.share * state[n - 1] + (1.0 - wall.share) * surface[_WALL_SPEED]
+                    surface[_TOUCHED] = 1.0
+            if surface[_PRESSED] > found[CONTACT_PEAK]:
+                found[CONTACT_PEAK], found[CONTACT_TIME] = surface[_PRESSED], moment
+        start += duration
+
+
+@compiled
+def write_motion(
+    motion: Motion, state: FloatArray, surface: FloatArray, held: float, h: float, traces: FloatArray, tick: int
+) -> int:
     """Write F_e, v, x_p and v_p of a tick, and return its flag of contact."""
     n, rows = len(state), motion.rows
-    velocity, pressed = rows[_VELOCITY, n] * held, wall_force(motion, state[n - 2], state[n - 1])
+    velocity, pressed = rows[_VELOCITY, n] * held, surface[_PRESSED]
+    if motion.wall.mass == 0.0:
+        pressed = wall_force(motion, state[n - 2], state[n - 1])
     for i in range(n):
         velocity += rows[_VELOCITY, i] * state[i]
     traces[CONTACT, tick], traces[FLANGE_SPEED, tick] = pressed, velocity / h
     traces[PAYLOAD, tick], traces[PAYLOAD_SPEED, tick] = state[n - 2], state[n - 1] / h
     return TOUCHING if pressed > 0.0 else 0
+
+
+@compiled
+def meet_wall(motion: Motion, state: FloatArray, found: FloatArray) -> FloatArray:
+    """Return the wall (WALL,) at the start; a run that begins at the impact meets a mass at rest without rebound."""
+    surface, n = np.zeros(WALL), len(state)
+    if motion.wall.mass == 0.0:
+        found[CONTACT_PEAK] = wall_force(motion, state[n - 2], state[n - 1])
+    elif not np.isnan(found[IMPACT_TIME]):
+        state[n - 1], surface[_TOUCHED] = motion.wall.share * state[n - 1], 1.0
+    return surface
+
+
+@compiled
+def advance_plant(
+    motion: Motion,
+    state: FloatArray,
+    surface: FloatArray,
+    commands: tuple[float, float],
+    pushes: BeforeAfter,
+    pulls: BeforeAfter,
+    tick: int,
+    found: FloatArray,
+    work: FloatArray,
+) -> None:
+    """Advance the plant over one sample, at once where nothing switches in it."""
+    if motion.wall.mass > 0.0:
+        cross_with_mass(motion, state, surface, commands, pushes, pulls, tick, found, work)
+        return
+    push = pulls.before + (pushes.before if np.isnan(found[IMPACT_TIME]) else pushes.after)
+    leaps = len(motion.leap) > 0 and pulls.before == pulls.after
+    if leaps:
+        leaps = (
+            leap_three_states(motion, state, commands, push, tick, found)
+            if len(state) == 3
+            else leap_sample(motion, state, commands, push, tick, found, work)
+        )
+    if not leaps:
+        cross_sample(motion, state, commands, pushes, pulls, tick, found, work)
 
 
 @compiled
@@ -292,7 +404,7 @@ def run_nonlinear(
     n, places, head = len(state), len(past), NEWEST
     traces, found, work = recording.traces, recording.found, np.empty((3, n))
     blocks = blocks_at(law, memory.damping)
-    found[CONTACT_PEAK] = wall_force(motion, state[n - 2], state[n - 1])
+    surface = meet_wall(motion, state, found)
     acting = past[(head + motion.chain - 1) % places] if motion.chain > 0 else memory.sent
     for k in range(len(noise)):
         # What acts at the tick is the last command that arrived, or with a delay of whole samples the one arriving.
@@ -313,22 +425,13 @@ def run_nonlinear(
         if k < traces.shape[1]:
             traces[FORCE, k], traces[SEEN, k], traces[FLANGE, k] = force, seen, position
             traces[COMMAND, k], traces[DAMPING, k] = memory.sent, memory.damping
-            recording.flags[k] = flags | write_motion(motion, state, held, law.h, traces, k)
+            recording.flags[k] = flags | write_motion(motion, state, surface, held, law.h, traces, k)
         if -force > found[SENSOR_PEAK]:
             found[SENSOR_PEAK], found[SENSOR_TICK] = -force, k
         arriving = memory.sent if motion.whole == 0 else past[(head + motion.whole - 1) % places]
         newer = acting if late[k] else arriving
         acts, pull = (held if motion.chain > motion.whole else newer, newer), BeforeAfter(pulls[k], pulls[k + 1])
-        push = pull.before + (pushes.before if np.isnan(found[IMPACT_TIME]) else pushes.after)
-        leaps = len(motion.leap) > 0 and pull.before == pull.after
-        if leaps:
-            leaps = (
-                leap_three_states(motion, state, acts, push, k, found)
-                if n == 3
-                else leap_sample(motion, state, acts, push, k, found, work)
-            )
-        if not leaps:
-            cross_sample(motion, state, acts, pushes, pull, k, found, work)
+        advance_plant(motion, state, surface, acts, pushes, pull, k, found, work)
         acting = newer
         head = (head - 1) % places
         past[head] = memory.sent

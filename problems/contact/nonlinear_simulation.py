@@ -183,6 +183,8 @@ def simulate_operator(
     """
     h = positive("sample_time_s", sample_time_s)
     _check_plant(plant, h)
+    if plant.environment.mass_kg > 0.0:
+        raise ParameterError("environment.mass_kg", plant.environment.mass_kg, "0 where a person holds the payload")
     pair = build_sampled_contact(build_sampled_plant(plant, h))
     radius = _largest_radius(pair, controller, effects)
     if not radius < 1.0:
@@ -211,10 +213,6 @@ def needed_substeps(plant: Plant, sample_time_s: float) -> int:
 
 
 def _check_plant(plant: Plant, h: float) -> None:
-    if plant.environment.mass_kg > 0.0:
-        raise ParameterError(
-            "environment.mass_kg", plant.environment.mass_kg, "0 (the full simulation knows massless environments only)"
-        )
     if plant.loop_delay_s == 0.0 and build_plant_matrices(plant, h).d_force != 0.0:
         raise ParameterError(
             "robot.delay_s", 0.0, "above 0 (with damping in the coupling F would hang on the command of the same tick)"

@@ -24,8 +24,9 @@ from ..sobol import sobol_points
 
 Interval = tuple[float, float]
 
-UNCERTAIN = tuple(each.name for each in PARAMETERS.values() if each.may_vary)
+UNCERTAIN = tuple(PARAMETERS)
 ALWAYS_UNCERTAIN, FURTHER_UNCERTAIN = UNCERTAIN[:2], UNCERTAIN[2:]
+ENVIRONMENT_MASS = "environment_mass_kg"
 STIFFNESS, MASS = ALWAYS_UNCERTAIN
 SYMBOLS: Mapping[str, str] = FrozenDict({name: PARAMETERS[name].symbol for name in UNCERTAIN})
 # More corners than these are left to the samples: eleven parameters have 2048.
@@ -45,6 +46,7 @@ class Scenario:
     coupling_damping_n_s_per_m: float | None = None
     drag_n_s_per_m: float | None = None
     environment_damping_n_s_per_m: float | None = None
+    environment_mass_kg: float | None = None
     delay_s: float | None = None
     robot_bandwidth_hz: float | None = None
     robot_damping_ratio: float | None = None
@@ -220,8 +222,8 @@ class PlantSet:
             for name in FURTHER_UNCERTAIN
             if name != "robot_damping_ratio" or has_damping_ratio(robot)
         }
-        wrench = {name for name in values if PARAMETERS[name].part == "wrench_filter"}
-        return {name: value for name, value in values.items() if name not in wrench or value or name in self.ranges}
+        absent = {name for name in values if PARAMETERS[name].part == "wrench_filter" or name == ENVIRONMENT_MASS}
+        return {name: value for name, value in values.items() if name not in absent or value or name in self.ranges}
 
     def at(self, mass_kg: float, stiffness_n_per_m: float) -> Plant:
         """Return the nominal plant with another payload and surface; without stiffness it is in free space."""

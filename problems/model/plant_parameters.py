@@ -17,8 +17,8 @@ Part = Literal["environment", "payload", "coupling", "robot", "wrench_filter"]
 class PlantParameter:
     """A number of the plant: `name` in files and sets, `symbol`, and the `part` of a `Plant` it is of.
 
-    `place` is where `Plant.parameters` adds it, None of what is not in them. With `may_vary` it may be uncertain, above
-    0 unless it `may_be_zero`; a proof covers the range of one that `is_provable`.
+    `place` is where `Plant.parameters` adds it, None of what is not in them. It may be uncertain, above 0 unless it
+    `may_be_zero`; a proof covers the range of one that `is_provable`.
     """
 
     name: str
@@ -28,7 +28,6 @@ class PlantParameter:
     part: Part
     place: int | None = None
     may_be_zero: bool = False
-    may_vary: bool = True
     is_provable: bool = True
 
     @property
@@ -69,7 +68,7 @@ _ROWS = (
     _row("coupling_damping_n_s_per_m", "B_s", "coupling damping", "damping", "coupling", 1, may_be_zero=True),
     _row("drag_n_s_per_m", "B_p", "drag", "damping", "payload", 3, may_be_zero=True),
     _row("environment_damping_n_s_per_m", "B_e", "environment damping", "damping", "environment", 5, may_be_zero=True),
-    _row("environment_mass_kg", "M_e", "environment mass", "mass", "environment", 6, may_be_zero=True, may_vary=False),
+    _row("environment_mass_kg", "M_e", "environment mass", "mass", "environment", 6, may_be_zero=True),
     _row("delay_s", "T_d", "delay", "time", "robot", may_be_zero=True),
     _row("robot_bandwidth_hz", "f_b", "robot bandwidth", "frequency", "robot"),
     _row("robot_damping_ratio", "ζ_b", "robot damping ratio", "ratio", "robot", is_provable=False),

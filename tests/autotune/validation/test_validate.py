@@ -223,7 +223,7 @@ FALSE_CLAIMS: dict[str, tuple[Change, str, str]] = {
         "collision response",
         "the file has a collision response and predicts no contact with it",
     ),
-    "wall with mass": (domain(environment_mass_kg=2.0), "controller", "environment_mass_kg must be 0"),
+    "wall with mass": (domain(environment_mass_kg=2.0), "proved peak", "environment_mass_kg must be 0"),
     "robot that is none": (domain(robot_denominator=(1.0, -20.0)), "parameters", r"r\(s\)"),
 }
 

@@ -8,7 +8,7 @@ from problems.contact.nonlinear_simulation import Operator, simulate_nonlinear, 
 from problems.contact.nonlinearities import Collision, CommandLimits, Deadband, Nonlinearities, VariableDamping
 from problems.contact.transient import Approach
 from problems.errors import ParameterError
-from problems.model.plant import Environment, Plant
+from problems.model.plant import Plant
 from problems.stability.margins import UnstableLoopError
 from tests.problems.axes import PERIOD_S, PRESS, admittance, one_pole, paper_plant
 from tests.problems.nonlinear_runs import FIRM, PRINTED, SUBTRACTIVE, THRESHOLD, light_plant, simulate
@@ -168,7 +168,6 @@ def test_the_run_is_a_value() -> None:
 @pytest.mark.parametrize(
     ("plant", "approach", "effects", "options", "text"),
     [
-        (paper_plant().in_contact_with(Environment(stiffness_n_per_m=1e4, mass_kg=1.0)), PRESS, {}, {}, "mass_kg"),
         (paper_plant(stiffness=0.0), PRESS, {}, {}, "a surface to touch"),
         (paper_plant(coupling_damping=5.0, robot=one_pole(0.0)), PRESS, {}, {}, "delay_s"),
         (paper_plant(), HAND, {"deadband": THRESHOLD}, {}, "deadband of 5 N"),
