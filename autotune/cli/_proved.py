@@ -73,6 +73,12 @@ def led_lines(controller: "Controller", limit: tuple[float, str] | None = None) 
         peaks = ", ".join(f"{getattr(per_speed, hand):.4g} N per m/s {does[hand]}" for hand in hands)
         capped = " (* the limit of the command)" if "*" in speeds else ""
         yield f"axis {name}, led by hand{runs}: {peaks}; at most {force:g} N ({label}) up to {speeds}{capped}"
+        if per_speed.drives is not None and per_speed.arm is not None:
+            arm, safe = per_speed.arm.describe(), force / per_speed.drives
+            yield (
+                f"axis {name}, driven on for {per_speed.drives_for_s:g} s after the touch by {arm}: "
+                f"{per_speed.drives:.4g} N per m/s, at most {force:g} N up to {safe:.2g} m/s; simulated"
+            )
 
 
 def held_lines(controller: "Controller") -> Iterator[str]:

@@ -7,6 +7,7 @@ from enum import StrEnum
 from typing import Annotated, Any, Literal
 
 from problems.contact.nonlinearities import Deadband, DeadbandType
+from problems.design.hand import HandImpedance
 from problems.design.requirements import HANDS, Hand
 from problems.design.uncertainty import Scenario
 from problems.errors import ParameterError
@@ -185,15 +186,22 @@ class PeakPerSpeed:
     A contact is linear while it lasts and one-sided, so that its forces scale with the speed. Under `pushes_on` what
     drives the payload, a hand or F^d, goes on after the impact; under `lets_go` the hand that led it does not; one that
     `holds` pushes on with up to `hand_mass_kg` that moves with the payload (both None in files of an earlier release).
+    Under `drives` the aim of an `arm` with mass, damper and spring goes on for `drives_for_s` after the touch and then
+    rests: at the ends of K_e and M_p and in the hardest predicted contact (None where that is not simulated).
     """
 
     pushes_on: Annotated[float, Rule(exclusiveMinimum=0)]
     lets_go: Annotated[float, Rule(exclusiveMinimum=0)]
     holds: Annotated[float | None, Rule(exclusiveMinimum=0)] = None
     hand_mass_kg: Annotated[float | None, Rule(minimum=0)] = None
+    drives: Annotated[float | None, Rule(exclusiveMinimum=0)] = None
+    drives_for_s: Annotated[float | None, Rule(minimum=0, maximum=10)] = None
+    arm: HandImpedance | None = None
 
     def __post_init__(self) -> None:
-        for name in self.hands:
+        if len({each is None for each in (self.drives, self.drives_for_s, self.arm)}) > 1:
+            raise ParameterError("peak_per_speed.drives", self.drives, "given with drives_for_s and arm, and only then")
+        for name in (*self.hands, *(("drives",) if self.drives is not None else ())):
             if not 0.0 < getattr(self, name) < math.inf:
                 raise ParameterError(f"peak_per_speed.{name}", getattr(self, name), "greater than 0")
         if (self.holds is None) != (self.hand_mass_kg is None):
@@ -213,7 +221,8 @@ class PeakPerSpeed:
     def of(cls, worst: Mapping[Hand, float], hand_mass_kg: float) -> "PeakPerSpeed":
         """Return what was found; without `holds` where the loop is not stable with the mass of the hand."""
         if math.isfinite(worst["holds"]):
-            return cls(**{str(hand): peak for hand, peak in worst.items()}, hand_mass_kg=hand_mass_kg)
+            holds = worst["holds"]
+            return cls(pushes_on=worst["pushes_on"], lets_go=worst["lets_go"], holds=holds, hand_mass_kg=hand_mass_kg)
         return cls(pushes_on=worst["pushes_on"], lets_go=worst["lets_go"])
 
 

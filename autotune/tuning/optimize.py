@@ -11,7 +11,6 @@ from autotune.errors import CertificateError, InfeasibleError
 from autotune.formats.controller_record import Controller, RuntimePayload
 from autotune.formats.identified import IdentifiedFile
 from autotune.formats.problem import ComplianceSpec, ProblemSpec
-from autotune.formats.units import ROTATIONAL_AXES
 from autotune.prediction.before_after import BeforeAndAfter, compare_before_after
 from autotune.prediction.law import PresentGains
 from autotune.validation.axis_proof import AxisProof, ProofOptions, Prover, prove_axis
@@ -21,12 +20,9 @@ from autotune.validation.held import prove_held
 from autotune.validation.peak_proof import prove_peaks
 from autotune.validation.report import ValidationReport
 from autotune.validation.validate import validate_controller
-from identification.axes.turning import LEVER_M
 from identification.result import Identified
 from problems.arrays import FloatArray
-from problems.design.hand import HandImpedance
 from problems.design.problem import FURTHER_VARIABLES, VARIABLES, DesignProblem
-from problems.design.requirements import HeldByHand
 from problems.progress import ProgressSlice, no_progress
 
 from .causes import explain, explanation_message
@@ -39,7 +35,7 @@ from .limits import LimitsSettings, limits_settings, with_limits
 from .optimality_report import OptimalityReport, report_optimality
 from .problems import build_problems, certified_mass_kg, runtime_mass_kg, within_domain
 from .provenance import design_notes, make_provenance, result_trees, with_notes
-from .record import build_controller, build_domain, runtime_payload
+from .record import build_controller, build_domain, certified_hand, runtime_payload
 from .scenario_exchange import NOTHING, Counterexamples, ImpactTest
 from .search import SearchResult, solve_design
 from .strategies import StrategySettings, choose_strategies, strategy_settings
@@ -421,7 +417,7 @@ def prove_search(
     problem, law = search.problem, search.problem.controller(search.design)
     swept = min(each.margins.modulus for each in search.margins)
     proved = prove_axis(problem.plants, law, problem.sample_time_s, name, swept, asked, report)
-    prover, hand = Prover(), _hand(name, problem)
+    prover, hand = Prover(), certified_hand(name, problem)
     bouncing = prove_bouncing(prover, build_domain(problem), law, problem.sample_time_s, name, asked)
     proved = replace(proved, bouncing=bouncing, answers=(*proved.answers, *prover.answers))
     if asked.further_s == 0.0:
@@ -433,11 +429,3 @@ def prove_search(
     approach = build_domain(problem).approach
     peak = prove_peaks(prover, problem.plants, law, problem.sample_time_s, name, approach, largest, bounded)
     return replace(proved, held=held, peak=peak, answers=(*proved.answers, *prover.answers))
-
-
-def _hand(name: str, problem: DesignProblem) -> HandImpedance:
-    """Return the hand that an axis is certified with: the one of the requirement `held_by_hand`, else the default."""
-    asked = problem.requirements.asked().get("held_by_hand")
-    if isinstance(asked, HeldByHand):
-        return asked.hand
-    return HandImpedance().turned(LEVER_M) if name in ROTATIONAL_AXES else HandImpedance()

@@ -1,6 +1,8 @@
 """Write a search result down as a controller with everything that the certificate claims."""
 
+import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from operator import attrgetter
 from typing import Any
 
@@ -29,15 +31,28 @@ from autotune.formats.limits import CollisionResponse
 from autotune.formats.proof_records import BouncingProof, HeldProof, PeakProof
 from autotune.formats.units import ROTATIONAL_AXES, axis_units
 from autotune.text import scenario_text
+from autotune.validation.driving_arm import driven_plants
 from autotune.validation.validation_samples import sampled_claims
 from identification.axes.turning import LEVER_M
 from identification.errors import EstimateError
 from identification.result import Identified, Status
 from problems.contact.nonlinearities import DeadbandType
+from problems.design.driving_hand import REACTION_S, largest_driven_peak
 from problems.design.evaluation import PlantMargins, build_scenarios
+from problems.design.hand import HandImpedance
 from problems.design.problem import DesignProblem, Requirements
-from problems.design.requirements import HANDS, hand_approach, led_contacts, led_mass_kg, led_peaks, smallest_admittance
+from problems.design.requirements import (
+    HANDS,
+    HeldByHand,
+    hand_approach,
+    led_contacts,
+    led_mass_kg,
+    led_peaks,
+    smallest_admittance,
+)
+from problems.design.stable_design import Peak
 from problems.design.uncertainty import Scenario
+from problems.errors import ParameterError
 from problems.model.controller import AdmittanceController
 from problems.model.response import hand_force_per_speed
 
@@ -188,25 +203,48 @@ def _prediction(name: str, result: SearchResult, controller: AdmittanceControlle
             min_m_s_per_n=smallest_admittance(prepared.free[0], controller, band),
             hand_force_n_per_m_s=hand_force_per_speed(problem.plants.nominal, controller),
         ),
-        peak_per_speed=_peak_per_speed(name, result, [peak.scenario for peak in peaks], controller),
+        peak_per_speed=_peak_per_speed(name, result, peaks, controller),
     )
 
 
 def _peak_per_speed(
-    name: str, result: SearchResult, scenarios: Sequence[Scenario], controller: AdmittanceController
+    name: str, result: SearchResult, peaks: Sequence[Peak], controller: AdmittanceController
 ) -> PeakPerSpeed:
     """Return the worst peaks of a payload led by hand, over these contacts and those that the search ended with."""
-    found = (peak.scenario for peak in result.evaluation.peaks)
-    pairs = build_scenarios(result.problem, tuple(dict.fromkeys((*scenarios, *found)))).pairs
+    every = (peak.scenario for peak in (*peaks, *result.evaluation.peaks))
+    pairs = build_scenarios(result.problem, tuple(dict.fromkeys(every))).pairs
     mass = led_mass_kg(result.problem.requirements.asked(), LEVER_M if name in ROTATIONAL_AXES else 1.0)
     worst = dict.fromkeys(HANDS, 0.0)
     for pair in pairs:
         alone, *held = led_contacts(pair, "holds", mass)
         for led, hands in ((alone, HANDS), *((each, ("holds",)) for each in held)):
-            peaks = led_peaks(led, controller, [hand_approach(_LED_M_S, hand) for hand in hands])
-            for hand, peak in zip(hands, peaks, strict=True):
-                worst[hand] = max(worst[hand], peak / _LED_M_S)
-    return PeakPerSpeed.of(worst, mass)
+            forces = led_peaks(led, controller, [hand_approach(_LED_M_S, hand) for hand in hands])
+            for hand, force in zip(hands, forces, strict=True):
+                worst[hand] = max(worst[hand], force / _LED_M_S)
+    found = PeakPerSpeed.of(worst, mass)
+    hardest = max(peaks, key=attrgetter("peak_contact_force_n")).scenario
+    return replace(found, **_driven(result, hardest, controller, certified_hand(name, result.problem)))
+
+
+def _driven(
+    result: SearchResult, hardest: Scenario, controller: AdmittanceController, arm: HandImpedance
+) -> dict[str, Any]:
+    """Return the worst peak of a payload that an arm drives on, as the record has it; nothing where it is unknown."""
+    plants, h = driven_plants(build_domain(result.problem), hardest), result.problem.sample_time_s
+    try:
+        largest = largest_driven_peak(plants, controller, arm, h) if arm.stiffness_n_per_m > 0.0 else math.inf
+    except ParameterError:
+        # A surface with a mass, or a command that acts at once through a coupling with damping.
+        return {}
+    return {"drives": largest, "drives_for_s": REACTION_S, "arm": arm} if math.isfinite(largest) else {}
+
+
+def certified_hand(name: str, problem: DesignProblem) -> HandImpedance:
+    """Return the hand that an axis is certified with: the one of the requirement `held_by_hand`, else the default."""
+    asked = problem.requirements.asked().get("held_by_hand")
+    if isinstance(asked, HeldByHand):
+        return asked.hand
+    return HandImpedance().turned(LEVER_M) if name in ROTATIONAL_AXES else HandImpedance()
 
 
 def build_domain(problem: DesignProblem) -> AxisDomain:

@@ -17,6 +17,7 @@ from problems.model.plant import Plant
 from problems.stability.margins import UnstableLoopError
 
 from .certified_requirements import limit_n
+from .driving_arm import find_driven
 from .false_triggers import describe_false_triggers, wrong_false_triggers
 from .replay import NO_STRATEGY, SHORTEST_AFTER_S, Replay, Strategy, replay_contact, settling_samples
 from .validation_samples import ValidationSamples
@@ -276,8 +277,8 @@ def verify_led(
     stated, domain = controller.predicted[name].peak_per_speed, controller.certificate.domain[name]
     if stated is None:
         return "", []
-    listed = (each.scenario() for each in controller.predicted[name].scenarios)
-    scenarios = tuple(dict.fromkeys((*listed, *_corners(domain), *others.replayed)))
+    listed = controller.predicted[name].scenarios
+    scenarios = tuple(dict.fromkeys((*(each.scenario() for each in listed), *_corners(domain), *others.replayed)))
     plants = [each.plant(domain.plants.nominal) for each in scenarios]
     h, units, mass = controller.sample_time_s, axis_units(name), stated.hand_mass_kg or 0.0
     found = {
@@ -290,8 +291,16 @@ def verify_led(
         for hand, largest in found.items()
         if largest > getattr(stated, hand) * (1.0 + _SAME_PEAK)
     ]
+    hardest = max(listed, key=lambda each: each.peak_contact_force_n, default=None)
+    driven = 0.0 if hardest is None else find_driven(stated, domain, hardest.scenario(), law, h)
+    if driven > (stated.drives or 0.0) * (1.0 + _SAME_PEAK):
+        wrong.append(
+            f"the peak per speed where an arm drives on is stated as {stated.drives or 0.0:.4g} {units.damping}, found "
+            f"{driven:.4g}"
+        )
     at_most = {hand: f"{_LED_M_S * getattr(stated, hand):.4g} {units.force}" for hand in stated.hands}
     held = f", {at_most['holds']} with {mass:g} {units.mass} of it on the payload" if "holds" in at_most else ""
+    held += f", {_LED_M_S * driven:.4g} {units.force} where an arm drives on" if driven > 0.0 else ""
     return (
         f"{len(scenarios)} contacts at {_LED_M_S:g} {units.speed} peak at most {at_most['pushes_on']} while the hand "
         f"pushes on{held}, {at_most['lets_go']} when it lets go"

@@ -13,6 +13,7 @@ from problems.model.plant_parameters import PARAMETERS
 from problems.model.robot import RobotModel, bandwidth_hz
 
 from .bouncing import bouncing_claim
+from .driving_arm import led_claim
 
 # Another sequence than the search's, so that it is not asked the same questions again.
 SEED = 7919
@@ -81,11 +82,12 @@ def sampled_claims(
     than K_e and M_p is uncertain, of that set too. Where `regions` hold a proof over all that is uncertain, stability
     is none of it.
     """
-    searched: tuple[Proof, ...] = ()
+    led = led_claim(name, predicted.peak_per_speed)
+    searched: tuple[Proof, ...] = () if led is None else (led,)
     if bouncing is None or bouncing.impacts > 0.0:
         whole = "" if domain.uncertain is None else describe_set(domain, name)
         is_short = bouncing is not None and bouncing.is_proved
-        searched = (bouncing_claim(name, domain, whole, is_short=is_short),)
+        searched = (bouncing_claim(name, domain, whole, is_short=is_short), *searched)
     if domain.uncertain is None:
         return searched
     others = build_validation_samples(domain, margins, predicted)

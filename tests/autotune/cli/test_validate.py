@@ -64,8 +64,9 @@ def test_a_true_file_passes_and_every_check_is_reported(run_cli: RunCli, good: P
     assert is_next_alone(done.stderr)
     lines = done.stdout.splitlines()
     assert lines[0].startswith("axis x, led by hand: ")
-    assert lines[1].startswith("limits of the runtime: ")
-    reported = [re.match(r"ok +axis x, ([^:]+): \S", line)[1] for line in lines[3:-1]]  # type: ignore[index]
+    assert lines[1].startswith("axis x, driven on for 0.2 s after the touch by ")
+    assert lines[2].startswith("limits of the runtime: ")
+    reported = [re.match(r"ok +axis x, ([^:]+): \S", line)[1] for line in lines[4:-1]]  # type: ignore[index]
     assert reported == [*EVERY_CHECK, *SIMULATED]
     assert lines[-1] == f"controller.yaml: valid, checksum {short(read_controller(good).checksum)}"
     assert [path.name for path in good.parent.iterdir()] == ["controller.yaml"]
