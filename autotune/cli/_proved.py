@@ -107,8 +107,8 @@ def coupled_lines(controller: "Controller", unchecked: str = "") -> Iterator[str
         return
     yield from found.sentences()
     for each in found.proofs:
-        claim = f"stable, smallest singular value of I + L above {each.modulus:.3g}"
-        yield f"{'–'.join(each.axes)} together: {_proved(claim, each.share)}"
+        claim = f"stable, smallest singular value of I + L at the forces above {each.modulus:.3g}"
+        yield f"{each.of_what()}: {_proved(claim, each.share)}"
 
 
 def print_worst_plants(simulated: "Sequence[AxisMonteCarlo]") -> None:

@@ -1,7 +1,7 @@
 """What `controller.yaml` says of axes that act on each other through the payload; on rx, ry, rz N·m, rad and kg·m²."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated
 
 import numpy as np
@@ -92,8 +92,9 @@ class PointContact:
 class CoupledProof:
     """How far stability, and the smallest singular value of I + L above `modulus`, is proved of axes together.
 
-    Of `axes`, in free space and touching along each of them, over K_e and the payload's mass; all else is nominal.
-    `share` of the set is proved; `cells` of plants were looked at, in work counted as for `ProvenRegion`.
+    Of `axes`, in free space and touching along each of them, or with `points` of the payload by the axis along which
+    they touch; over K_e and the payload's mass, all else is nominal. `share` of the set is proved; `cells` of plants
+    were looked at, in work counted as for `ProvenRegion`.
     """
 
     axes: tuple[Axis, ...]
@@ -103,6 +104,16 @@ class CoupledProof:
     cells: NotNegative
     budget_s: AboveZero
     run_time_s: NotNegative
+    points: Mapping[_Straight, tuple[_Place, ...]] = field(default_factory=FrozenDict)
+
+    def __post_init__(self) -> None:
+        freeze(self, "points")
+
+    def of_what(self) -> str:
+        """Return of what it is proved, in words."""
+        count = sum(len(each) for each in self.points.values())
+        where = f", touching with {count} points of the payload" if count else ""
+        return f"{'–'.join(self.axes)} together{where}"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,10 +9,12 @@ from autotune.certificate.coupled import METHOD, CoupledOutcome, prove_coupled
 from autotune.certificate.coupled_system import CoupledFamily
 from autotune.formats.certificate_record import AxisDomain
 from autotune.formats.controller_record import AxisGains, Controller
-from autotune.formats.coupled_record import CoupledBody, CoupledCertificate, CoupledProof
+from autotune.formats.coupled_record import CoupledBody, CoupledCertificate, CoupledProof, Vector
+from problems.model.coupled import PointSurface
 
 from .axis_proof import ProofOptions, Prover
 from .coupled_cell import CoupledCell
+from .coupled_points import swept_at_points
 from .report import Check
 
 _SAME_NUMBER = 1e-6
@@ -26,6 +28,7 @@ class _CoupledClaim:
     domain: Mapping[str, AxisDomain]
     body: CoupledBody
     group: tuple[str, ...]
+    points: Mapping[str, tuple[Vector, ...]]
     modulus: float
     work: int
 
@@ -37,29 +40,23 @@ class _CoupledClaim:
             domain=controller.certificate.domain,
             body=stated.body,
             group=proof.axes,
+            points=proof.points,
             modulus=proof.modulus,
             work=int(proof.budget_s * WORK_PER_SECOND),
         )
 
 
 def prove_together(controller: Controller, prover: Prover, options: ProofOptions) -> Controller:
-    """Return the controller with what can be proved of each group: the swept modulus less the slack."""
+    """Return the controller with what can be proved: the swept modulus less the slack.
+
+    Of each group in free space and on surfaces square to its axes, and of all axes touching with the points that were
+    simulated.
+    """
     stated = controller.certificate.coupled
     if stated is None:
         return controller
     proofs = []
-    for group in stated.groups:
-        if len(group) < 2 or not any(name in controller.axes for name in group):
-            continue
-        wanted = CoupledProof(
-            axes=group,
-            modulus=(1.0 - options.slack) * min(stated.modulus, 1.0),
-            method=METHOD,
-            share=0.0,
-            cells=0.0,
-            budget_s=options.budget_s,
-            run_time_s=0.0,
-        )
+    for wanted in _wanted(controller, stated, options):
         outcome = _prove(controller, prover, _CoupledClaim.of(controller, stated, wanted))
         proofs.append(
             replace(
@@ -73,6 +70,27 @@ def prove_together(controller: Controller, prover: Prover, options: ProofOptions
     return replace(controller, certificate=replace(controller.certificate, coupled=coupled))
 
 
+def _wanted(controller: Controller, stated: CoupledCertificate, options: ProofOptions) -> Iterator[CoupledProof]:
+    """Yield what is to be proved, nothing of it shown yet."""
+    nothing = CoupledProof(
+        axes=stated.axes,
+        modulus=(1.0 - options.slack) * min(stated.modulus, 1.0),
+        method=METHOD,
+        share=0.0,
+        cells=0.0,
+        budget_s=options.budget_s,
+        run_time_s=0.0,
+    )
+    for group in stated.groups:
+        if len(group) > 1 and any(name in controller.axes for name in group):
+            yield replace(nothing, axes=group)
+    points = {name: tuple(each.point_m for each in contacts) for name, contacts in stated.points.items()}
+    if any(points.values()):
+        cell = CoupledCell.of(controller, stated.body)
+        modulus = (1.0 - options.slack) * min(swept_at_points(cell, points), 1.0)
+        yield replace(nothing, axes=cell.names, modulus=modulus, points=points)
+
+
 def check_proofs(controller: Controller, prover: Prover) -> Iterator[Check]:
     """Prove again what the file states of axes together."""
     stated = controller.certificate.coupled
@@ -82,7 +100,7 @@ def check_proofs(controller: Controller, prover: Prover) -> Iterator[Check]:
             continue
         claim = _CoupledClaim.of(controller, stated, proof)
         origin, found = prover.origin(claim), _prove(controller, prover, claim)
-        bound = f"{', '.join(proof.axes)}: stable with σ_min(I + L) > {proof.modulus:.4g}"
+        bound = f"{proof.of_what()}: stable with σ_min(I + L) > {proof.modulus:.4g}"
         if found.refuted is not None or proof.share > found.share + _SAME_NUMBER:
             message = f"{bound}: claimed for the share {proof.share:.4g}, proved for {found.share:.4g}"
             yield check(passed=False, message=message)
@@ -99,12 +117,8 @@ def _families_proved(cell: CoupledCell, claim: _CoupledClaim) -> CoupledOutcome:
     """Prove free space and each surface; the share is that of the part of which least is proved."""
     group, mass = claim.group, cell.payload.mass_kg
     factors = cell.masses_kg[0] / mass, cell.masses_kg[-1] / mass
-    places = [(None, (0.0, 0.0))] + [
-        (name, cell.domains[name].environment_stiffness_n_per_m) for name in group if name in cell.domains
-    ]
     share, cells, work = 1.0, 0, 0
-    for name, stiffness in places:
-        surface = None if name is None else cell.surface(group, name, max(stiffness))
+    for surface, stiffness in _surfaces(cell, claim):
         family = CoupledFamily(
             plant=cell.plant(group, mass, surface),
             laws=cell.law(group),
@@ -118,3 +132,17 @@ def _families_proved(cell: CoupledCell, claim: _CoupledClaim) -> CoupledOutcome:
         if found.refuted is not None:
             return replace(found, share=0.0, cells=cells, work=work)
     return CoupledOutcome(share=share, cells=cells, work=work)
+
+
+def _surfaces(cell: CoupledCell, claim: _CoupledClaim) -> Iterator[tuple[PointSurface | None, tuple[float, float]]]:
+    """Yield what is touched, None for free space, with its range of K_e."""
+    group = claim.group
+    if not claim.points:
+        yield None, (0.0, 0.0)
+        for name in (each for each in group if each in cell.domains):
+            stiffness = cell.domains[name].environment_stiffness_n_per_m
+            yield cell.surface(group, name, max(stiffness)), stiffness
+    for name, points in claim.points.items():
+        stiffness = cell.domains[name].environment_stiffness_n_per_m
+        for point in points:
+            yield cell.surface_at(group, name, point, max(stiffness)), stiffness

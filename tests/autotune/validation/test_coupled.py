@@ -23,6 +23,7 @@ from autotune.validation.coupled_cell import CoupledCell
 from autotune.validation.coupled_proof import check_proofs, prove_together
 from identification.result import Identified, InertiaEstimate
 from problems.model.coupled import PointSurface, build_coupled_loop, build_coupled_sampled_plant, coupled_poles
+from problems.stability.coupled_margins import coupled_sensitivities
 from tests.autotune.tuning.cases import absent, known, known_vector
 from tests.autotune.tuning.turning import both_optimized, turned_axis, two_axes
 from tests.problems.axes import PERIOD_S
@@ -138,16 +139,41 @@ def test_the_dense_step_matrix_has_the_same_poles(surface: PointSurface | None, 
 
 def test_what_is_proved_together_is_proved_again_from_the_file(tmp_path: Path) -> None:
     made = prove_together(tuned(), Prover(), ProofOptions(axes="together", budget_s=30.0))
-    (proof,) = certificate(made).proofs
-    assert (proof.axes, proof.share) == (("x", "ry"), 1.0)
+    proof, at_points = certificate(made).proofs
+    assert (proof.axes, proof.share, proof.points) == (("x", "ry"), 1.0, {})
     assert proof.modulus == pytest.approx(0.95 * certificate(made).modulus)
-    assert any("x–ry together" in line and line.endswith("proved") for line in coupled_lines(made))
+    assert any("x–ry together:" in line and line.endswith("proved") for line in coupled_lines(made))
+    assert (at_points.axes, at_points.share) == (("x", "ry"), 1.0)
+    assert at_points.points == {"x": tuple(each.point_m for each in certificate(made).points["x"])}
+    assert any("touching with 5 points" in line and line.endswith("proved") for line in coupled_lines(made))
     write_controller(tmp_path / "controller.yaml", made)
     read = read_controller(tmp_path / "controller.yaml").controller
-    (check,) = check_proofs(read, Prover())
-    assert check.passed, check.message
-    higher = replace(certificate(made), proofs=(replace(proof, modulus=0.9),))
-    (check,) = check_proofs(replace(read, certificate=replace(read.certificate, coupled=higher)), Prover())
+    assert [check.passed for check in check_proofs(read, Prover())] == [True, True]
+    for place, each in enumerate((proof, at_points)):
+        claims = [replace(each, modulus=0.9) if i == place else one for i, one in enumerate((proof, at_points))]
+        higher = replace(certificate(made), proofs=tuple(claims))
+        checks = check_proofs(replace(read, certificate=replace(read.certificate, coupled=higher)), Prover())
+        assert [check.passed for check in checks] == [i != place for i in range(2)]
+
+
+def test_what_is_proved_at_points_holds_on_drawn_surfaces_and_nothing_false_is_proved() -> None:
+    """The modulus at the forces on a grid of frequencies, and the poles of scipy's matrices, on drawn K_e."""
+    made = prove_together(tuned(), Prover(), ProofOptions(axes="together", budget_s=30.0))
+    _, proof = certificate(made).proofs
+    of = CoupledCell.of(made, certificate(made).body)
+    names, rng, least = of.names, np.random.default_rng(11), np.inf
+    grid = np.geomspace(0.2, 0.99 * np.pi / of.sample_time_s, 1500)
+    low, high = of.domains["x"].environment_stiffness_n_per_m
+    for point in proof.points["x"]:
+        for stiffness in (low, high, *rng.uniform(low, high, 3).tolist()):
+            plant = of.plant(names, 16.0, of.surface_at(names, "x", point, stiffness))
+            assert build_dense_loop(plant, of.law(names), of.sample_time_s).radius() < 1.0
+            sampled = build_coupled_sampled_plant(plant, of.sample_time_s)
+            found = coupled_sensitivities(sampled, of.law(names), of.scale(names), grid)[1]
+            least = min(least, 1.0 / float(np.max(np.linalg.norm(found, ord=2, axis=(-2, -1)))))
+    assert proof.modulus < least < 1.06 * proof.modulus
+    claimed = replace(certificate(made), proofs=(replace(proof, modulus=1.005 * least),))
+    (check,) = check_proofs(replace(made, certificate=replace(made.certificate, coupled=claimed)), Prover())
     assert not check.passed
 
 
