@@ -15,6 +15,7 @@ from autotune.log import Log, Paths, cell_file
 from autotune.pipeline import IdentifyOptions, identify_log
 from autotune.results import Identification
 from autotune.shown import Progress, reporting
+from autotune.windows import window_length_s
 
 if TYPE_CHECKING:
     from autotune.formats.cell import CellFile
@@ -30,6 +31,7 @@ def identify(
     cell: "str | Path | CellFile | None" = None,
     given: Mapping[str, float | Uncertain] | None = None,
     allow_partial: bool = False,
+    windows: float | str | None = None,
     keep_signals: bool = False,
     progress: Progress = None,
 ) -> Identification:
@@ -47,8 +49,11 @@ def identify(
         prior.
     allow_partial
         Return what was found even if a parameter is missing or logs disagree.
+    windows
+        For long logs: identify windows of this length [s], or a text as "10min", each on its own, and take those that
+        tell most; a log of over twenty minutes and 100 MB is read in windows of ten minutes unless it is said.
     keep_signals
-        Keep the signals in `evidence`, for pictures.
+        Keep the signals in `evidence`, for pictures; there are none of windows.
     progress
         True for a bar, or a callable that takes the share of the work done since its last call.
 
@@ -82,12 +87,16 @@ def identify(
         raise UsageError("A log that was read brings its own cell; give cell to read_log.")
     files = file_paths("log", log) if not isinstance(log, Log) else log.paths
     read = IdentifyOptions(cell=cell_file(cell)) if source is None else source.options
-    options = replace(read, allow_partial=allow_partial, given=priors(given))
+    try:
+        windows_s = read.windows_s if windows is None else window_length_s(windows)
+    except ValueError as error:
+        raise UsageError(f"windows: {error}") from None
+    options = replace(read, allow_partial=allow_partial, given=priors(given), windows_s=windows_s)
     with reporting(progress, f"identifying {', '.join(path.name for path in files)}") as report:
         return identify_log(
             files,
             options,
-            recording=None if source is None else source.recording,
+            recording=None if source is None or windows_s is not None else source.recording,
             with_evidence=keep_signals,
             progress=report,
         )

@@ -23,7 +23,7 @@ _TARES = ("bias-change", "tare-jump", "bias-step")
 
 @dataclass(frozen=True, kw_only=True)
 class RunSource:
-    """What the provenance keeps of a recording."""
+    """What the provenance keeps of a recording; windows leave the digests of their files to it."""
 
     channels: Mapping[str, str | None]
     clocks: Mapping[str, str]

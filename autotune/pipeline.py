@@ -17,7 +17,7 @@ from identification.axis_findings import CLOCKS_AGREE
 from identification.errors import EstimateError, LogError, OutsideSpanError
 from identification.given import Given, check_names
 from identification.identify import identify_with_evidence
-from identification.logs.containers.formats import sha256_of
+from identification.logs.containers.formats import digests, sha256_of
 from identification.logs.read import (
     Instant,
     LogSpan,
@@ -308,7 +308,7 @@ def _identify_piece(
     )
     share = 0.0 if evidence is None else evidence.gain_error_share
     named = NamedResult(name=name, result=found, gain_error_share=share)
-    run = PieceRun(named=named, source=_source(recording), evidence=kept)
+    run = PieceRun(named=named, source=_source(recording, piece.files), evidence=kept)
     if evidence is None or evidence.payload is None:
         return run
     if piece.known:
@@ -316,7 +316,7 @@ def _identify_piece(
     return replace(run, payload=replace(evidence.payload, source=f"window {name}"))
 
 
-def _source(recording: Recording) -> RunSource:
+def _source(recording: Recording, files: Sequence[Path]) -> RunSource:
     wrench, command = recording.wrench, recording.command
     others = {"twist": recording.twist, "gains": recording.gains, "desired_force": recording.desired_force}
     return RunSource(
@@ -327,7 +327,7 @@ def _source(recording: Recording) -> RunSource:
             **{name: signal.topic for name, signal in others.items() if signal is not None},
         },
         clocks=dict(recording.clocks),
-        sha256=dict(recording.sha256),
+        sha256=dict(recording.sha256) or dict.fromkeys(map(str, files), ""),
         span_s=(float(wrench.stamp_ns[0]) / 1e9, float(wrench.stamp_ns[-1]) / 1e9),
     )
 
@@ -336,7 +336,8 @@ def _provenance(sources: Sequence[RunSource], options: IdentifyOptions, windows:
     """Return where the numbers come from; channels and clocks are those of the first recording."""
     first, spans = sources[0], [list(source.span_s) for source in sources]
     cell, joints = options.cell, options.declared().joints
-    logs = dict.fromkeys((path, digest) for source in sources for path, digest in source.sha256.items())
+    said = dict.fromkeys((path, digest) for source in sources for path, digest in source.sha256.items())
+    logs = [(path, digest or digests([Path(path)])[path]) for path, digest in said]
     return {
         "tool": f"autotune {__version__}",
         "logs": [{"path": path, "sha256": digest} for path, digest in logs],

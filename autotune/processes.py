@@ -13,6 +13,8 @@ _Task = TypeVar("_Task")
 _Result = TypeVar("_Result")
 
 _THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+# Left to itself, glibc keeps the holes that large arrays of a long log leave.
+_ENVIRONMENT = {**dict.fromkeys(_THREADS, "1"), "MALLOC_MMAP_THRESHOLD_": "4000000"}
 
 
 def count_processors() -> int:
@@ -46,7 +48,8 @@ def map_in_processes(
     # A fork would copy the threads' locks of the libraries that are loaded already.
     with ProcessPoolExecutor(count, mp_context=get_context("spawn"), initializer=prepare_worker) as pool:
         try:
-            futures = [pool.submit(_with_warnings, work, task) for task in tasks]
+            with worker_environment():
+                futures = [pool.submit(_with_warnings, work, task) for task in tasks]
             for future in futures:
                 future.add_done_callback(lambda _: done())
             return [_warned_again(*future.result()) for future in futures]
@@ -84,13 +87,13 @@ def _done(result: _Result, done: Callable[[], None]) -> _Result:
 
 
 @contextmanager
-def one_thread_each() -> Iterator[None]:
-    """Let processes that are started meanwhile have one thread each, where the environment does not say otherwise.
+def worker_environment() -> Iterator[None]:
+    """Let processes that are started meanwhile have one thread each and give memory back, unless the user says so.
 
     A worker that imports its caller's script has loaded its libraries before `prepare_worker` is called.
     """
-    missing = [name for name in _THREADS if name not in os.environ]
-    os.environ.update(dict.fromkeys(missing, "1"))
+    missing = {name: value for name, value in _ENVIRONMENT.items() if name not in os.environ}
+    os.environ.update(missing)
     try:
         yield
     finally:

@@ -9,11 +9,12 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from autotune.drift import MASS, Change, Values, change_text, differences, parameter_name
+from autotune.quantities import parse_quantity
 from autotune.text import clock_text, with_deviation
 from identification.errors import EstimateError
 from identification.result import Finding
 
-SHORTEST_S = 20.0
+_SHORTEST_S = 20.0
 """A window must hold a few poses at rest, a sweep or a contact."""
 _MOST_USED = 8
 HOLE = "hole"
@@ -71,6 +72,14 @@ class Window:
             "changed": tree.get("changed", ""),
         }
         return cls(start_s=start_s, stop_s=stop_s, values=values, **said)
+
+
+def window_length_s(said: float | str) -> float:
+    """Return the length of windows [s] out of a number or a text as `10min`; raises ValueError where it is none."""
+    seconds = parse_quantity(str(said), "duration").value
+    if not _SHORTEST_S <= seconds < math.inf:
+        raise ValueError(f"must be {_SHORTEST_S:g} s or longer, for example 10min.")
+    return seconds
 
 
 def windows_of(provenance: Mapping[str, Any]) -> tuple[Window, ...]:

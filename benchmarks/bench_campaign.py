@@ -22,8 +22,8 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from autotune.campaign.manifest import read_manifest
+from autotune.campaign.options import RunOptions
 from autotune.campaign.run import work_on_runs
-from autotune.campaign.work import RunOptions
 from autotune.pipeline import identify_log
 from autotune.simulation.phases import Program
 from autotune.simulation.simulate import simulate_cell

@@ -42,9 +42,10 @@ from .result import (
 from .robot.admittance_estimates import AdmittanceRobots, identify_admittance_robots
 from .robot.admittance_motion import with_compensated_force
 from .sensor import at_rest_only, describe_sensor, identify_from_rows
-from .signals.aligned import AlignedLog, align, check_regular, find_gaps, restore_commands, without_spikes
+from .signals.aligned import AlignedLog, align, check_regular, find_gaps, restore_commands
 from .signals.recording import Frames, PoseSignal, Recording
 from .signals.segments import MotionSpans, find_motion
+from .signals.spikes import without_spikes
 from .turn_estimate import identify_turn, unidentified_turn
 from .verdicts import missing
 

@@ -3,7 +3,7 @@
 import csv
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,9 @@ from autotune.errors import UsageError
 from autotune.formats.kinds import check_kind, is_log
 from autotune.formats.schema import check_document, check_format
 from autotune.formats.yaml12 import load_document
+from problems.frozen import freeze
+
+from .options import OPTION_NAMES, read_options
 
 _COLUMNS = ("cell", "log", "run", "cell_file", "problem", "controller")
 _FILES = ("cell_file", "problem", "controller")
@@ -20,7 +23,10 @@ _BESIDE = ("cell.yaml", "problem.yaml", "controller.yaml")
 
 @dataclass(frozen=True, kw_only=True)
 class LoggedRun:
-    """One recording of one cell, and the files that say more of it; `controller` is what runs there today."""
+    """One recording of one cell, and the files that say more of it; `controller` is what runs there today.
+
+    `options` are the fields of `RunOptions` that the manifest says of it, in the place of those of the campaign.
+    """
 
     cell: str
     run: str
@@ -28,6 +34,10 @@ class LoggedRun:
     cell_file: Path | None = None
     problem: Path | None = None
     controller: Path | None = None
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        freeze(self, "options")
 
     @property
     def name(self) -> str:
@@ -90,14 +100,16 @@ def _of_table(path: Path) -> Iterator[LoggedRun]:
     try:
         with path.open(encoding="utf-8-sig", newline="") as stream:
             reader = csv.DictReader(stream)
-            unknown = [name for name in reader.fieldnames or () if name not in _COLUMNS]
+            unknown = [name for name in reader.fieldnames or () if name not in (*_COLUMNS, *OPTION_NAMES)]
             if unknown or not {"cell", "log"} <= set(reader.fieldnames or ()):
                 raise UsageError(
-                    f"{path} must have the columns cell and log, and may have {', '.join(_COLUMNS[2:])}; found "
-                    f"{', '.join(reader.fieldnames or ()) or 'none'}."
+                    f"{path} must have the columns cell and log, and may have {', '.join(_COLUMNS[2:])}, and the "
+                    f"options {', '.join(OPTION_NAMES)}; found {', '.join(reader.fieldnames or ()) or 'none'}."
                 )
             for row in reader:
-                yield _run(path, f"line {reader.line_num}", {key: value for key, value in row.items() if value})
+                entry = {key: value for key, value in row.items() if value}
+                options = {name: entry.pop(name) for name in OPTION_NAMES if name in entry}
+                yield _run(path, f"line {reader.line_num}", {**entry, "options": options})
     except (OSError, UnicodeError, csv.Error) as error:
         raise UsageError(f"{path} cannot be read: {getattr(error, 'strerror', None) or error}.") from error
 
@@ -125,4 +137,5 @@ def _run(path: Path, where: str, entry: Mapping[str, Any]) -> LoggedRun:
             raise UsageError(f"{path}, {where}: {file} is not there.")
     if not logs:
         raise UsageError(f"{path}, {where}: no log is named.")
-    return LoggedRun(cell=cell, run=run, logs=logs, **files)
+    options = read_options(f"{path}, {where}", entry.get("options", {}), path.parent)
+    return LoggedRun(cell=cell, run=run, logs=logs, options=options, **files)

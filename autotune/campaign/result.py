@@ -16,10 +16,11 @@ from problems.progress import no_progress
 from .dask_pool import dask_executor
 from .fleet import Unusual, changes, unusual
 from .manifest import read_manifest
+from .options import RunOptions
 from .run import work_on_runs
 from .tables import campaign_rows, write_tables
 from .text import outcome_text, unusual_text
-from .work import RunOptions, RunOutcome
+from .work import RunOutcome
 
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)

@@ -8,12 +8,13 @@ from multiprocessing import get_context
 from pathlib import Path
 
 from autotune.errors import UsageError
-from autotune.processes import one_thread_each, prepare_worker
+from autotune.processes import prepare_worker, worker_environment
 from problems.errors import AutotuneError
 
 from .dask_pool import MOST_DEATHS, DaskPool
 from .manifest import LoggedRun
-from .work import RunOptions, RunOutcome, RunTask, build_task, read_outcome, work_on
+from .options import RunOptions
+from .work import RunOutcome, RunTask, build_task, read_outcome, work_on
 
 _LOOK_S = 5.0
 _KILLED = (
@@ -132,7 +133,7 @@ def _workers(executor: Executor | None, jobs: int) -> Iterator[Executor]:
     # A fork would copy the threads' locks of the libraries that are loaded already.
     pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=prepare_worker)
     try:
-        with one_thread_each():
+        with worker_environment():
             yield pool
     except BaseException:
         pool.shutdown(wait=False, cancel_futures=True)

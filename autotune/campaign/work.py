@@ -6,17 +6,17 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from hashlib import sha256
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 from autotune.drift import identified_values
 from autotune.errors import CertificateError, InfeasibleError, UsageError
 from autotune.formats.atomic import write_folder_atomic
 from autotune.formats.cell import read_cell
-from autotune.formats.controller import read_controller, write_controller
-from autotune.formats.identified import read_identified, write_identified
+from autotune.formats.controller import controller_tree, read_controller
+from autotune.formats.identified import identified_tree, parse_identified
 from autotune.formats.problem import ProblemSpec, read_problem
-from autotune.pipeline import IdentifyOptions, identify_log
+from autotune.formats.yaml12 import dump_yaml
+from autotune.pipeline import identify_log
 from autotune.version import __version__
 from identification.errors import EstimateError, LogError
 from identification.logs.containers.formats import sha256_of
@@ -24,23 +24,10 @@ from identification.result import Identified
 from problems.errors import AutotuneError
 
 from .manifest import LoggedRun
+from .options import RunOptions
 
 RESULT = "result.json"
 _STEPS = {LogError: "log", EstimateError: "estimate", InfeasibleError: "requirements", CertificateError: "certificate"}
-
-
-@dataclass(frozen=True, kw_only=True)
-class RunOptions:
-    """What holds of every run: whether controllers are searched, the seed of the search, and how `identify` reads."""
-
-    optimize: bool = True
-    seed: int = 0
-    allow_partial: bool = False
-    salvage: bool = False
-
-    def tree(self) -> dict[str, Any]:
-        """Return what is part of a run's key; options that were not there before are so only where they are used."""
-        return {name: value for name, value in asdict(self).items() if value or name in ("optimize", "seed")}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,9 +84,14 @@ def read_outcome(folder: Path) -> RunOutcome | None:
 def build_task(run: LoggedRun, folder: Path, options: RunOptions) -> RunTask:
     """Return the task of a run; its key is the SHA-256 of version, options and the bytes of every file.
 
+    What the manifest says of the run's options goes before those of the campaign.
+
     Raises UsageError where a file cannot be read.
     """
     files = {key: getattr(run, key) for key in ("cell_file", "problem", "controller")}
+    options = replace(options, **run.options)
+    if options.urdf is not None:
+        files["urdf"] = options.urdf
     try:
         digests = {key: None if path is None else _digest(path) for key, path in files.items()}
         logs = [_digest(log) for log in run.logs]
@@ -122,13 +114,13 @@ def work_on(task: RunTask) -> RunOutcome:
 
     What was not foreseen ends the run and not the campaign; nothing is written of it, so that it is tried again.
     """
-    with TemporaryDirectory() as scratch, warnings.catch_warnings():
+    files: dict[str, str] = {}
+    with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
-            outcome = _identify_and_tune(task, Path(scratch))
+            outcome = _identify_and_tune(task, files)
         except Exception as error:  # noqa: BLE001 - one log must not end the work on all others
             return task.refused("unforeseen", f"Unforeseen {type(error).__name__}: {error}")
-        files = {each.name: each.read_text(encoding="utf-8") for each in sorted(Path(scratch).iterdir())}
     try:
         task.folder.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -137,20 +129,20 @@ def work_on(task: RunTask) -> RunOutcome:
     return outcome
 
 
-def _identify_and_tune(task: RunTask, scratch: Path) -> RunOutcome:
+def _identify_and_tune(task: RunTask, files: dict[str, str]) -> RunOutcome:
+    """Return what came of a run, and put the files that it makes into `files`, by name."""
     run = task.run
     outcome = RunOutcome(cell=run.cell, run=run.run, key=task.key)
     try:
         cell = None if run.cell_file is None else read_cell(run.cell_file)
-        options = IdentifyOptions(cell=cell, allow_partial=task.options.allow_partial, salvage=task.options.salvage)
-        found = identify_log(run.logs, options)
-        write_identified(scratch / "identified.yaml", found.result, found.provenance)
+        found = identify_log(run.logs, task.options.of_identify(cell))
+        files["identified.yaml"] = dump_yaml(identified_tree(found.result, found.provenance))
         recorded = float(found.provenance["time_span_s"][0])
         outcome = replace(outcome, recorded_s=recorded, values=identified_values(found.result))
         if run.controller is not None:
             outcome = replace(outcome, outside=_outside(run.controller, found.result))
         if task.options.optimize:
-            outcome = replace(outcome, peaks_n=_tune(task, scratch))
+            outcome = replace(outcome, peaks_n=_tune(task, files))
     except AutotuneError as error:
         kind = next((name for of, name in _STEPS.items() if isinstance(error, of)), "usage")
         return replace(outcome, refused=kind, reason=str(error))
@@ -165,17 +157,17 @@ def _outside(controller: Path, result: Identified) -> tuple[str, ...]:
     return tuple(f"axis {each.axis}, {each.name}: {each.message}" for each in checks if not each.passed)
 
 
-def _tune(task: RunTask, scratch: Path) -> dict[str, tuple[float | None, float]]:
+def _tune(task: RunTask, files: dict[str, str]) -> dict[str, tuple[float | None, float]]:
     """Search the controller and write it; return the worst peaks before and after, by axis."""
     from autotune.prediction.said_gains import present_gains  # noqa: PLC0415 - compiles
     from autotune.tuning.optimize import optimize  # noqa: PLC0415 - compiles
 
     problem = task.run.problem
     spec = ProblemSpec() if problem is None else read_problem(problem)
-    source = replace(read_identified(scratch / "identified.yaml"), path=task.folder / "identified.yaml")
+    source = parse_identified(files["identified.yaml"], task.folder / "identified.yaml")
     present = present_gains(None, source, spec.axes)
     found = optimize(source, spec, seed=task.options.seed, problem_path=problem, present=present)
-    write_controller(scratch / "controller.yaml", found.controller)
+    files["controller.yaml"] = dump_yaml(controller_tree(found.controller))
     return {
         name: (_before(found.before_after, name), max(each.peak_contact_force_n for each in predicted.scenarios))
         for name, predicted in found.controller.predicted.items()

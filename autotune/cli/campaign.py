@@ -16,7 +16,8 @@ from ._terminal import print_message
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
-    from autotune.campaign.work import RunOptions, RunOutcome
+    from autotune.campaign.options import RunOptions
+    from autotune.campaign.work import RunOutcome
 
 _EPILOG = """\b
 Examples:
@@ -76,8 +77,8 @@ def command(
     is a result with its reason. Exit code 4: no run was identified. 6: a controller that the manifest names is no
     longer certified for what its cell's newest run shows.
     """
+    from autotune.campaign.options import RunOptions
     from autotune.campaign.text import outcome_text
-    from autotune.campaign.work import RunOptions
     from autotune.errors import UsageError
     from autotune.processes import count_processors
 

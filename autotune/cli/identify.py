@@ -1,6 +1,5 @@
 """`autotune identify`: plant parameters from a log."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -49,16 +48,12 @@ _GROUPS = {
 def _duration(_context: click.Context, _option: click.Parameter, text: str | None) -> float | None:
     if text is None:
         return None
-    from autotune.quantities import parse_quantity
-    from autotune.windows import SHORTEST_S
+    from autotune.windows import window_length_s
 
     try:
-        seconds = parse_quantity(text, "duration").value
+        return window_length_s(text)
     except ValueError as error:
         raise click.BadParameter(str(error)) from None
-    if not SHORTEST_S <= seconds < math.inf:
-        raise click.BadParameter(f"must be {SHORTEST_S:g} s or longer, for example 10min.")
-    return seconds
 
 
 @click.command("identify", cls=GroupedCommand, groups=_GROUPS, epilog=_EPILOG)

@@ -186,7 +186,9 @@ def write_folder_atomic(path: Path | str, files: Mapping[str, str]) -> None:
             temporary.mkdir()
             for name, text in files.items():
                 (temporary / name).parent.mkdir(parents=True, exist_ok=True)
-                _replace(temporary / name, text.encode())
+                _write_new(temporary / name, text.encode())
+            for folder in {(temporary / name).parent for name in files} | {temporary}:
+                _sync_directory(folder)
             if not (target.exists() and exchange(temporary, target)):
                 _move_aside(target, temporary, former)
         finally:
@@ -213,16 +215,20 @@ def _move_aside(target: Path, new: Path, former: Path) -> None:
 def _replace(target: Path, data: bytes) -> None:
     temporary, _ = temporary_beside(target)
     try:
-        with os.fdopen(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666), "wb") as stream:
-            stream.write(data)
-            stream.flush()
-            os.fsync(stream.fileno())
+        _write_new(temporary, data)
         temporary.replace(target)
     except BaseException:
         with suppress(OSError):
             temporary.unlink()
         raise
     _sync_directory(target.parent)
+
+
+def _write_new(path: Path, data: bytes) -> None:
+    with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666), "wb") as stream:
+        stream.write(data)
+        stream.flush()
+        os.fsync(stream.fileno())
 
 
 def _sync_directory(directory: Path) -> None:

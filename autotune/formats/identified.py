@@ -13,7 +13,7 @@ from .atomic import write_atomic
 from .canonical import plain
 from .records import read_record, record_tree, rename_axis_keys
 from .schema import VERSION, check_document, check_format, check_tree
-from .yaml12 import Document, dump_yaml, load_document
+from .yaml12 import Document, dump_yaml, load_document, parse_document
 
 FORMAT = "autotune/identified"
 IN_MEMORY = Path("(in memory)")
@@ -65,7 +65,15 @@ def read_identified(path: Path | str) -> IdentifiedFile:
     Raises UsageError: the file cannot be read, is not of this format and version, or an entry is missing, unknown or
     out of range; the text names file, line and reason.
     """
-    document = load_document(path, error=UsageError)
+    return _checked(load_document(path, error=UsageError))
+
+
+def parse_identified(text: str, path: Path) -> IdentifiedFile:
+    """Do what `read_identified` does on the text of a file that is, or will be, at `path`."""
+    return _checked(parse_document(text.encode(), path, error=UsageError, exact=False))
+
+
+def _checked(document: Document) -> IdentifiedFile:
     check_format(document, "identified")
     check_document(document, "identified")
     body = {key: value for key, value in document.tree.items() if key not in ("format", "version", "provenance")}

@@ -11,7 +11,7 @@ from problems.arrays import FloatArray
 from ..errors import EstimateError
 from ..payload.gravity import GravityFit
 from ..payload.static_poses import GRAVITY_B_M_S2
-from ..signals.aligned import AlignedLog, align
+from ..signals.aligned import AlignedLog, aligned_position
 from ..signals.recording import PoseSignal, Recording
 from ..signals.segments import MotionSpans, Span, low_pass
 from .straight import AxisMotion
@@ -31,6 +31,7 @@ _FEWEST_CROSSINGS = 3.0
 _RATE_BAND_HZ = 25.0
 _SHORTEST_S = 0.1
 _GLANCE_S = 0.02
+_PART = 2**16
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,8 +63,10 @@ class AxisTurn:
             raise EstimateError(
                 f"Axis {self.name} needs orientations, and topic {pose.topic} has none; record the whole pose."
             )
-        turned = self.reference_BS.inv() * Rotation.from_quat(pose.quaternion_xyzw)
-        return np.asarray(turned.as_rotvec()[:, self.index])
+        first, angle = self.reference_BS.inv(), np.empty(len(pose.quaternion_xyzw))
+        for part in (slice(start, start + _PART) for start in range(0, len(angle), _PART)):
+            angle[part] = (first * Rotation.from_quat(pose.quaternion_xyzw[part])).as_rotvec()[:, self.index]
+        return angle
 
     def unrolled(self, pose: PoseSignal) -> PoseSignal:
         """Return the pose whose position goes `LEVER_M` times the angle along the axis."""
@@ -180,7 +183,7 @@ def _turn(
         weight_n_m_per_rad=_weight_stiffness(gravity, reference, index),
     )
     # Position is interpolated by cubic splines, orientation by straight turns, which would flatten a fast sweep.
-    along = align(replace(recording, pose=turned.unrolled(recording.pose))).position_B_m @ turned.motion.direction_B
+    along = aligned_position(replace(recording, pose=turned.unrolled(recording.pose))) @ turned.motion.direction_B
     return replace(turned, motion=replace(turned.motion, position_m=np.asarray(along / LEVER_M)))
 
 

@@ -101,10 +101,10 @@ def _inspect(
             ends = (min((int(each[0]) for each in held), default=0), max((int(each[-1]) for each in held), default=0))
         ends = _by_headers(ends, [series[choice.info.channel] for choice in choices.values()])
         container = logs.parts[0].survey.container
-    if Role.WRENCH in choices and Role.POSE in choices:
-        if reading is None:
-            reading = _read_findings(files, declared, findings, salvage=salvage, span=span)
-        findings += [finding for finding in reading if finding.code not in _TOLD_ELSEWHERE]
+        if Role.WRENCH in choices and Role.POSE in choices:
+            if reading is None:
+                reading = _read_findings(files, declared, findings, logs, salvage=salvage, span=span)
+            findings += [finding for finding in reading if finding.code not in _TOLD_ELSEWHERE]
     sha256s = digests(files)
     return LogSummary(
         path=files[0],
@@ -265,7 +265,7 @@ def _read_all(logs: OpenedLogs, findings: list[Finding]) -> dict[Channel, Series
     """
     wanted = {info.channel: _wanted(info) for info in logs.infos}
     try:
-        return logs.read(wanted)
+        return logs.read(wanted, holds=True)
     except LogError:
         times = logs.read({channel: Wanted(fields=(), header="") for channel in wanted})
     series = {}
@@ -336,11 +336,11 @@ def _declared_findings(logs: OpenedLogs, choices: Mapping[Role, Choice], cell: C
 
 
 def _read_findings(
-    files: Sequence[Path], cell: Cell, known: Sequence[Finding], *, salvage: bool, span: LogSpan
+    files: Sequence[Path], cell: Cell, known: Sequence[Finding], logs: OpenedLogs, *, salvage: bool, span: LogSpan
 ) -> Sequence[Finding]:
     """Return what reading for `identify` finds beside what is known: tare, payload, clocks, or why it is refused."""
     try:
-        return read_checked_recording(files, cell, salvage=salvage, span=span).findings
+        return read_checked_recording(files, cell, salvage=salvage, span=span, opened=logs).findings
     except EstimateError:
         return []
     except LogError as error:

@@ -1,42 +1,25 @@
 """Log files opened side by side: what they hold, and the numbers of the chosen roles, whatever the format."""
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
-
-from problems.arrays import FloatArray
 
 from ..errors import LogError, listed
 from ..result import Finding
-from ..signals.recording import StampArray
 from .containers.channel import Batch, Channel, ChannelInfo, Container, Held, Survey
 from .containers.formats import is_table, open_container
-from .messages.decode import (
-    HEADER,
-    ROS_ENCODINGS,
-    JointNames,
-    MessageError,
-    Series,
-    Wanted,
-    build_program,
-    needed_types,
-)
-from .messages.objects import ObjectDecoder, build_object_parser, messages_of, strings_block
-from .messages.transforms import FIELDS, Pair, build_transform_decoder
+from .messages.decode import HEADER, ROS_ENCODINGS, JointNames, MessageError, Series, Wanted, needed_types
+from .messages.gather import build_decoder, gather, list_frames, read_transform, recording_times
+from .messages.objects import build_object_parser, messages_of, strings_block
 from .roles.cell import Cell
 from .roles.choose import Choice
 from .roles.registry import Role
 from .tables.read import TableLog, check_time_units
 
 _MOST_PUBLISHERS = 16
-_GROWTH = 1.5
-_LEAST_ROOM = 1024
-Number = TypeVar("Number", np.int64, np.float64)
 
 
 class ContainerLog:
@@ -53,16 +36,29 @@ class ContainerLog:
             self._container.close()
             raise
         self._lost: dict[Finding, None] = {}
+        self.held: dict[Channel, tuple[Wanted, Series]] = {}
 
     def read(self, channels: Mapping[Channel, Wanted]) -> dict[Channel, Series]:
-        """Read channels; those of which only the time of recording is wanted are not decoded."""
+        """Read channels; those of which only the time of recording is wanted are not decoded, nor what is held."""
+        held = {channel: self.held[channel][1] for channel, wanted in channels.items() if self._holds(channel, wanted)}
+        new = {channel: wanted for channel, wanted in channels.items() if channel not in held}
         decoders = {
             channel: build_decoder(channel, wanted) if wanted.fields or wanted.header else recording_times
-            for channel, wanted in channels.items()
+            for channel, wanted in new.items()
         }
-        found = gather(self._container, decoders, channels)
+        found = {**held, **(gather(self._container, decoders, new) if new else {})}
         self._remember()
         return found
+
+    def hold(self, channels: Mapping[Channel, Wanted]) -> None:
+        """Read channels of which as much, or less, is asked again."""
+        self.held = {channel: (channels[channel], series) for channel, series in self.read(channels).items()}
+
+    def _holds(self, channel: Channel, wanted: Wanted) -> bool:
+        if channel not in self.held:
+            return False
+        known = self.held[channel][0]
+        return {*wanted.fields} <= {*known.fields} and (wanted.header, wanted.only) == (known.header, known.only)
 
     def frames(self, channel: Channel) -> tuple[tuple[str, str], ...]:
         """List the pairs (parent, child) of a channel of transforms."""
@@ -168,12 +164,17 @@ class OpenedLogs:
         """Report what was seen of the containers and what reading left out, each once."""
         return tuple(dict.fromkeys(finding for part in self.parts for finding in part.findings()))
 
-    def read(self, channels: Mapping[Channel, Wanted]) -> dict[Channel, Series]:
-        """Read channels, each file once, what several files hold of one joined; channels of no file are left out."""
+    def read(self, channels: Mapping[Channel, Wanted], *, holds: bool = False) -> dict[Channel, Series]:
+        """Read channels, each file once, what several files hold of one joined; channels of no file are left out.
+
+        What it `holds` is not read from a file of messages again while that is open.
+        """
         parts = []
         for part in self.parts:
             held = {info.channel for info in part.infos}
             mine = {channel: wanted for channel, wanted in channels.items() if channel in held}
+            if holds and isinstance(part, ContainerLog):
+                part.hold(mine)
             parts.append(part.read(mine) if mine else {})
         return {channel: _joined([part[channel] for part in parts if channel in part]) for channel in channels}
 
@@ -270,109 +271,6 @@ def _role_series(choice: Choice, series: Series) -> Series:
     return replace(series, fields=choice.fields, stamp_ns=stamps, values=values)
 
 
-class _Gathering:
-    """The numbers of one channel while it is read; `room` is the number of rows that are expected."""
-
-    def __init__(self, wanted: Wanted, room: int) -> None:
-        self._wanted = wanted
-        self._rows = 0
-        self._log_ns: StampArray = np.empty(room, dtype=np.int64)
-        self._stamp_ns: StampArray | None = np.empty(room, dtype=np.int64) if wanted.header else None
-        self._values: FloatArray = np.empty((room, len(wanted.fields)))
-        self._frame_ids: set[str] = set()
-
-    def add(self, part: Series) -> None:
-        """Add what a batch holds."""
-        first, self._rows = self._rows, self._rows + part.log_ns.size
-        if self._rows > self._log_ns.size:
-            self._grow(first)
-        rows = slice(first, self._rows)
-        self._log_ns[rows] = part.log_ns
-        self._values[rows] = part.values
-        if self._stamp_ns is not None and part.stamp_ns is not None:
-            self._stamp_ns[rows] = part.stamp_ns
-        self._frame_ids.update(part.frame_ids)
-
-    def _grow(self, filled: int) -> None:
-        room = max(_LEAST_ROOM, self._rows, int(self._log_ns.size * _GROWTH))
-        self._log_ns = _moved(self._log_ns, filled, room)
-        self._values = _moved(self._values, filled, room)
-        if self._stamp_ns is not None:
-            self._stamp_ns = _moved(self._stamp_ns, filled, room)
-
-    def finish(self, channel: Channel) -> Series:
-        """Return the numbers in order of recording; what was recorded at once stays in file order."""
-        if self._rows < self._log_ns.size:
-            self._log_ns = self._log_ns[: self._rows].copy()
-            self._values = self._values[: self._rows].copy()
-            self._stamp_ns = None if self._stamp_ns is None else self._stamp_ns[: self._rows].copy()
-        if bool(np.any(self._log_ns[1:] < self._log_ns[:-1])):
-            order = np.argsort(self._log_ns, kind="stable")
-            self._log_ns = self._log_ns[order]
-            self._values = self._values[order]
-            self._stamp_ns = None if self._stamp_ns is None else self._stamp_ns[order]
-        return Series(
-            channel=channel,
-            fields=self._wanted.fields,
-            log_ns=self._log_ns,
-            stamp_ns=self._stamp_ns,
-            frame_ids=tuple(sorted(self._frame_ids)),
-            values=self._values,
-        )
-
-
-def _moved(array: NDArray[Number], filled: int, room: int) -> NDArray[Number]:
-    moved = np.empty((room, *array.shape[1:]), dtype=array.dtype)
-    moved[:filled] = array[:filled]
-    return moved
-
-
-def build_decoder(channel: Channel, wanted: Wanted) -> Callable[[Batch], Series]:
-    """Return what decodes batches of a channel; raise LogError where its type has no such numbers."""
-    return build_program(channel, wanted) or ObjectDecoder(channel, wanted)
-
-
-def recording_times(batch: Batch) -> Series:
-    """Return when the messages of a batch were recorded, without decoding them."""
-    nothing = np.empty((batch.count, 0))
-    return Series(
-        channel=batch.channel, fields=(), log_ns=batch.log_ns.copy(), stamp_ns=None, frame_ids=(), values=nothing
-    )
-
-
-def gather(
-    container: Container, decoders: Mapping[Channel, Callable[[Batch], Series]], wanted: Mapping[Channel, Wanted]
-) -> dict[Channel, Series]:
-    """Read the channels once and put together what their decoders make of each batch."""
-    counted = {} if container.recorded_ns else {held.channel: held.count for held in container.survey().held}
-    gatherings = {channel: _Gathering(each, counted.get(channel, 0)) for channel, each in wanted.items()}
-    counts = dict.fromkeys(wanted, 0)
-
-    def handle(batch: Batch) -> tuple[int, Series]:
-        asked = _holding(container.recorded(batch), wanted[batch.channel].only)
-        return batch.count, decoders[batch.channel](asked)
-
-    try:
-        for channel, (count, part) in container.read(tuple(wanted), handle):
-            gatherings[channel].add(part)
-            counts[channel] += count
-    except MessageError as fault:
-        number = counts[fault.channel] + fault.index + 1
-        raise LogError(
-            f"Message {number} of topic {fault.channel.topic} is damaged or no {fault.channel.type_name}: "
-            f"{fault.reason}; record again or leave this topic out."
-        ) from fault
-    return {channel: gatherings.pop(channel).finish(channel) for channel in wanted}
-
-
-def _holding(batch: Batch, block: bytes) -> Batch:
-    """Return the messages of a batch that hold these bytes."""
-    if not block:
-        return batch
-    keep = np.array([block in message for message in messages_of(batch)], dtype=np.bool_)
-    return batch.part(keep)
-
-
 def build_infos(survey: Survey) -> tuple[ChannelInfo, ...]:
     """Return what is known of each channel of a survey; a first message that cannot be decoded has no frame."""
     infos = map(_info, survey.held)
@@ -418,26 +316,3 @@ def decode_first(held: Held, wanted: Wanted) -> Series:
         )
     except MessageError as fault:
         raise LogError(f"The first message of topic {held.channel.topic} cannot be decoded: {fault.reason}.") from fault
-
-
-def read_transform(container: Container, channel: Channel, parent: str, child: str) -> Series:
-    """Read the transforms from `parent` to `child` in order of recording, stamped by their own headers.
-
-    Works on topics of TFMessage, which hold several transforms per message, and of TransformStamped. Raises LogError
-    where the topic holds no transform of these frames, or a message is not as its type says.
-    """
-    decoder = build_transform_decoder(channel, (parent, child))
-    series = gather(container, {channel: decoder}, {channel: Wanted(fields=FIELDS)})[channel]
-    if not series.log_ns.size:
-        pairs = ", ".join(f"{first} to {second}" for first, second in sorted(decoder.pairs)[:10])
-        raise LogError(
-            f"Topic {channel.topic} holds no transform from {parent!r} to {child!r}; it holds: {pairs or 'none'}."
-        )
-    return series
-
-
-def list_frames(container: Container, channel: Channel) -> tuple[Pair, ...]:
-    """Return the pairs of parent and child frame that occur on a topic of transforms, sorted."""
-    decoder = build_transform_decoder(channel, None)
-    gather(container, {channel: decoder}, {channel: Wanted(fields=FIELDS)})
-    return tuple(sorted(decoder.pairs))

@@ -1,6 +1,7 @@
 """Read from logs the channels that `identify` needs, in SI and in our frames."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from decimal import Decimal, InvalidOperation
@@ -14,8 +15,8 @@ from problems.errors import ParameterError
 
 from ..errors import LogError, OutsideSpanError, PayloadChangedError
 from ..result import Finding
-from ..signals.aligned import without_pose_spikes
 from ..signals.recording import Recording, StampArray, join_recordings, sampling_rate_hz, shifted
+from ..signals.spikes import without_pose_spikes
 from .checks.clocks import ChannelTimes, check_clocks
 from .checks.payload import check_payload, payload_change
 from .checks.robot_state import drop_idle_command, drop_zero_torques
@@ -239,7 +240,8 @@ def read_recording(
     Returns
     -------
     Recording
-        Signals in SI, in the gravity-aligned base and the sensor frame; its findings list what was chosen.
+        Signals in SI, in the gravity-aligned base and the sensor frame; its findings list what was chosen. A window
+        (`span.recorded_ns`) has no digest of its files.
 
     Raises
     ------
@@ -261,11 +263,17 @@ def first_instant(
 
 
 def read_checked_recording(
-    paths: Path | Sequence[Path], cell: Cell, *, salvage: bool = False, span: LogSpan = WHOLE
+    paths: Path | Sequence[Path],
+    cell: Cell,
+    *,
+    salvage: bool = False,
+    span: LogSpan = WHOLE,
+    opened: OpenedLogs | None = None,
 ) -> Recording:
     """Read as `read_recording` does, and check clocks and payload by the motion itself.
 
-    The offset between the clocks of wrench and pose is removed where the motion determines it.
+    The offset between the clocks of wrench and pose is removed where the motion determines it. What was `opened` of
+    the same span is not opened again.
 
     Raises
     ------
@@ -274,7 +282,7 @@ def read_checked_recording(
     PayloadChangedError
         The payload changed within the log.
     """
-    recording = _on_one_clock(*_read(paths, cell, salvage=salvage, span=span)[:2])
+    recording = _on_one_clock(*_read(paths, cell, salvage=salvage, span=span, opened=opened)[:2])
     about_payload = check_payload(recording)
     changed = [each for each in about_payload if each.code in _CHANGED and each.severity == "error"]
     if changed and (change := payload_change(recording)) is not None:
@@ -284,7 +292,7 @@ def read_checked_recording(
 
 
 def _read(
-    paths: Path | Sequence[Path], cell: Cell, *, salvage: bool, span: LogSpan
+    paths: Path | Sequence[Path], cell: Cell, *, salvage: bool, span: LogSpan, opened: OpenedLogs | None = None
 ) -> tuple[Recording, list[ChannelTimes], tuple[int, int]]:
     """Return a recording, header and recording stamps of the channels with clocks of their own, and both of its start.
 
@@ -293,7 +301,9 @@ def _read(
     files = (paths,) if isinstance(paths, Path) else tuple(paths)
     # A pause of the recorder costs a long log what is around it.
     keeps_holes = salvage or span.recorded_ns is not None
-    with open_logs(files, cell, salvage=salvage, recorded_ns=span.recorded_ns) as logs:
+    with (
+        open_logs(files, cell, salvage=salvage, recorded_ns=span.recorded_ns) if opened is None else nullcontext(opened)
+    ) as logs:
         cell = spelled_as_in(cell, logs.infos)
         choices = choose_all(logs.infos, cell, logs.name, logs.frames_of)
         choices, cell, chain = resolve_joints(choices, cell, logs)
@@ -319,7 +329,9 @@ def _read(
         findings = (*about_log, *about_span, *chosen, *cautions, *idle, *questions, *about_clocks, *about_samples)
         beside = joint_findings(choices[Role.POSE], recording, cell, chain, logs)
         findings = (*findings, *recording.findings, *beside)
-    return replace(recording, sha256=digests(files), findings=findings, keeps_holes=keeps_holes), times, start
+    # Many windows of a log do not each read all of it for its digest.
+    sha256 = digests(files) if span.recorded_ns is None else {}
+    return replace(recording, sha256=sha256, findings=findings, keeps_holes=keeps_holes), times, start
 
 
 def _check_fields(choices: Iterable[Choice], logs: OpenedLogs) -> None:

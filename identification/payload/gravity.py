@@ -92,16 +92,18 @@ class GravityFit:
 
     def compensated_force_S_n(self, log: AlignedLog) -> FloatArray:
         """Return the force (n, 3) without bias and weight."""
-        weight = self.mass_kg * log.orientation_BS.inv().apply(GRAVITY_B_M_S2)
-        force = np.asarray(log.force_S_n - self.force_bias_S_n - weight)
+        weight = self.mass_kg * log.in_sensor_frame(GRAVITY_B_M_S2)
+        force = log.force_S_n - self.force_bias_S_n
+        force -= weight
         if self.bias_step is not None:
             force[: self.bias_step.sample] -= self.bias_step.force_before_S_n
         return force
 
     def compensated_torque_S_n_m(self, log: AlignedLog) -> FloatArray:
         """Return the torque about the sensor's origin (n, 3) without bias and weight."""
-        weight = self.mass_kg * log.orientation_BS.inv().apply(GRAVITY_B_M_S2)
-        torque = np.asarray(log.torque_S_n_m - self.torque_bias_S_n_m - np.cross(self.com_S_m, weight))
+        weight = self.mass_kg * log.in_sensor_frame(GRAVITY_B_M_S2)
+        torque = log.torque_S_n_m - self.torque_bias_S_n_m
+        torque -= np.cross(self.com_S_m, weight)
         if self.bias_step is not None:
             torque[: self.bias_step.sample] -= self.bias_step.torque_before_S_n_m
         return torque

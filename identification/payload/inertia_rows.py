@@ -52,7 +52,7 @@ def build_motion_rows(
     spans = [span for span in motion.moving if _is_free_turn(span, log, motion, poses, gravity, rate)]
     if not spans:
         return None
-    linear = np.asarray(log.orientation_BS.inv().apply(_acceleration_B(log)))
+    linear = log.in_sensor_frame(_acceleration_B(log))
     turning = np.gradient(rate, log.period_s, axis=0)
     edge, step = round(_EDGE_S / log.period_s), max(1, round(0.5 / (_BAND_HZ * log.period_s)))
     signals = _Signals(linear=linear, turning=turning, rate=rate, period_s=log.period_s)

@@ -12,6 +12,8 @@ from ..signals.aligned import AlignedLog
 from .gravity import GravityFit
 from .inertia import InertiaFit, inertia_matrix
 
+_PART = 2**16
+
 
 def turning_force(
     force_S_n: FloatArray, torque_S_n_m: FloatArray, mass_kg: float, com_S_m: FloatArray, inertia_kg_m2: FloatArray
@@ -47,8 +49,12 @@ def turning_of_payload(
         tensor[i, i] = tensor[i, i] if known[i] else fill[i, i]
     if not np.all(np.linalg.eigvalsh(tensor - of_point) > 0.0):
         return None
-    found = turning_force(force_S_n, gravity.compensated_torque_S_n_m(log), mass, com, tensor)
-    return np.where(useful, found, np.nan)
+    torque = gravity.compensated_torque_S_n_m(log)
+    found = np.empty_like(torque)
+    for part in (slice(first, first + _PART) for first in range(0, len(torque), _PART)):
+        found[part] = turning_force(force_S_n[part], torque[part], mass, com, tensor)
+    found[:, ~np.array(useful)] = np.nan
+    return found
 
 
 def _of_point(mass_kg: float, at_m: FloatArray) -> FloatArray:

@@ -1,4 +1,4 @@
-"""Wrench and pose on one uniform clock, single samples and lost commands repaired before."""
+"""Wrench and pose on one uniform clock, lost commands repaired before."""
 
 import math
 from dataclasses import dataclass, replace
@@ -11,8 +11,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from problems.arrays import BoolArray, FloatArray, IntArray
 
 from ..errors import LogError
-from ..result import Finding
-from .recording import PoseSignal, Recording, StampArray, WrenchSignal, slerp, stamped_between
+from .recording import PoseSignal, Recording, StampArray, slerp, stamped_between
 
 _FAST_PERIOD_S = 1.5e-3
 _SHORTEST_OVERLAP_S = 2.0
@@ -22,14 +21,8 @@ _LARGEST_GAP_PERIODS = 12.0
 _FEWEST_BETWEEN_HOLES = 4
 _REGULAR_SHARE = 0.05
 _MOSTLY = 0.99
-_NOISES, _OTHERS = 12.0, 6.0
-_AROUND, _FEWEST, _LONGEST_PERIOD_S = 8, 20, 2.5e-3
-_LONGEST_POSE_PERIOD_S = 0.1
-_TO_STD = 1.4826  # of a normal distribution, over its median absolute deviation
-_ADVICE = "Check the sensor's cable, shield and driver; they were replaced by the mean of their neighbours."
 _LOST = 1.5
-# No arm accelerates like this; half an angular acceleration, as a quaternion's components change by half an angle.
-_FASTEST_M_S2, _FASTEST_HALF_RAD_S2 = 100.0, 500.0
+_PART = 2**16
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,6 +84,14 @@ class AlignedLog:
         edges = [0, *(edge for hole in self.holes for edge in (hole.start, hole.stop)), len(self)]
         return tuple(Span(start=a, stop=b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b > a)
 
+    def in_sensor_frame(self, vector_B: FloatArray) -> FloatArray:
+        """Return in S (n, 3) a vector (3,) of B, or that of each sample (n, 3)."""
+        turned = np.empty((len(self), 3))
+        # By parts: the matrices of a long log would be the most that is ever in memory.
+        for part in (slice(first, first + _PART) for first in range(0, len(self), _PART)):
+            turned[part] = self.orientation_BS[part].inv().apply(vector_B if vector_B.ndim == 1 else vector_B[part])
+        return turned
+
 
 def align(recording: Recording) -> AlignedLog:
     """Interpolate the pose on a uniform clock of the wrench's rate, over the time that both cover.
@@ -107,6 +108,52 @@ def align(recording: Recording) -> AlignedLog:
 
 def on_one_clock(recording: Recording) -> AlignedLog:
     """Return the log as `align` does, of wrench and pose as they are: every number must be known."""
+    wrench, pose, clock = recording.wrench, recording.pose, _clock_of(recording)
+    return AlignedLog(
+        start_ns=clock.start_ns,
+        period_s=clock.period_s,
+        time_s=clock.forces.at,
+        force_S_n=clock.sampled(clock.forces, wrench.force_n, 1),
+        torque_S_n_m=clock.sampled(clock.forces, wrench.torque_n_m, 1, is_whole=wrench.has_torque),
+        position_B_m=clock.sampled(clock.poses, pose.position_m, 3, is_whole=pose.has_position),
+        orientation_BS=clock.poses.turned(pose),
+        pose_rate_hz=1.0 / clock.pose_period_s,
+        holes=clock.holes,
+        has_torque=wrench.has_torque,
+    )
+
+
+def aligned_position(recording: Recording) -> FloatArray:
+    """Return the position (n, 3) of `align` alone."""
+    recording.require_raw()
+    clock = _clock_of(recording)
+    return clock.sampled(clock.poses, recording.pose.position_m, 3, is_whole=recording.pose.has_position)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Clock:
+    """The uniform clock of wrench and pose, what each shows on it, and where one of them shows nothing."""
+
+    start_ns: int
+    period_s: float
+    pose_period_s: float
+    forces: "_Pieces"
+    poses: "_Pieces"
+    holes: tuple[Span, ...]
+
+    def sampled(self, pieces: "_Pieces", values: FloatArray, degree: int, *, is_whole: bool = True) -> FloatArray:
+        """Return a channel on the clock, NaN in the holes."""
+        if not is_whole:
+            return np.full((len(pieces.at), values.shape[1]), np.nan)
+        found = pieces.interpolated(values, degree) if degree > 1 else pieces.felt(values)
+        if self.holes and found is values:
+            found = np.array(values)
+        for hole in self.holes:
+            found[hole.slice] = np.nan
+        return found
+
+
+def _clock_of(recording: Recording) -> _Clock:
     wrench, pose = recording.wrench, recording.pose
     start = max(wrench.stamp_ns[0], pose.stamp_ns[0])
     stop = min(wrench.stamp_ns[-1], pose.stamp_ns[-1])
@@ -136,28 +183,8 @@ def on_one_clock(recording: Recording) -> AlignedLog:
     forces = _Pieces.of(wrench.stamp_ns, start, time)
     poses = _Pieces.of(pose.stamp_ns, start, time)
     holes = spans_of(~(forces.covered() & poses.covered()))
-
-    def on_clock(pieces: _Pieces, values: FloatArray, degree: int, *, is_whole: bool = True) -> FloatArray:
-        if not is_whole:
-            return np.full((count, values.shape[1]), np.nan)
-        found = pieces.interpolated(values, degree) if degree > 1 else pieces.felt(values)
-        if holes and found is values:
-            found = np.array(values)
-        for hole in holes:
-            found[hole.slice] = np.nan
-        return found
-
-    return AlignedLog(
-        start_ns=int(start),
-        period_s=period,
-        time_s=time,
-        force_S_n=on_clock(forces, wrench.force_n, 1),
-        torque_S_n_m=on_clock(forces, wrench.torque_n_m, 1, is_whole=wrench.has_torque),
-        position_B_m=on_clock(poses, pose.position_m, 3, is_whole=pose.has_position),
-        orientation_BS=poses.turned(pose),
-        pose_rate_hz=1.0 / pose_period,
-        holes=holes,
-        has_torque=wrench.has_torque,
+    return _Clock(
+        start_ns=int(start), period_s=period, pose_period_s=pose_period, forces=forces, poses=poses, holes=holes
     )
 
 
@@ -264,16 +291,17 @@ class _Pieces:
 
     def turned(self, pose: PoseSignal) -> Rotation:
         """Return n orientations by slerp within each part, elsewhere the last one before."""
-        orientation = Rotation.from_quat(pose.quaternion_xyzw)
         if len(self.parts) == 1 and self.parts[0][1] == slice(0, len(self.at)):
             held, _ = self.parts[0]
-            return _turned(self.time[held], orientation[held], self.at)
-        found, known = np.zeros((len(self.at), 4)), np.zeros(len(self.at), dtype=np.int64)
+            return _turned(self.time[held], Rotation.from_quat(pose.quaternion_xyzw[held]), self.at)
+        found, known = np.zeros((len(self.at), 4)), 0
         for held, inside in self.parts:
-            found[inside] = _turned(self.time[held], orientation[held], self.at[inside]).as_quat()
-            known[inside] = np.arange(inside.start, inside.stop)
-        known[: self.parts[0][1].start] = self.parts[0][1].start
-        return Rotation.from_quat(found[np.maximum.accumulate(known)])
+            orientation = Rotation.from_quat(pose.quaternion_xyzw[held])
+            found[inside] = _turned(self.time[held], orientation, self.at[inside]).as_quat()
+            found[known : inside.start] = found[known - 1 if known else inside.start]
+            known = inside.stop
+        found[known:] = found[known - 1]
+        return Rotation.from_quat(found)
 
 
 def _interpolated(time: FloatArray, values: FloatArray, at: FloatArray, *, degree: int) -> FloatArray:
@@ -287,101 +315,6 @@ def _turned(time: FloatArray, orientation: Rotation, at: FloatArray) -> Rotation
     if len(time) == len(at) and np.max(np.abs(time - at)) < 1e-9:
         return orientation
     return Rotation.from_quat(slerp(time, orientation.as_quat(), np.clip(at, time[0], time[-1])))
-
-
-def without_spikes(recording: Recording) -> tuple[Recording, tuple[Finding, ...]]:
-    """Return the recording with single samples replaced that leave both neighbours, and come back.
-
-    They must stand out by 12 noises (of second differences, as the median sample has it) and by six times what any
-    other of the 12 samples around them leaves of a cubic through its own neighbours: near a resonance all of them do. A
-    wrench below 400 Hz, which may show an impact in one sample, and an axis without noise (a deadband) are left alone.
-    """
-    wrench = recording.wrench
-    if len(wrench.stamp_ns) < _FEWEST or float(np.median(np.diff(wrench.stamp_ns))) * 1e-9 > _LONGEST_PERIOD_S:
-        return recording, ()
-    forces, torques = _spikes(wrench.force_n), _spikes(wrench.torque_n_m)
-    count = int(np.count_nonzero(forces) + np.count_nonzero(torques))
-    if not count:
-        return recording, ()
-    clean: WrenchSignal = replace(
-        wrench, force_n=_bridged(wrench.force_n, forces), torque_n_m=_bridged(wrench.torque_n_m, torques)
-    )
-    finding = Finding(
-        code="spikes",
-        severity="warning",
-        message=f"Topic {wrench.topic} has {count} single values that jump away from both neighbours.",
-        advice=_ADVICE,
-    )
-    return replace(recording, wrench=clean), (finding,)
-
-
-def without_pose_spikes(pose: PoseSignal) -> tuple[PoseSignal, tuple[Finding, ...]]:
-    """Return the pose with single samples replaced that leave both neighbours as no arm could, and come back.
-
-    As in the wrench they must stand out from noise and from all samples around them; beyond that, what takes a robot
-    there and back within two periods must exceed 100 m/s² (1000 rad/s²), of which a pose below 10 Hz shows nothing.
-    Quaternions have neighbouring signs already.
-    """
-    period = float(np.median(np.diff(pose.stamp_ns))) * 1e-9 if len(pose.stamp_ns) >= _FEWEST else np.inf
-    if period > _LONGEST_POSE_PERIOD_S:
-        return pose, ()
-    places = _spikes(pose.position_m, 0.5 * _FASTEST_M_S2 * period**2)
-    turns = _spikes(pose.quaternion_xyzw, 0.5 * _FASTEST_HALF_RAD_S2 * period**2)
-    rows = np.flatnonzero(np.any(places, axis=1) | np.any(turns, axis=1))
-    if not rows.size:
-        return pose, ()
-    position = _bridged(pose.position_m, places)
-    quaternion = _bridged(pose.quaternion_xyzw, np.broadcast_to(np.any(turns, axis=1)[:, None], turns.shape))
-    first_s = float(pose.stamp_ns[rows[0]] - pose.stamp_ns[0]) * 1e-9
-    off = 1e3 * float(np.nanmax(np.linalg.norm(np.nan_to_num(position - pose.position_m), axis=1)))
-    finding = Finding(
-        code="pose-spikes",
-        severity="warning",
-        message=f"Topic {pose.topic} has {rows.size} sample(s) that jump away from both neighbours as no robot moves "
-        f"(by up to {off:.3g} mm), the first {first_s:.3f} s after its start.",
-        advice="Check the driver and the logger; they were replaced by the mean of their neighbours.",
-    )
-    quaternion = quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
-    return replace(pose, position_m=position, quaternion_xyzw=quaternion), (finding,)
-
-
-def _spikes(values: FloatArray, least: float | None = None) -> BoolArray:
-    """Return which values (n, k) are spikes, none of an axis that is not known.
-
-    They are away from both neighbours by `least` too; without it an axis without noise has none.
-    """
-    found = np.zeros(values.shape, dtype=np.bool_)
-    known = np.flatnonzero(np.any(np.isfinite(values), axis=0))
-    if not known.size:
-        return found
-    before, after = (values[1:-1, known] - values[shifted, known] for shifted in (slice(None, -2), slice(2, None)))
-    noise = _TO_STD * np.nanmedian(np.abs(before + after), axis=0)
-    limit = np.where(noise > 0.0, _NOISES * noise, np.inf) if least is None else np.maximum(_NOISES * noise, least)
-    # Away and back: both steps are large, of one sign, and alike.
-    smaller = np.minimum(np.abs(before), np.abs(after))
-    suspects = (before * after > 0.0) & (smaller > limit) & (np.abs(before - after) < smaller)
-    for row, index in np.argwhere(suspects).tolist():
-        axis, k = known[index], row + 1
-        found[k, axis] = _stands_out(values[max(k - _AROUND, 0) : k + 1 + _AROUND, axis], min(k, _AROUND))
-    return found
-
-
-def _bridged(values: FloatArray, spikes: BoolArray) -> FloatArray:
-    """Return values (n, k) with the mean of both neighbours where a spike is."""
-    if not np.any(spikes):
-        return values
-    clean = values.copy()
-    inside = spikes[1:-1]
-    clean[1:-1][inside] = (0.5 * (values[:-2] + values[2:]))[inside]
-    return clean
-
-
-def _stands_out(values: FloatArray, at: int) -> bool:
-    """Return whether one of a few values leaves a cubic through its neighbours by far more than all others do."""
-    left = np.abs(values[2:-2] - (4.0 * (values[1:-3] + values[3:-1]) - values[:-4] - values[4:]) / 6.0)
-    # The cubics of the two on each side go through the suspect.
-    others = np.delete(left, [i for i in range(at - 4, at + 1) if 0 <= i < len(left)])
-    return 2 <= at < len(values) - 2 and bool(left[at - 2] > _OTHERS * np.max(others, initial=0.0))
 
 
 def restore_commands(command: PoseSignal) -> PoseSignal:

@@ -81,7 +81,7 @@ def find_motion(log: AlignedLog) -> MotionSpans:
     """
     smooth = low_pass(log.position_B_m, log.period_s, _quiet_band_hz(log))
     velocity_B = np.gradient(smooth, log.period_s, axis=0)
-    velocity_S = np.asarray(log.orientation_BS.inv().apply(velocity_B))
+    velocity_S = log.in_sensor_frame(velocity_B)
     turning = _turn_rate(log)
     still = (turning < _STILL_TURN_RAD_S) & _quiet_force(log)
     if not np.all(np.isnan(velocity_B)):

@@ -91,8 +91,8 @@ def identify_sensor_noise(log: AlignedLog, still: Sequence[Span], wrench: Wrench
     if not rests:
         return None
     torque = log.torque_S_n_m if log.has_torque else np.zeros_like(log.force_S_n)
-    signal = np.hstack([log.force_S_n, torque])
-    pieces = _quiet([np.asarray(detrend(signal[rest], axis=0)) for rest in rests])
+    held = (np.hstack([log.force_S_n[rest], torque[rest]]) for rest in rests)
+    pieces = _quiet([np.asarray(detrend(each, axis=0)) for each in held])
     frequency, density, segments = _spectrum(pieces, 1.0 / log.period_s)
     samples = np.array([len(piece) for piece in pieces], dtype=np.float64)
     # Detrending takes two degrees of freedom of each rest.
@@ -105,10 +105,10 @@ def identify_sensor_noise(log: AlignedLog, still: Sequence[Span], wrench: Wrench
     independent = np.maximum(2.0 * breadth * float(np.sum(samples)) * log.period_s, 2.0)
     # Rests that differ by more than chance, with a payload that still swings a little, say how far the rms is to trust.
     between = np.std([np.std(piece, axis=0) for piece in pieces], axis=0) / np.sqrt(max(len(pieces) - 1, 1))
-    columns = np.hstack([wrench.force_n, wrench.torque_n_m])
+    columns = (*wrench.force_n.T, *wrench.torque_n_m.T)
     lines = _lines(frequency, density, segments)
-    resolution = tuple(find_resolution(column) for column in columns.T)
-    deadband = tuple(find_deadband(column) for column in columns.T)
+    resolution = tuple(map(find_resolution, columns))
+    deadband = tuple(map(find_deadband, columns))
     return SensorNoise(
         frequency_hz=frequency,
         density=density,

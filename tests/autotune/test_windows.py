@@ -8,8 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from autotune.api import identify
 from autotune.charts.chart import Chart
 from autotune.drift import MASS
+from autotune.errors import UsageError
 from autotune.pieces import LogPiece, PieceRun, RunSource, telling
 from autotune.pipeline import IdentifyOptions, identify_log, identify_windows
 from autotune.report.page import Page, render_page
@@ -84,6 +86,14 @@ def test_windows_show_what_the_recordings_in_them_show(
     assert first.is_used
     assert second.is_used
     assert first.values[MASS][0] == pytest.approx(16.2, abs=3.0 * first.values[MASS][1])
+
+
+def test_a_script_asks_for_windows_as_the_command_line_does(long_log: Path, in_windows: Identification) -> None:
+    found = identify(long_log, windows=WIDTH_S, allow_partial=True)
+    assert found.result == in_windows.result
+    assert windows_of(found.provenance) == windows_of(in_windows.provenance)
+    with pytest.raises(UsageError, match="windows: must be 20 s or longer"):
+        identify(long_log, windows=5)
 
 
 def test_only_the_chunks_of_a_window_are_unpacked(long_log: Path, monkeypatch: pytest.MonkeyPatch) -> None:

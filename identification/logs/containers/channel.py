@@ -4,6 +4,7 @@ import os
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from threading import Lock
 from typing import Self, TypeVar
@@ -25,6 +26,7 @@ CHUNK_LIMIT_BYTES = 256 * 2**20
 """Largest size a compressed chunk may unpack to; recorders use a few MiB."""
 _LISTED = 5
 _CRC_BYTES = 2**20
+_LARGE_BYTES = 50_000_000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -189,13 +191,14 @@ class FileBytes:
     """A file that is read at given offsets, by several threads at once; its size is that at the time of opening."""
 
     def __init__(self, path: Path) -> None:
-        self.name = path.name
+        self.name, self.path = path.name, path
         try:
             self._file = path.open("rb", buffering=0)
         except OSError as error:
             raise LogError(f"{path} cannot be read: {error.strerror}; name an existing log file.") from error
         self._lock = Lock()
-        self.size = os.fstat(self._file.fileno()).st_size
+        state = os.fstat(self._file.fileno())
+        self.size, self.changed_ns = state.st_size, state.st_mtime_ns
 
     def read(self, offset: int, length: int) -> bytes:
         """Read up to `length` bytes, fewer only at the end of the file."""
@@ -233,6 +236,21 @@ class FileBytes:
     def close(self) -> None:
         """Close the file."""
         self._file.close()
+
+
+def worked_out(work: Callable[[FileBytes], T], file: FileBytes) -> T:
+    """Return `work` of a file; that of a large one is kept, since it is read in many windows."""
+    return work(file) if file.size < _LARGE_BYTES else _in_state(work, file.path, file.size, file.changed_ns)
+
+
+@lru_cache(maxsize=4)
+def _in_state(work: Callable[[FileBytes], T], path: Path, size: int, changed_ns: int) -> T:
+    del size, changed_ns
+    file = FileBytes(path)
+    try:
+        return work(file)
+    finally:
+        file.close()
 
 
 def salvaged(name: str, lost: Sequence[str]) -> tuple[Finding, ...]:

@@ -35,6 +35,7 @@ from .channel import (
     Survey,
     T,
     salvaged,
+    worked_out,
 )
 from .mcap_kernel import FRAME, FRAME_BYTES, RecordCounter, RecordCounts, gather
 from .mcap_layout import KNOWN, Chunk, Definition, Definitions, Layout, Walker
@@ -327,12 +328,13 @@ class McapContainer(Container):
 
     @cached_property
     def _known(self) -> tuple[Layout, ChunkReader]:
-        return self._load()
+        layout = worked_out(self._walk, self._file)
+        return layout, ChunkReader(self._file, layout.definitions)
 
-    def _load(self) -> tuple[Layout, ChunkReader]:
-        layout = Walker(self._file).walk()
-        opener = ChunkReader(self._file, layout.definitions)
-        return complete(layout, self._file, opener), opener
+    @staticmethod
+    def _walk(file: FileBytes) -> Layout:
+        layout = Walker(file).walk()
+        return complete(layout, file, ChunkReader(file, layout.definitions))
 
     @cached_property
     def _ids(self) -> dict[Channel, list[int]]:

@@ -44,8 +44,9 @@ class SalvagedMcap(McapContainer):
         """Return what is left out."""
         return salvaged(self._file.name, self._known[0].lost)
 
-    def _load(self) -> tuple[Layout, ChunkReader]:
-        return salvage_layout(self._file)
+    @staticmethod
+    def _walk(file: FileBytes) -> Layout:
+        return salvage_layout(file)
 
     def _usable(self, definitions: Definitions) -> frozenset[int]:
         return definitions.usable
@@ -126,8 +127,8 @@ def start_of_last(file: FileBytes, chunk: Chunk) -> tuple[int, ByteArray]:
     return chunk.start + last, data[:last]
 
 
-def salvage_layout(file: FileBytes) -> tuple[Layout, ChunkReader]:
-    """Return the layout of what is left, with the counts of its chunks, and what opens them."""
+def salvage_layout(file: FileBytes) -> Layout:
+    """Return the layout of what is left, with the counts of its chunks."""
     walker = _Salvager(file)
     layout = walker.salvage()
     chunks: list[Chunk] = []
@@ -140,7 +141,7 @@ def salvage_layout(file: FileBytes) -> tuple[Layout, ChunkReader]:
             chunks.append(opened)
         except Damage as damage:
             walker.lose(chunk.start, chunk.stop, damage.reason, chunk)
-    return replace(layout, chunks=tuple(chunks), lost=walker.describe_lost(layout, chunks)), walker.opener
+    return replace(layout, chunks=tuple(chunks), lost=walker.describe_lost(layout, chunks))
 
 
 class _Salvager(Walker):

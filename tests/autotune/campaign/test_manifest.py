@@ -5,7 +5,9 @@ from pathlib import Path
 import pytest
 
 from autotune.campaign.manifest import LoggedRun, read_manifest
+from autotune.campaign.options import RunOptions
 from autotune.errors import UsageError
+from identification.given import Given
 
 MCAP = b"\x89MCAP0\r\n"
 
@@ -77,3 +79,65 @@ def test_an_empty_folder_and_a_wrong_document_are_refused(tmp_path: Path) -> Non
     (tmp_path / "runs.yaml").write_text("format: autotune/cell\nversion: 1\n", encoding="utf-8")
     with pytest.raises(UsageError, match="is a description of a cell, not a manifest of a campaign"):
         read_manifest(tmp_path / "runs.yaml")
+
+
+def test_options_of_a_run_are_said_alike_in_table_and_document(logs: Path) -> None:
+    table, document = logs / "runs.csv", logs / "runs.yaml"
+    (logs / "arm.urdf").write_text("<robot/>", encoding="utf-8")
+    table.write_text(
+        "cell,log,optimize,seed,salvage,wrench_topic,from,to,windows,given,urdf,tip\n"
+        "press,press/mon.mcap,no,3,yes,/ft,12.5,@1700000000.5,10min,mass_kg=16.2±0.1;x.delay_s=0.002,arm.urdf,tool0\n"
+        "mill,mill/mon.mcap,,,,,,,,,,\n",
+        "utf-8",
+    )
+    document.write_text(
+        "format: autotune/campaign\nversion: 1\nruns:\n"
+        "  - cell: press\n    log: press/mon.mcap\n"
+        "    options: {optimize: false, seed: 3, salvage: true, wrench_topic: /ft, from: 12.5, to: '@1700000000.5',\n"
+        "      windows: 600, given: {mass_kg: 16.2±0.1, x.delay_s: 2e-3}, urdf: arm.urdf, tip: tool0}\n"
+        "  - {cell: mill, log: mill/mon.mcap}\n",
+        "utf-8",
+    )
+    said, silent = read_manifest(table)
+    assert (said, silent) == read_manifest(document)
+    assert silent.options == {}
+    options = RunOptions(**said.options)
+    assert (options.optimize, options.seed, options.salvage, options.allow_partial) == (False, 3, True, False)
+    read = options.of_identify(None)
+    assert (read.start, read.stop, read.windows_s) == (12.5, "@1700000000.5", 600.0)
+    assert read.given == {"mass_kg": Given(value=16.2, std=0.1), "x.delay_s": Given(value=2e-3, std=0.0)}
+    assert (read.wrench_topic, read.urdf, read.tip) == ("/ft", str(logs / "arm.urdf"), "tool0")
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("salvage", "perhaps", "must be true or false, found 'perhaps'."),
+        ("seed", "-1", "must be a whole number of 0 or more, found '-1'."),
+        ("windows", "5", "must be 20 s or longer, for example 10min."),
+        ("windows", "wide", "'wide' is not a number."),
+        ("given", "mass_kg", "it must be NAME=VALUE±STD (or +- for ±), found 'mass_kg'."),
+        ("urdf", "gone.urdf", "gone.urdf is not there."),
+    ],
+)
+def test_an_option_that_cannot_be_is_refused_with_its_place(logs: Path, name: str, value: str, message: str) -> None:
+    (logs / "runs.csv").write_text(f"cell,log,{name}\npress,press/mon.mcap,{value}\n", encoding="utf-8")
+    with pytest.raises(UsageError) as refused:
+        read_manifest(logs / "runs.csv")
+    assert str(refused.value).startswith(f"{logs / 'runs.csv'}, line 2, option {name}: ")
+    assert str(refused.value).endswith(message)
+
+
+def test_a_span_that_cannot_be_and_an_unknown_option_are_refused(logs: Path) -> None:
+    (logs / "runs.csv").write_text("cell,log,from,to\npress,press/mon.mcap,5,3\n", encoding="utf-8")
+    with pytest.raises(UsageError, match=r"line 2, option to must be after the beginning, 5\.0, found 3\.0"):
+        read_manifest(logs / "runs.csv")
+    (logs / "runs.csv").write_text("cell,log,from\npress,press/mon.mcap,noon\n", encoding="utf-8")
+    with pytest.raises(UsageError, match="line 2, option from must be seconds after the log's start"):
+        read_manifest(logs / "runs.csv")
+    (logs / "runs.yaml").write_text(
+        "format: autotune/campaign\nversion: 1\nruns:\n  - {cell: a, log: mill/mon.mcap, options: {speed: 1}}\n",
+        "utf-8",
+    )
+    with pytest.raises(UsageError, match="speed"):
+        read_manifest(logs / "runs.yaml")

@@ -7,6 +7,7 @@ import signal
 import threading
 import time
 from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
+from dataclasses import replace
 from multiprocessing import active_children
 from pathlib import Path
 from typing import Any
@@ -15,12 +16,15 @@ import pytest
 
 from autotune.campaign.dask_pool import dask_executor
 from autotune.campaign.manifest import LoggedRun, read_manifest
+from autotune.campaign.options import RunOptions
 from autotune.campaign.result import run_campaign
 from autotune.campaign.run import work_on_runs
 from autotune.campaign.tables import write_tables
-from autotune.campaign.work import RESULT, RunOptions, RunOutcome, build_task, read_outcome, work_on
+from autotune.campaign.work import RESULT, RunOutcome, build_task, read_outcome, work_on
 from autotune.errors import UsageError
-from autotune.processes import one_thread_each
+from autotune.pipeline import IdentifyOptions
+from autotune.processes import worker_environment
+from identification.errors import LogError
 
 TEXT = "no log at all\n"
 
@@ -77,6 +81,31 @@ def test_options_and_settings_are_part_of_the_key(logs: Path, tmp_path: Path) ->
     ]
     assert len({task.key for task in tasks}) == 5
     assert build_task(run, tmp_path / "elsewhere", RunOptions()).key == tasks[0].key
+
+
+def test_what_the_manifest_says_of_a_run_goes_before_the_options_of_the_campaign(
+    logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = read_manifest(logs)[0]
+    (urdf := tmp_path / "arm.urdf").write_text("<robot/>", encoding="utf-8")
+    seeded, spanned, jointed = (
+        replace(run, options=options) for options in ({"seed": 1}, {"stop": 30.0, "salvage": False}, {"urdf": urdf})
+    )
+    keys = [build_task(each, tmp_path, RunOptions()).key for each in (run, seeded, spanned, jointed)]
+    assert len(set(keys)) == 4
+    assert keys[1] == build_task(run, tmp_path, RunOptions(seed=1)).key
+    assert keys[2] == build_task(spanned, tmp_path, RunOptions(salvage=True)).key
+    urdf.write_text("<robot name='b'/>", encoding="utf-8")
+    assert build_task(jointed, tmp_path, RunOptions()).key != keys[3]
+    seen: list[IdentifyOptions] = []
+
+    def refusing(_: Any, options: IdentifyOptions) -> None:
+        seen.append(options)
+        raise LogError("seen")
+
+    monkeypatch.setattr("autotune.campaign.work.identify_log", refusing)
+    work_on(build_task(spanned, tmp_path, RunOptions(salvage=True, allow_partial=True)))
+    assert seen == [IdentifyOptions(stop=30.0, allow_partial=True)]
 
 
 def test_a_result_that_is_half_or_of_another_release_is_none(tmp_path: Path) -> None:
@@ -193,10 +222,10 @@ def test_a_campaign_from_python_takes_any_executor_and_shows_what_came_of_it(log
         run_campaign(tmp_path / "nothing", tmp_path / "out")
 
 
-def test_processes_of_a_campaign_have_one_thread_each(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_processes_of_a_campaign_have_worker_environment(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
     monkeypatch.setenv("MKL_NUM_THREADS", "3")
-    with one_thread_each():
+    with worker_environment():
         assert (os.environ["OMP_NUM_THREADS"], os.environ["MKL_NUM_THREADS"]) == ("1", "3")
     assert "OMP_NUM_THREADS" not in os.environ
 
