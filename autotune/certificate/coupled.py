@@ -70,9 +70,10 @@ def prove_coupled(
             if progress is not None:
                 progress(part)
             continue
-        side = _widest(system)
+        varying = np.flatnonzero(cell[:, 0] < cell[:, 1])
+        side = int(varying[_widest(system)]) if len(varying) else 0
         low, high = cell[side]
-        if high - low < _NARROWEST * high:
+        if high - low <= _NARROWEST * high:
             waiting.append((cell, part))
             break
         halves = cell.copy(), cell.copy()
@@ -91,7 +92,7 @@ def _gain(system: AffineLoop) -> float:
 
 
 def _widest(system: AffineLoop) -> int:
-    """Return the coordinate that changes the loop most, by the size of its slope in the balanced states."""
+    """Return which of the coordinates that vary changes the loop most, by its slope in the balanced states."""
     return int(np.argmax([np.linalg.norm(each) for each in system.slopes]))
 
 

@@ -64,6 +64,20 @@ def test_a_range_is_proved_down_to_the_slack() -> None:
 
 
 @pytest.mark.parametrize("surface", [None, wall(SOFT, damping=0.0)])
+def test_a_range_of_mass_alone_is_cut_along_the_mass(surface: PointSurface | None) -> None:
+    """In free space and on one surface nothing but the mass varies; it was K_e that was halved, for ever."""
+    plant, stiffness = cell(surface=surface), 0.0 if surface is None else SOFT
+    masses = np.linspace(0.85, 1.15, 13).tolist()
+    scaled = [replace(plant, mass_matrix=each * plant.mass_matrix) for each in masses]
+    least = 1.0 / max(gain_of(each) for each in scaled)
+    of = family(plant, (stiffness, stiffness), (masses[0], masses[-1]))
+    found = prove_coupled(of, 0.95 * least, work=2_000_000)
+    assert (found.share, found.refuted) == (1.0, None)
+    assert found.cells > 1
+    assert prove_coupled(of, 1.005 * least, work=300_000).share < 1.0
+
+
+@pytest.mark.parametrize("surface", [None, wall(SOFT, damping=0.0)])
 def test_what_is_false_is_refuted_and_never_proved(surface: PointSurface | None) -> None:
     plant, stiffness = cell(surface=surface), 0.0 if surface is None else SOFT
     false = prove_coupled(family(plant, (stiffness, stiffness)), 1.001 / gain_of(plant), work=100_000)
