@@ -20,7 +20,7 @@ from autotune.windows import window_length_s
 if TYPE_CHECKING:
     from autotune.formats.cell import CellFile
     from autotune.formats.identified import IdentifiedFile
-    from autotune.formats.problem import ProblemSpec
+    from autotune.formats.problem import ProblemSpec, Structure
     from autotune.prediction.result import PredictedContact
 
 
@@ -112,6 +112,7 @@ def optimize(
     axes: Sequence[str] | None = None,
     seed: int = 0,
     compare: "Mapping[str, Any] | Design | str | Path | None" = None,
+    structure: "Structure | None" = None,
     progress: Progress = None,
 ) -> Design:
     """Search the controller with the gentlest contact that stays stable and moves freely, and validate it.
@@ -134,6 +135,9 @@ def optimize(
         What runs today, to put beside the new controller: gains by name as of `predict` (by axis and name, or as in
         `x.mass`, where there are several axes), "log" for those with which the log was recorded, a design, or the path
         of a `controller.yaml` or `cell.yaml`; the search starts from it too. Those in the log unless they are said.
+    structure
+        Of the law: "gains" are the four gains, with "biquad" the force passes a second-order section where that lowers
+        the peak at the same noise of the command; as the problem says unless it is said.
     progress
         True for a bar, or a callable that takes the share of the work done since its last call.
 
@@ -180,6 +184,7 @@ def optimize(
     spec = spec.with_options(
         payload_mass=interval("payload_mass", payload_mass),
         environment_stiffness=interval("environment_stiffness", environment_stiffness),
+        structure=structure,
     )
     with reporting(progress, "searching") as report:
         found = search(source, spec, seed=seed, problem_path=path, present=present, progress=report)

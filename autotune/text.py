@@ -370,8 +370,12 @@ def gain_rows(units: AxisKind, *laws: AdmittanceController) -> Iterator[tuple[st
         ("B_fb [ms]", "feedback_damping_s", 1e3),
     ):
         yield symbol, *(f"{scale * getattr(each, name):.6g}" for each in laws)
+    if any(each.has_biquad for each in laws):
+        times = ([1e3 * each.biquad_zero_s, 1e3 * each.biquad_pole_s] for each in laws)
+        yield "biquad τ_z, τ_p [ms]", *(f"{zero:.4g}, {pole:.4g}" if pole else "none" for zero, pole in times)
 
 
+_TIMES = ("lead_s", "feedback_damping_s", "biquad_zero_s", "biquad_pole_s")
 _GAIN_SYMBOLS = {
     "mass": "M_a",
     "damping": "B_a",
@@ -380,6 +384,10 @@ _GAIN_SYMBOLS = {
     "velocity_filter_rad_per_s": "ω_v",
     "acceleration_filter_rad_per_s": "ω_a",
     "compensation_mass_kg": "P̂",
+    "biquad_zero_s": "the biquad's τ_z",
+    "biquad_zero_damping_ratio": "the biquad's ζ_z",
+    "biquad_pole_s": "the biquad's τ_p",
+    "biquad_pole_damping_ratio": "the biquad's ζ_p",
 }
 
 
@@ -394,7 +402,9 @@ def bound_text(name: str, bounds: Mapping[str, tuple[float, float]] | None, unit
     text = f"{side} bound of {_GAIN_SYMBOLS.get(variable, variable)}"
     if bounds is None:
         return text
-    of = {"lead_s": "s", "feedback_damping_s": "s", "damping": units.damping}
+    of = {**dict.fromkeys(_TIMES, "s"), "damping": units.damping}
+    if variable.endswith("_damping_ratio"):
+        return f"{text}, {bounds[variable][0 if side == 'lower' else 1]:g}"
     is_mass = variable in {"mass", "compensation_mass_kg"}
     scale, unit = for_people(units.mass if is_mass else of.get(variable, "rad/s"))
     return f"{text}, {scale * bounds[variable][0 if side == 'lower' else 1]:g} {unit}"

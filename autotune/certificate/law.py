@@ -14,6 +14,7 @@ from problems.model.controller import (
     needed_states,
     write_blocks,
 )
+from problems.model.difference import BLOCK_ROWS
 from problems.model.linear_controllers import LinearController
 from problems.model.sampled import Controller, controller_matrix
 
@@ -86,7 +87,7 @@ def _matrix(law: LinearController, sample_time_s: float) -> Any:
 
 def blocks_in_balls(law: AdmittanceController, sample_time_s: float) -> Any:
     """Return the blocks of a controller's difference equation, from its physical numbers."""
-    blocks = np.empty((6, 3), dtype=object)
+    blocks = np.empty((BLOCK_ROWS, 3), dtype=object)
     blocks.fill(number(0))
     numbers = [number(value) for value in law.numbers()]
     write_blocks(blocks, numbers, number(sample_time_s), law.theta, law.is_ideal)
@@ -101,7 +102,8 @@ def controller_rows(law: AdmittanceController, sample_time_s: float) -> Any:
     for j in range(r + 2):
         unit = [number(0)] * (CONTROLLER_STATES + 2)
         unit[int(kept[j]) if j < r else CONTROLLER_STATES + j - r] = number(1)
-        command, following = controller_step(blocks, tuple(unit[:4]), unit[4], unit[5])
+        states = tuple(unit[:CONTROLLER_STATES])
+        command, following = controller_step(blocks, states, *unit[CONTROLLER_STATES:])
         rows[r, j] = command
         for i in range(r):
             rows[i, j] = following[int(kept[i])]

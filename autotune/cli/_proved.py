@@ -1,4 +1,4 @@
-"""What the terminal says of contacts: what is proved, those of a payload that a person leads, the worst simulated."""
+"""What the terminal says of a law: its gains, what is proved, contacts of a led payload, the worst simulated."""
 
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
@@ -7,6 +7,7 @@ from ._terminal import print_message, print_table
 
 if TYPE_CHECKING:
     from autotune.formats.controller_record import Controller
+    from autotune.tuning.optimize import Optimized
     from autotune.validation.monte_carlo import AxisMonteCarlo
 
 
@@ -129,3 +130,24 @@ def print_worst_plants(simulated: "Sequence[AxisMonteCarlo]") -> None:
             (scenario_text(each.plant, units), f"{each.contact:.2f}", f"{each.sensor:.2f}") for each in found.worst
         ]
         print_table(rows)
+
+
+def law_lines(found: "Optimized", name: str) -> Iterator[str]:
+    """Yield the law of an axis: the gains, and what it has beside them."""
+    from autotune.formats.units import axis_units
+    from problems.design.problem import FURTHER_VARIABLES
+
+    controller, units = found.controller, axis_units(name)
+    gains = controller.axes[name]
+    yield (
+        f"axis {name}: M_a {gains.mass:g} {units.mass}, B_a {gains.damping:g} {units.damping}, "
+        f"K_l {1e3 * gains.lead_s:g} ms, B_fb {1e3 * gains.feedback_damping_s:g} ms"
+    )
+    if gains.biquad is not None:
+        yield f"  biquad in the path of the force: {gains.biquad.describe()}"
+    if set(found.searches[name].problem.variables) & set(FURTHER_VARIABLES):
+        filters, compensation = controller.filters, controller.compensation_mass_kg
+        yield (
+            f"  ω_v {filters.velocity_rad_per_s:g} rad/s, ω_a {filters.acceleration_rad_per_s:g} rad/s, "
+            f"P̂ {compensation:g} kg"
+        )

@@ -30,7 +30,7 @@ from ._optimized import (
 )
 from ._options import SETTINGS, FilePath, GroupedCommand, PresentType, fields_with_unit, typed_range
 from ._pareto import FrontWriter, pareto_options, proof_options
-from ._proved import coupled_lines, held_lines, led_lines, peak_lines, rest_lines
+from ._proved import coupled_lines, held_lines, law_lines, led_lines, peak_lines, rest_lines
 from ._report import check_report, print_report_path, report_option, report_refusal, write_report
 from ._schedule import schedule_options
 from ._terminal import detect_terminal, echo, print_message, print_table
@@ -129,6 +129,12 @@ def _stiffness(_context: click.Context, _option: click.Parameter, text: str | No
     type=click.Choice([name for name, each in TARGETS.items() if not each.runs_same_law]),
     help="Design for this export target: its period, none of the gains that it lacks, and certified as it runs it.",
 )
+@click.option(
+    "--structure",
+    type=click.Choice(["gains", "biquad"]),
+    show_default="as problem.yaml says, or gains",
+    help="The law: four gains, or a biquad in the path of the force beside them where that lowers the peak.",
+)
 @pareto_options
 @report_option
 @limit_option
@@ -140,8 +146,6 @@ def command(
     identified: Path,
     out: Path,
     problem: Path | None,
-    payload_mass: tuple[float, float] | None,
-    environment_stiffness: tuple[float, float] | None,
     old: Path | str | None,
     seed: int,
     pareto: "FrontRequest | None",
@@ -149,6 +153,7 @@ def command(
     limit: bool,
     proof: "ProofOptions | None",
     target: str | None,
+    **asked_here: Any,
 ) -> None:
     """Search the controller with the smallest contact peak that meets all requirements, and validate it.
 
@@ -176,9 +181,7 @@ def command(
         asked = ProblemSpec() if problem is None else read_problem(problem)
         plant = plant_for(wanted, seen[0])
         present = present_gains(old, plant, asked.axes)
-        spec = asked.with_options(
-            payload_mass=payload_mass, environment_stiffness=environment_stiffness, with_unit=fields_with_unit()
-        )
+        spec = asked.with_options(**asked_here, with_unit=fields_with_unit())
         search = partial(optimize, plant, seed=seed, problem_path=problem, present=present, proof=proof)
         search = partial(search, replays=wanted is None)
         found = _searched(output, specs_for(wanted, spec), search)
@@ -355,7 +358,6 @@ def print_optimized(
     """Print what it changes, the chosen gains, the predicted peaks, what holds them up, and what was verified."""
     from autotune.formats.units import axis_units
     from autotune.text import speed_text
-    from problems.design.problem import VARIABLES
 
     controller = found.controller
     print_before_after(found.before_after)
@@ -363,18 +365,10 @@ def print_optimized(
         _print_target(found, rendered)
     for name, compliance in found.compliance.items():
         print_compliance(name, compliance, found.searches[name].problem)
-    for name, gains in controller.axes.items():
+    for name in controller.axes:
         units = axis_units(name)
-        print_message(
-            f"axis {name}: M_a {gains.mass:g} {units.mass}, B_a {gains.damping:g} {units.damping}, "
-            f"K_l {1e3 * gains.lead_s:g} ms, B_fb {1e3 * gains.feedback_damping_s:g} ms"
-        )
-        if found.searches[name].problem.variables != VARIABLES:
-            filters, compensation = controller.filters, controller.compensation_mass_kg
-            print_message(
-                f"  ω_v {filters.velocity_rad_per_s:g} rad/s, ω_a {filters.acceleration_rad_per_s:g} rad/s, "
-                f"P̂ {compensation:g} kg"
-            )
+        for line in law_lines(found, name):
+            print_message(line)
         approach = controller.certificate.domain[name].approach
         drive = f"with F^d = {approach.force_n:g} {units.force}"
         if approach.speed_m_s is not None:

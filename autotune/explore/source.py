@@ -31,7 +31,14 @@ from autotune.version import __version__
 from problems.arrays import FloatArray
 from problems.design.evaluation import build_scenarios
 from problems.design.objectives import force_of
-from problems.design.problem import DEFAULT_BOUNDS, FURTHER_VARIABLES, VARIABLES, DesignProblem
+from problems.design.problem import (
+    BIQUAD_VARIABLES,
+    CONTROLLER_VARIABLES,
+    DEFAULT_BOUNDS,
+    FURTHER_VARIABLES,
+    VARIABLES,
+    DesignProblem,
+)
 from problems.design.requirements import Requirements
 from problems.design.uncertainty import Scenario
 from problems.frozen import freeze
@@ -237,7 +244,7 @@ def is_late(domain: AxisDomain) -> bool:
 
 
 def _bounds(law: AdmittanceController, name: str, *, reads_position: bool) -> dict[str, tuple[float, float]]:
-    values = dict(zip((*VARIABLES, *FURTHER_VARIABLES), law.numbers(), strict=True))
+    values = dict(zip(CONTROLLER_VARIABLES, law.numbers(), strict=False))
     bounds = {}
     for key in VARIABLES:
         low, high = DEFAULT_BOUNDS[key]
@@ -248,6 +255,8 @@ def _bounds(law: AdmittanceController, name: str, *, reads_position: bool) -> di
         bounds["feedback_damping_s"] = (0.0, 0.0)
     if law.compensates:
         bounds |= {key: (values[key], values[key]) for key in FURTHER_VARIABLES}
+    if law.has_biquad:
+        bounds |= {key: (values[key], values[key]) for key in BIQUAD_VARIABLES}
     return bounds
 
 

@@ -6,8 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from autotune.tuning.bounds import Box
-from autotune.tuning.search import presentable
+from autotune.tuning.bounds import Box, presentable
 from problems.arrays import ComplexArray, FloatArray
 from problems.contact.transient import ContactTransient, SampledContact, transient_from
 from problems.design.batch_evaluation import BatchEvaluator, build_batch_evaluator

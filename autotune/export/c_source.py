@@ -29,6 +29,7 @@ from autotune.runtime.guard import (
 )
 from autotune.runtime.law import AxisLaw
 from autotune.version import __version__
+from problems.model.difference import BLOCK_ROWS
 
 _RESPONSES = (CollisionResponse.NONE, CollisionResponse.RESET, CollisionResponse.STOP)
 
@@ -116,7 +117,8 @@ def gains_text(axis: AxisLaw) -> str:
     """Return an axis and its four gains with their units."""
     units = axis_units(axis.name)
     times = f"K_l {1e3 * axis.lead_s:g} ms, B_fb {1e3 * axis.feedback_damping_s:g} ms"
-    return f"{axis.name}: M_a {axis.mass!r} {units.mass}, B_a {axis.damping!r} {units.damping}, {times}"
+    biquad = "" if axis.biquad is None else f", biquad {axis.biquad.describe()}"
+    return f"{axis.name}: M_a {axis.mass!r} {units.mass}, B_a {axis.damping!r} {units.damping}, {times}{biquad}"
 
 
 def _about(controller: RuntimeController, provenance: Mapping[str, Any]) -> str:
@@ -130,7 +132,7 @@ def _about(controller: RuntimeController, provenance: Mapping[str, Any]) -> str:
 
 
 def _ascii(text: str) -> str:
-    return text.replace("·", " ").replace("²", "^2")
+    return text.replace("·", " ").replace("²", "^2").replace("ζ", "zeta")
 
 
 def _quoted(value: object) -> str:
@@ -143,7 +145,7 @@ def _mapping(value: Any) -> dict[str, Any]:
 
 
 def _law(axis: AxisLaw, speed: float, change: float) -> str:
-    rows = ",\n".join(f"            {{{_numbers(axis.blocks[row, i] for i in range(3))}}}" for row in range(6))
+    rows = ",\n".join(f"            {{{_numbers(axis.blocks[row, i] for i in range(3))}}}" for row in range(BLOCK_ROWS))
     numbers = _numbers((axis.deadband, *axis.payload_range, speed, change))
     start = f"    {{{axis.index}, {int(axis.is_subtractive)}, {numbers}, /* {axis.name} */"
     variable, periods, vary = axis.variable_damping, 0, (0.0, 0.0, 0.0, 0.0)

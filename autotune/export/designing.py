@@ -35,6 +35,8 @@ def specs_for(target: ExportTarget | None, spec: ProblemSpec) -> tuple[ProblemSp
     The second is for where our own law can do nothing without them, though the target's may. Raises UsageError where
     the bounds of a gain that the target lacks leave out 0.
     """
+    if target is not None and spec.structure != "gains":
+        raise UsageError(f"{target.name} runs another law, without a biquad; leave --structure out.")
     lacking = [] if target is None else [name for name in _PINNED if name not in target.expresses]
     for name in lacking:
         for bounds in (spec.bounds, spec.rotational.bounds):

@@ -1,6 +1,7 @@
 """The `mat` target: plant and exact sampled loop of every axis as a MATLAB file."""
 
 import shlex
+from dataclasses import asdict
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -43,12 +44,14 @@ def _axis(controller: "Controller", name: str) -> dict[str, Any]:
     )
     contact = stiffest.plant(domain.plants.nominal)
     own = controller.axes[name]
-    gains = {
+    gains: dict[str, Any] = {
         "mass": own.mass,
         "damping": own.damping,
         "lead_s": own.lead_s,
         "feedback_damping_s": own.feedback_damping_s,
     }
+    if own.biquad is not None:
+        gains["biquad"] = asdict(own.biquad)
     plants = {"contact": contact, "free_space": contact.in_contact_with(FREE_SPACE)}
     return {
         "gains": gains,

@@ -262,6 +262,9 @@ def _dropped(controller: Controller) -> Iterator[str]:
     """Say what of the file beyond the axes' gains no such controller has."""
     if controller.compensation_mass_kg:
         yield f"acceleration compensation of {controller.compensation_mass_kg:g} kg"
+    for axis, gains in controller.axes.items():
+        if gains.biquad is not None:
+            yield f"biquad of axis {axis}, {gains.biquad.describe()}"
     if controller.collision.response is not CollisionResponse.NONE:
         yield f"collision response {controller.collision.response.value} at {controller.collision.threshold_n:g} N"
     for axis, variable in (controller.variable_damping or {}).items():

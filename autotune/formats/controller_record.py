@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 
 from problems.contact.nonlinearities import Deadband, DeadbandType
 from problems.design.hand import HandImpedance
+from problems.design.problem import BIQUAD_VARIABLES
 from problems.design.requirements import HANDS, Hand
 from problems.design.uncertainty import Scenario
 from problems.errors import ParameterError
@@ -15,7 +16,7 @@ from problems.frozen import Rule, Text, freeze
 from problems.model.controller import SMALLEST_FEEDBACK_DAMPING_S, AdmittanceController
 
 from .certificate_record import Band, Certificate, FurtherName, Period, check_interval
-from .limits import CollisionResponse, Limits, Peak, ResidualPeaks, VariableDampingSettings
+from .limits import Biquad, CollisionResponse, Limits, Peak, ResidualPeaks, VariableDampingSettings
 from .units import AXES, ROTATIONAL_AXES, Axis
 
 Vector = tuple[float, float, float]
@@ -31,7 +32,7 @@ class ControllerStatus(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class AxisGains:
-    """M_a (kg), B_a (N·s/m), K_l (s), B_fb (s) and the deadband (N) of one axis.
+    """M_a (kg), B_a (N·s/m), K_l (s), B_fb (s), the deadband (N) and the biquad, if any, of one axis.
 
     Raises ParameterError unless M_a and B_a are positive, the others not negative, and B_fb is 0 or at least 1e-4 s:
     the values printed in the paper (2e-5, 7.5e-6) cannot be seconds.
@@ -51,6 +52,9 @@ class AxisGains:
     ]
     deadband: Annotated[float, Rule(minimum=0, maximum=100, turning=Rule(maximum=20))]
     deadband_type: DeadbandType
+    biquad: Annotated[Biquad | None, Rule(description="what the force passes before the admittance; none without")] = (
+        None
+    )
 
     def __post_init__(self) -> None:
         for name in ("mass", "damping"):
@@ -335,6 +339,9 @@ class Controller:
 def admittance_controller(controller: Controller, name: str) -> AdmittanceController:
     """Return the control law of one axis."""
     gains = controller.axes[name]
+    biquad: dict[str, Any] = {}
+    if gains.biquad is not None:
+        biquad = dict(zip(BIQUAD_VARIABLES, gains.biquad.numbers(), strict=True))
     return AdmittanceController(
         mass_kg=gains.mass,
         damping_n_s_per_m=gains.damping,
@@ -343,6 +350,7 @@ def admittance_controller(controller: Controller, name: str) -> AdmittanceContro
         velocity_filter_rad_per_s=controller.filters.velocity_rad_per_s,
         acceleration_filter_rad_per_s=controller.filters.acceleration_rad_per_s,
         compensation_mass_kg=controller.compensation_mass_kg,
+        **biquad,
     )
 
 

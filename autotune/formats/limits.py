@@ -52,6 +52,42 @@ class VariableDampingSettings:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Biquad:
+    """N = (1 + 2 ζ_z τ_z s + τ_z² s²)/(1 + 2 ζ_p τ_p s + τ_p² s²), which the force passes before the admittance.
+
+    `zero_s` τ_z and `pole_s` τ_p are the time constants 1/ω (s), `zero_damping_ratio` and `pole_damping_ratio` ζ.
+    Raises ParameterError unless τ_p and ζ_p are positive and the others not negative.
+    """
+
+    zero_s: Annotated[float, Rule(minimum=0, maximum=10)]
+    zero_damping_ratio: Annotated[float, Rule(minimum=0, maximum=100)]
+    pole_s: Annotated[float, Rule(exclusiveMinimum=0, maximum=10)]
+    pole_damping_ratio: Annotated[float, Rule(exclusiveMinimum=0, maximum=100)]
+
+    def __post_init__(self) -> None:
+        for name in ("zero_s", "zero_damping_ratio"):
+            if not 0.0 <= getattr(self, name) < math.inf:
+                raise ParameterError(name, getattr(self, name), "at least 0")
+        for name in ("pole_s", "pole_damping_ratio"):
+            if not 0.0 < getattr(self, name) < math.inf:
+                raise ParameterError(name, getattr(self, name), "greater than 0")
+
+    def describe(self) -> str:
+        """Return corners and damping in words."""
+        ends = {"zero": (self.zero_s, self.zero_damping_ratio), "pole": (self.pole_s, self.pole_damping_ratio)}
+        said = [
+            f"{name} at {1.0 / (2.0 * math.pi * time):.4g} Hz (ζ {damping:.4g})"
+            for name, (time, damping) in ends.items()
+            if time > 0.0
+        ]
+        return ", ".join(said)
+
+    def numbers(self) -> tuple[float, float, float, float]:
+        """Return (τ_z, ζ_z, τ_p, ζ_p)."""
+        return self.zero_s, self.zero_damping_ratio, self.pole_s, self.pole_damping_ratio
+
+
+@dataclass(frozen=True, kw_only=True)
 class AxisLimits:
     """Largest commanded speed (m/s, rad/s) and acceleration (m/s², rad/s²) of one axis.
 

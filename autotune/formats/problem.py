@@ -30,6 +30,7 @@ from .yaml12 import Document, load_document
 
 Interval = tuple[float, float]
 Origin = Literal["identified", "nominal"]
+Structure = Literal["gains", "biquad"]
 Uncertain = Mapping[str, Interval | Origin]
 
 _RANGES = frozenset({*UNCERTAIN, *(ROTATIONAL_KEYS[name] for name in UNCERTAIN if name in ROTATIONAL_KEYS)})
@@ -91,6 +92,8 @@ class ProblemSpec:
     file) or to "nominal" (as if it were known). `limits` are those that the runtime enforces.
     `contact_points_m` are where the payload may touch, in the sensor frame; () those of the cell.
     `least_modulus_together` is asked of min σ(I + L) of axes that act on each other, None nothing but stability.
+    `contact_points_m` are where the payload may touch, in the sensor frame; () those of the cell. `structure` of the
+    law are the four gains, or with a biquad beside them where it is worth it.
     `options` holds those ranges that were said outside of the file (`with_options`), `with_unit` names those whose unit
     was typed.
     """
@@ -112,6 +115,7 @@ class ProblemSpec:
     limits: LimitsSpec = field(default_factory=LimitsSpec)
     contact_points_m: tuple[tuple[float, float, float], ...] = ()
     least_modulus_together: float | None = None
+    structure: Structure = "gains"
     options: Mapping[str, Interval] = field(default_factory=dict)
     with_unit: frozenset[str] = frozenset()
 
@@ -150,6 +154,8 @@ class ProblemSpec:
         if axes is not None and not (isinstance(axes, tuple | list) and axes and all(each in AXES for each in axes)):
             raise ParameterError("axes", self.axes, f"names among {', '.join(AXES)}, or left out for all")
         object.__setattr__(self, "axes", None if axes is None else tuple(axes))
+        if self.structure not in get_args(Structure):
+            raise ParameterError("structure", self.structure, f"one of {', '.join(get_args(Structure))}")
         kinds: dict[str, tuple[type, str]] = {
             "bounds": (Mapping, "{name: (low, high)}"),
             "free": (Mapping, "{name: (low, high)}"),
@@ -170,12 +176,19 @@ class ProblemSpec:
         *,
         payload_mass: Interval | None = None,
         environment_stiffness: Interval | None = None,
+        structure: Structure | None = None,
         with_unit: frozenset[str] = frozenset(),
     ) -> "ProblemSpec":
-        """Return the problem with the ranges of translational axes that are given, which win over those of the file."""
+        """Return the problem with the ranges of translational axes and the structure that are given, which win."""
         given = {"payload_mass": payload_mass, "environment_stiffness": environment_stiffness}
         ranges: dict[str, Any] = {name: each for name, each in given.items() if each is not None}
-        return replace(self, **ranges, options={**self.options, **ranges}, with_unit=self.with_unit | with_unit)
+        return replace(
+            self,
+            **ranges,
+            options={**self.options, **ranges},
+            structure=structure or self.structure,
+            with_unit=self.with_unit | with_unit,
+        )
 
 
 def read_problem(path: Path) -> ProblemSpec:
@@ -208,6 +221,7 @@ def read_problem(path: Path) -> ProblemSpec:
             limits=_limits(tree.get("limits", {})),
             contact_points_m=tuple(tree.get("payload", {}).get("contact_points_m", ())),
             least_modulus_together=tree.get("axes_together", {}).get("min_modulus"),
+            structure=tree.get("structure", "gains"),
             rotational=_rotational(turned),
         )
     except ParameterError as error:

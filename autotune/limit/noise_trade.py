@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from autotune.errors import InfeasibleError
+from autotune.tuning.bounds import loosened_bounds
 from autotune.tuning.search import solve_design
 from problems.design.problem import DesignProblem, NoiseLimit
 from problems.design.uncertainty import Scenario
@@ -14,8 +15,6 @@ from problems.progress import no_progress
 from problems.stability.noise import command_speed_gain
 
 FACTORS = (0.5, 1.0, 2.0, 5.0)
-# The bounds that stand for the sensor's noise where nothing else limits it: the mass from below, the lead from above.
-_LIGHTER, _LONGER = 5.0, 3.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,7 +67,7 @@ def trade_noise(
     plants = [problem.plant(each) for each in scenarios]
     plants += [each.in_contact_with(FREE_SPACE) for each in plants]
     present = max(command_speed_gain(build_sampled_plant(each, h), law) for each in plants)
-    bounds, points = _wide(problem), list[NoisePoint]()
+    bounds, points = loosened_bounds(problem), list[NoisePoint]()
     for factor in factors:
         limit = NoiseLimit(max_speed_rms_m_s=factor * present, force_noise_rms_n=1.0)
         asked = replace(problem, bounds=bounds, requirements=replace(problem.requirements, command_noise=limit))
@@ -81,14 +80,3 @@ def trade_noise(
         points.append(NoisePoint(factor=factor, noise_m_s_per_n=limit.max_speed_rms_m_s, peak_force_n=peak, law=best))
         report(1.0 / len(factors))
     return tuple(points)
-
-
-def _wide(problem: DesignProblem) -> dict[str, tuple[float, float]]:
-    """Return the bounds with a lighter mass and a longer lead; what is fixed stays fixed."""
-    bounds = dict(problem.bounds)
-    (light, heavy), (short, long) = bounds["mass"], bounds["lead_s"]
-    if light < heavy:
-        bounds["mass"] = light / _LIGHTER, heavy
-    if short < long:
-        bounds["lead_s"] = short, long * _LONGER
-    return bounds

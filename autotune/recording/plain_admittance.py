@@ -34,7 +34,7 @@ class PlainAdmittance:
         self._blocks: dict[Any, float] = {}
         # The filters have no gain here; their corners only have to be some.
         write_blocks(self._blocks, (mass_kg, damping_n_s_per_m, 0.0, 0.0, 1.0, 1.0, 0.0), period_s, 0.5, ideal=False)
-        self._state = (0.0, 0.0, 0.0, 0.0)
+        self._state = (0.0,) * 6
 
     def step(self, force_n: float) -> float:
         """Return the displacement [m] that is commanded in this period for F^d + F [N]."""

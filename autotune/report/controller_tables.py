@@ -153,6 +153,9 @@ def gains_table(controller: Controller) -> Table:
         response += (
             f", B_a of {name} from {variable.highest:g} at rest to {variable.lowest:g} {axis_units(name).damping}"
         )
+    for name, gains in controller.axes.items():
+        if gains.biquad is not None:
+            response += f", biquad of {name}: {gains.biquad.describe()}"
     virtual = controller.compensation_mass_kg
     feedback = f", acceleration feedback P̂ {virtual:g} kg" if virtual else ""
     return build_table(

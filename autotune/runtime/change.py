@@ -5,6 +5,9 @@ from problems.errors import ParameterError
 from problems.model.difference import (
     ACCELERATION_DIRECT,
     ACCELERATION_POLE,
+    BIQUAD_0,
+    BIQUAD_2,
+    BIQUAD_POLE_2,
     FEEDBACK_DAMPING,
     VELOCITY_DIRECT,
     VELOCITY_POLE,
@@ -83,8 +86,10 @@ def _taken_over(old: AxisLaw, new: AxisLaw, before: AxisState, h: float) -> Axis
     integral, lag = resume(law, (output, before.drive, position), (older, older_drive, older_position))
     of_velocity = law[VELOCITY_POLE] * speed - law[VELOCITY_DIRECT] * position
     of_acceleration = law[ACCELERATION_POLE] * rate - law[ACCELERATION_DIRECT] * speed
+    # A biquad begins as if the last drive had been there for ever.
+    at_rest = (1.0 - law[BIQUAD_0]) * before.drive, (law[BIQUAD_2] - law[BIQUAD_POLE_2]) * before.drive
     return before._replace(
-        control=(integral, lag, of_velocity, of_acceleration),
+        control=(integral, lag, of_velocity, of_acceleration, *at_rest),
         output=output,
         older=(older, older_drive, older_position),
         damping=damping,

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from numbers import Real
 
-from autotune.formats.limits import VariableDampingSettings
+from autotune.formats.limits import Biquad, VariableDampingSettings
 from autotune.formats.units import AXES
 from problems.errors import ParameterError
 from problems.model.difference import write_blocks
@@ -66,7 +66,8 @@ class AxisLaw:
     `mass` M_a, `damping` B_a, `lead_s` K_l, `feedback_damping_s` B_fb, both filters' corners and `compensation_mass_kg`
     P̂; `payload_range` holds the masses, or inertias, for which the certificate holds. `blocks` are the coefficients of
     `problems.model.difference.controller_step` in the Tustin form at `sample_time_s`, by row and column; with a
-    `variable_damping` those at its highest B_a, that of rest, and `damping` is then that of the design.
+    `variable_damping` those at its highest B_a, that of rest, and `damping` is then that of the design. With a
+    `biquad` the force passes it first.
     """
 
     name: str
@@ -82,6 +83,7 @@ class AxisLaw:
     is_subtractive: bool
     payload_range: Interval
     variable_damping: VariableDampingSettings | None = None
+    biquad: Biquad | None = None
     index: int = field(init=False)
     blocks: Blocks = field(init=False, repr=False)
 
@@ -105,7 +107,8 @@ class AxisLaw:
         blocks: dict[tuple[int, int], float] = {}
         numbers = (self.mass, damping, self.lead_s, self.feedback_damping_s)
         filters = (self.velocity_filter_rad_per_s, self.acceleration_filter_rad_per_s, self.compensation_mass_kg)
-        write_blocks(blocks, (*numbers, *filters), self.sample_time_s, _THETA, ideal=False)
+        biquad = () if self.biquad is None else self.biquad.numbers()
+        write_blocks(blocks, (*numbers, *filters, *biquad), self.sample_time_s, _THETA, ideal=False)
         return blocks
 
     @property

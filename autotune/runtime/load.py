@@ -13,6 +13,7 @@ from autotune.formats.canonical import short
 from autotune.formats.limits import (
     MOST_REST_SAMPLES,
     AxisLimits,
+    Biquad,
     CollisionResponse,
     Limits,
     VariableDampingSettings,
@@ -238,6 +239,7 @@ def _axis(tree: Mapping[str, Any], name: str) -> AxisLaw:
         is_subtractive=gains["deadband_type"] == "subtractive",
         payload_range=(float(low), float(high)),
         variable_damping=None if variable is None else VariableDampingSettings(**variable),
+        biquad=None if gains.get("biquad") is None else Biquad(**gains["biquad"]),
     )
 
 

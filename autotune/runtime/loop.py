@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from operator import mul
 from typing import Any
 
-from problems.model.difference import controller_step
+from problems.model.difference import BIQUAD_0, controller_step
 
 from .law import AxisLaw
 
@@ -24,7 +24,7 @@ _TAYLOR_TERMS = 16
 # A delay this close to a whole number of samples is that number.
 _WHOLE = 1e-9
 _SAME = 1e-6
-_CONTROL = 4
+_CONTROL = 6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -175,14 +175,14 @@ def _closed(axis: AxisLaw, plant: _Sampled) -> tuple[Matrix, list[float]]:
     loop = [list(row) for row in zip(*columns, strict=True)]
     rest = [1.0] + [0.0] * (n - 1)
     rest[plant.payload] = 1.0
-    return loop, [*rest, *[1.0] * chain, 1.0, 0.0, -axis.blocks[2, 0], 0.0]
+    return loop, [*rest, *[1.0] * chain, 1.0, 0.0, -axis.blocks[2, 0], 0.0, 0.0, 0.0]
 
 
 def _next(axis: AxisLaw, plant: _Sampled, state: list[float]) -> list[float]:
     """Return the state of the loop one period later."""
     n = len(plant.phi)
     s, past = state[:n], state[n : len(state) - _CONTROL]
-    control = (state[-4], state[-3], state[-2], state[-1])
+    control = (state[-6], state[-5], state[-4], state[-3], state[-2], state[-1])
     position = sum(map(mul, plant.position, s))
     lag = plant.whole + plant.is_split
     force = sum(map(mul, plant.force, s))
@@ -192,7 +192,7 @@ def _next(axis: AxisLaw, plant: _Sampled, state: list[float]) -> list[float]:
     else:
         # The command acts on the force within the period: solved for, since both are linear.
         command, _ = controller_step(axis.blocks, control, force, position)
-        command /= 1.0 - (axis.blocks[0, 0] + axis.blocks[1, 0]) * plant.direct
+        command /= 1.0 - (axis.blocks[0, 0] + axis.blocks[1, 0]) * axis.blocks[BIQUAD_0] * plant.direct
         _, following = controller_step(axis.blocks, control, force + plant.direct * command, position)
     sent = [command, *past]
     newer, older = sent[plant.whole], sent[plant.whole + 1] if plant.is_split else 0.0

@@ -9,11 +9,13 @@ from typing import NamedTuple
 from autotune.formats.limits import CollisionResponse
 from problems.errors import ParameterError
 from problems.model.difference import (
+    ControlState,
     Entry,
     controller_step,
     measured_motion,
     opposes_motion,
     resume,
+    shaped_drive,
     through_deadband,
     varied_damping,
 )
@@ -73,13 +75,13 @@ class Phase(IntEnum):
 
 
 class AxisState(NamedTuple):
-    """What one axis keeps: the four states of the difference equation, the last drive, x and x^d as sent.
+    """What one axis keeps: the states of the difference equation, the last drive, x and x^d as sent.
 
     `output` is the admittance's own share of x^d, `older` output, drive and x a period before. `damping` and `blocks`
     are those in use where B_a varies, None before it did; they are `periods` old.
     """
 
-    control: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    control: ControlState = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     drive: float = 0.0
     position: float = 0.0
     command: float = 0.0
@@ -154,7 +156,7 @@ def step(
     its origin. `position_W_m` (3,) and `R_WS` (3, 3), v_W = R_WS v_S, are the measured pose of the sensor frame.
     `desired_S` (6,) is F^d, positive presses along the axis. `tick` is the caller's count of the periods, one more in
     each (a counter of 32 bits may begin again at 0); without it periods that are left out are not noticed. Per axis,
-    with F out of gravity compensation and deadband, u = F^d + F + P̂ O_a x and x^d = A(1 + C_ff) u − C_fb x in their
+    with F out of gravity compensation and deadband, u = F^d + F + P̂ O_a x and x^d = A(1 + C_ff) N u − C_fb x in their
     Tustin form (docs/method.md, "The loop"); x is how far the sensor frame went along, or turned about, its own axis
     since the start.
 
@@ -292,7 +294,7 @@ def _tick(axis: AxisLaw, before: AxisState, desired: float, external: float, way
     older = (before.output, before.drive, before.position)
     following = before._replace(
         control=control,
-        drive=desired + seen + inertial,
+        drive=shaped_drive(blocks, before.control, desired + seen + inertial),
         position=position,
         command=wanted,
         output=wanted - added,
@@ -317,7 +319,7 @@ def _varied(axis: AxisLaw, before: AxisState, way: float) -> AxisState:
     )
     blocks = axis.blocks_at(damping)
     integral, lag = resume(blocks, (before.output, before.drive, before.position), before.older)
-    control = (integral, lag, before.control[2], before.control[3])
+    control = (integral, lag, *before.control[2:])
     return before._replace(control=control, damping=damping, blocks=blocks, periods=0)
 
 
@@ -342,7 +344,7 @@ def _rest(axis: AxisLaw, before: AxisState, tick: _Tick) -> AxisState:
     older = (output, before.drive, before.position)
     blocks = following.blocks or axis.blocks
     integral, lag = resume(blocks, (output, following.drive, following.position), older)
-    control = (integral, lag, following.control[2], following.control[3])
+    control = (integral, lag, *following.control[2:])
     return following._replace(control=control, command=before.command, output=output, older=older)
 
 

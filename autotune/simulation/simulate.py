@@ -14,7 +14,7 @@ from problems.contact.events import advance_surface, contact_force, is_in_contac
 from problems.contact.kernel import switch_within
 from problems.contact.kernel_types import APART, IN_CONTACT, NEWEST, POSITION, SENSED, Contact, HeldInputs, Inputs
 from problems.contact.transient import build_sampled_contact
-from problems.model.controller import controller_blocks, controller_step
+from problems.model.controller import control_tuple, controller_blocks, controller_step, keep_control
 from problems.model.sampled import build_sampled_plant, controller_rest
 
 from .phases import Program, Script, build_script
@@ -120,9 +120,9 @@ def _step_axis(
         if admittance[k]:
             if not was_running:
                 control = rest * past[NEWEST]
-            law = (control[0], control[1], control[2], control[3])
+            law = control_tuple(control)
             command, law = controller_step(blocks, law, drive_force, position)
-            control[0], control[1], control[2], control[3] = law
+            keep_control(control, law)
         else:
             if was_running or k == 0:
                 base = past[NEWEST] - script_command[k]

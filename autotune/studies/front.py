@@ -14,8 +14,8 @@ import numpy as np
 from scipy.optimize import differential_evolution, minimize
 
 from autotune.errors import InfeasibleError, UsageError
-from autotune.tuning.bounds import Box
-from autotune.tuning.search import SearchResult, presentable, solve_design
+from autotune.tuning.bounds import Box, presentable
+from autotune.tuning.search import SearchResult, solve_design
 from problems.arrays import FloatArray
 from problems.design.evaluation import Evaluation, PreparedScenarios, build_scenarios
 from problems.design.objectives import Admittance, Objective, PeakForce, force_of

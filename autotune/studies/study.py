@@ -20,8 +20,7 @@ from optuna.trial import FrozenTrial, Trial, TrialState
 from autotune.errors import InfeasibleError, UsageError
 from autotune.formats.canonical import checksum
 from autotune.formats.records import record_tree
-from autotune.tuning.bounds import LINEAR_VARIABLES
-from autotune.tuning.search import presentable
+from autotune.tuning.bounds import LINEAR_VARIABLES, presentable
 from autotune.version import __version__
 from problems.arrays import FloatArray
 from problems.design.objectives import Objective

@@ -8,10 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from problems.arrays import FloatArray
-from problems.design.problem import VARIABLES, DesignProblem
+from problems.design.problem import FURTHER_VARIABLES, DesignProblem
+from problems.model.controller import SMALLEST_FEEDBACK_DAMPING_S
 
 LINEAR_VARIABLES = frozenset({"lead_s", "feedback_damping_s", "compensation_mass_kg"})
 """Variables that may be zero: counted by the width of their bounds, the others by their logarithm."""
+# The bounds that stand for the sensor's noise where nothing else limits it: the mass from below, the lead from above.
+_LIGHTER, _LONGER = 5.0, 3.0
+# Beside its bounds a value this small is none.
+_NOTHING = 1e-7
 # How much further a bound that holds a design is proposed.
 _WIDER = 2.0
 
@@ -33,9 +38,32 @@ def wider_bounds(problem: DesignProblem, names: Iterable[str], *, turning: bool)
         side, _, variable = name.partition(" bound of ")
         low, high = problem.bounds[variable]
         ends = (low / _WIDER, high) if side == "lower" else (low, high * _WIDER)
-        below = tree.setdefault("bounds" if variable in VARIABLES else "free", {})
+        below = tree.setdefault("free" if variable in FURTHER_VARIABLES else "bounds", {})
         below[variable] = [float(f"{end:.6g}") for end in ends]
     return {"rotational": tree} if turning and tree else tree
+
+
+def presentable(problem: DesignProblem, design: FloatArray) -> FloatArray:
+    """Return the design with six digits, inside its bounds: what is certified is what people read and type."""
+    rounded = np.array([float(f"{value:.6g}") for value in design])
+    if rounded[3] < SMALLEST_FEEDBACK_DAMPING_S and problem.bounds["feedback_damping_s"][0] == 0.0:
+        rounded[3] = 0.0
+    bounds = bounds_of(problem)
+    # What is nothing beside its bounds is meant as none: a compensation of 1e-16 kg would only be another structure.
+    nothing = linear_variables(problem) & (rounded < _NOTHING * bounds[:, 1])
+    rounded = np.where(nothing, 0.0, rounded)
+    return np.asarray(np.clip(rounded, bounds[:, 0], bounds[:, 1]))
+
+
+def loosened_bounds(problem: DesignProblem) -> dict[str, tuple[float, float]]:
+    """Return the bounds with a lighter mass and a longer lead, for where the noise is limited; what is fixed stays."""
+    bounds = dict(problem.bounds)
+    (light, heavy), (short, long) = bounds["mass"], bounds["lead_s"]
+    if light < heavy:
+        bounds["mass"] = light / _LIGHTER, heavy
+    if short < long:
+        bounds["lead_s"] = short, long * _LONGER
+    return bounds
 
 
 class Box:

@@ -11,16 +11,16 @@ from autotune.formats.controller_record import is_linear
 from autotune.prediction.law import PresentGains
 from problems.arrays import FloatArray
 from problems.design.evaluation import PreparedScenarios, build_scenarios
-from problems.design.problem import FURTHER_VARIABLES, VARIABLES, DesignProblem
+from problems.design.problem import BIQUAD_VARIABLES, CONTROLLER_VARIABLES, FURTHER_VARIABLES, DesignProblem
 from problems.design.requirements import smallest_admittance
 from problems.model.controller import AdmittanceController
 from problems.model.response import hand_force_per_speed
 from problems.stability.margins import UnstableLoopError
 
-from .bounds import bounds_of
+from .bounds import bounds_of, presentable
 from .record import MARGIN_NAMES, admittance_band_hz
 from .scenario_exchange import WholeSet
-from .search import SearchResult, presentable
+from .search import SearchResult
 
 _SAME_PERIOD = 1e-6
 
@@ -92,7 +92,9 @@ def _check_same_run(old: ControllerFile, problems: Mapping[str, DesignProblem]) 
 
 def start_design(law: AdmittanceController, problem: DesignProblem) -> FloatArray | None:
     """Return gains as a design of a problem, None where they lie outside of its bounds."""
-    values = dict(zip((*VARIABLES, *FURTHER_VARIABLES), law.numbers(), strict=True))
+    if law.has_biquad != (BIQUAD_VARIABLES[0] in problem.variables):
+        return None
+    values = dict(zip(CONTROLLER_VARIABLES, law.numbers(), strict=False))
     fixed = dict(zip(values, problem.controller(bounds_of(problem)[:, 0]).numbers(), strict=True))
     held = [each for each in _in_use(law) if each not in problem.variables]
     if any(values[each] != fixed[each] for each in held):

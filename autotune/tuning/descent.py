@@ -22,7 +22,7 @@ BACKOFF = 2e-5
 """The share of every requirement that is kept in hand, for what a step along a curved limit misses."""
 _STEP = 1e-6
 # A descent that takes more is on a kink of a margin, where every further step is dear and small.
-_ITERATIONS = 12
+SHORT_WAY = 12
 _TOLERANCE = 1e-8
 _WALL = 1e3
 # Of the exact polish: the move, and how near to its limit a row counts, as shares.
@@ -45,6 +45,7 @@ def descend(
     *,
     backoff: Mapping[str, float] = _NONE,
     reserve: float = BACKOFF,
+    iterations: int = SHORT_WAY,
 ) -> Descent:
     """Lower t, which no cost of the objective may exceed, while every margin keeps its limit, from a point (n,) on.
 
@@ -75,7 +76,7 @@ def descend(
         method="SLSQP",
         bounds=[*[(0.0, 1.0)] * count, *[(0.0, None)] * (1 + len(prices))],
         constraints=[{"type": "ineq", "fun": slack, "jac": slack_gradients}],
-        options={"maxiter": _ITERATIONS, "ftol": _TOLERANCE},
+        options={"maxiter": iterations, "ftol": _TOLERANCE},
     )
     return Descent(unit=np.asarray(np.clip(found.x[:count], 0.0, 1.0)), evaluations=points.evaluations)
 

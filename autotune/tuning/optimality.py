@@ -18,7 +18,7 @@ from scipy.optimize import nnls
 
 from problems.arrays import FloatArray
 from problems.design.evaluation import PreparedScenarios
-from problems.design.problem import FURTHER_VARIABLES, VARIABLES, DesignProblem
+from problems.design.problem import CONTROLLER_VARIABLES, DesignProblem
 from problems.design.requirements import LARGEST_SHARE
 from problems.design.stable_design import Gradient, StableDesign
 from problems.model.controller import AdmittanceController
@@ -34,8 +34,6 @@ _STEP = 1e-5
 _SUM_WEIGHT = 1e3
 _AT_BOUND = 1e-6
 LEAST_RATIO = 1e-100
-# The order of the controller's parameters in a gradient.
-_PARAMETERS = (*VARIABLES, *FURTHER_VARIABLES)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -193,7 +191,7 @@ def _row(
     value = achieved(stable)
     found = gradient(stable) if _moves_exactly(problem, stable.controller) else None
     if found is not None and abs(found.value - value) <= _AGREES * value:
-        free = [_PARAMETERS.index(each) for each in problem.variables]
+        free = [CONTROLLER_VARIABLES.index(each) for each in problem.variables]
         by_u = sign * found.by_controller[free] * widths / found.value
         return Row(name=name, value=logarithm(found.value), gradient=by_u, is_exact=True)
 

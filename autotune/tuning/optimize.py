@@ -22,7 +22,7 @@ from autotune.validation.report import ValidationReport
 from autotune.validation.validate import validate_controller
 from identification.result import Identified
 from problems.arrays import FloatArray
-from problems.design.problem import FURTHER_VARIABLES, VARIABLES, DesignProblem
+from problems.design.problem import CONTROLLER_VARIABLES, DesignProblem
 from problems.progress import ProgressSlice, no_progress
 
 from .causes import explain, explanation_message
@@ -39,6 +39,7 @@ from .record import build_controller, build_domain, certified_hand, runtime_payl
 from .scenario_exchange import NOTHING, Counterexamples, ImpactTest
 from .search import SearchResult, solve_design
 from .strategies import StrategySettings, choose_strategies, strategy_settings
+from .structure import StructureSearch
 
 # Of the time of a usual run, measured, for the progress bar alone. The second is a share of what comes
 # after the search.
@@ -112,7 +113,7 @@ def optimize(
     asked = proof if proof is not None else ProofOptions()
     spec = within_domain(spec, identified.domain)
     build = build_problems if spec.compliance is None else build_compliance_problems
-    problems = build(identified.result, spec)
+    problems = build(identified.result, replace(spec, structure="gains"))
     if present is not None:
         check_comparable(present, problems)
     # Asked before the search, because it may refuse.
@@ -121,7 +122,8 @@ def optimize(
     if chosen:
         report = ProgressSlice(report, 1.0 - _COMPLIANCE_SHARE)
         problems = {name: compliance.on_chosen(problems[name]) for name, compliance in chosen.items()}
-    searches = _search_all(problems, present, chosen, seed, relax, report)
+    structures = StructureSearch(spec.structure, seed)
+    searches = structures.searched(_search_all(problems, present, chosen, seed, relax, report))
     chosen = {name: settle_compliance(problems[name], each, searches[name], seed) for name, each in chosen.items()}
     points, least = spec.contact_points_m, spec.least_modulus_together
     together = TogetherCheck(
@@ -131,8 +133,7 @@ def optimize(
     settled = _settle_all(searches, asked, seed, report, beside)
     searches = {name: each.search for name, each in settled.items()}
     optimality_reports = {name: each.optimality for name, each in settled.items()}
-    by_default = {name: default_admittance(problems[name], each) for name, each in searches.items()}
-    defaults = {name: each for name, each in by_default.items() if each is not None}
+    defaults = {name: said for name, each in searches.items() if (said := default_admittance(problems[name], each))}
     problems = {name: each.problem for name, each in searches.items()}
     provenance = make_provenance(identified, problems, spec, seed, problem_path, present, asked)
     provenance |= result_trees(problems, identified.result, optimality_reports, defaults, chosen)
@@ -147,7 +148,7 @@ def optimize(
     notes = [
         default_message(name, each, problems[name]) for name, each in defaults.items() if each.attainable is not None
     ]
-    notes += beside.notes(searches)
+    notes += [*beside.notes(searches), *structures.notes(searches)]
     notes += design_notes(identified, controller, problems, spec, has_compliance=bool(chosen))
     controller = with_notes(controller, notes, before_after)
     return Optimized(
@@ -245,8 +246,8 @@ def certify(
 
 def check_within_bounds(search: SearchResult, name: str) -> None:
     """Raise CertificateError if the controller that a design makes lies outside of the bounds that were asked."""
-    problem, known = search.problem, (*VARIABLES, *FURTHER_VARIABLES)
-    values = dict(zip(known, problem.controller(search.design).numbers(), strict=True))
+    problem = search.problem
+    values = dict(zip(CONTROLLER_VARIABLES, problem.controller(search.design).numbers(), strict=False))
     for variable, (low, high) in problem.bounds.items():
         if not low * (1.0 - _ROUNDING) <= values[variable] <= high * (1.0 + _ROUNDING):
             raise CertificateError(

@@ -67,6 +67,10 @@ def build_problems(identified: Identified, spec: ProblemSpec) -> dict[str, Desig
             "free.environment_stiffness_n_per_m is chosen by optimize for one controller; elsewhere give a range as "
             "environment_stiffness_n_per_m in problem.yaml."
         )
+    if spec.structure != "gains":
+        raise UsageError(
+            "structure: biquad is searched by optimize for one controller that runs autotune's own law; leave it out."
+        )
     if not identified.axes:
         raise EstimateError("The plant holds no axis, so there is nothing to tune.")
     names = list(identified.axes) if spec.axes is None else list(spec.axes)

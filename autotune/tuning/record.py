@@ -27,7 +27,7 @@ from autotune.formats.controller_record import (
     RuntimePayload,
     ScenarioPrediction,
 )
-from autotune.formats.limits import CollisionResponse
+from autotune.formats.limits import Biquad, CollisionResponse
 from autotune.formats.proof_records import BouncingProof, HeldProof, PeakProof
 from autotune.formats.units import ROTATIONAL_AXES, axis_units
 from autotune.text import scenario_text
@@ -147,6 +147,18 @@ def _gains(name: str, controller: AdmittanceController) -> AxisGains:
         feedback_damping_s=controller.feedback_damping_s,
         deadband=_DEFAULT_DEADBAND_N * LEVER_M if name in ROTATIONAL_AXES else _DEFAULT_DEADBAND_N,
         deadband_type=DeadbandType.THRESHOLD,
+        biquad=_biquad(controller),
+    )
+
+
+def _biquad(law: AdmittanceController) -> Biquad | None:
+    if not law.has_biquad:
+        return None
+    return Biquad(
+        zero_s=law.biquad_zero_s,
+        zero_damping_ratio=law.biquad_zero_damping_ratio,
+        pole_s=law.biquad_pole_s,
+        pole_damping_ratio=law.biquad_pole_damping_ratio,
     )
 
 

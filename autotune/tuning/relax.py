@@ -14,8 +14,9 @@ from problems.design.uncertainty import Scenario
 from problems.progress import ProgressSlice, no_progress
 from problems.stability.margins import UnstableLoopError
 
+from .bounds import presentable
 from .scenario_exchange import WholeSet, margin_scenarios
-from .search import Search, presentable
+from .search import Search
 
 ADMITTANCE = "free_space_admittance"
 DAMPING = VARIABLES.index("damping")

@@ -1,6 +1,6 @@
 """Search the controller: a seeded global stage, a local polish, and worst-case scenario exchange."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,14 +10,13 @@ from autotune.errors import AutotuneError, InfeasibleError
 from problems.arrays import FloatArray
 from problems.design.batch_evaluation import BatchEvaluation, BatchEvaluator, build_batch_evaluator
 from problems.design.evaluation import Evaluation, PlantMargins, PreparedScenarios, build_scenarios
-from problems.design.problem import DesignProblem
+from problems.design.problem import BIQUAD_VARIABLES, DesignProblem
 from problems.design.uncertainty import Scenario
-from problems.model.controller import SMALLEST_FEEDBACK_DAMPING_S
 from problems.progress import no_progress
 from problems.stability.margins import UnstableLoopError
 
-from .bounds import Box, bounds_of, linear_variables, spread_out
-from .descent import BACKOFF, descend, polish_exactly
+from .bounds import Box, presentable, spread_out
+from .descent import BACKOFF, SHORT_WAY, descend, polish_exactly
 from .scenario_exchange import (
     DENSE_STIFFNESS,
     NOTHING,
@@ -35,10 +34,11 @@ _GENERATIONS, _NEARBY_GENERATIONS = 60, 10
 _GATHERED = 0.03
 _ROUNDS = 8
 _POLISH_STARTS, _OTHER_VALLEYS = 3, 6
+# Descents with a biquad that go on, and by how many iterations.
+_GO_ON, _LONG_WAY = 3, 40
 _SAME, _NEAR, _FAR = 1e-3, 0.1, 0.45
 # What six digits may cost a requirement.
 _RESERVE = 5e-6
-_NOTHING = 1e-7
 _HAIR = 2e-3
 # Costs of designs that miss something lie above every force, those of unstable ones above these.
 _UNSTABLE = 1e15
@@ -88,11 +88,13 @@ def solve_design(
     start: FloatArray | None = None,
     neighbour: SearchResult | None = None,
     counterexamples: Counterexamples = NOTHING,
+    others: Sequence[FloatArray] = (),
     progress: Callable[[float], None] | None = None,
 ) -> SearchResult:
     """Find the design of the best worst objective that is stable and meets every requirement in every scenario.
 
-    Deterministic for a given seed and `start`, a design (n,) inside the bounds that joins the search. Nothing unstable
+    Deterministic for a given seed and `start`, a design (n,) inside the bounds that joins the search; from `others`
+    descents begin too. Nothing unstable
     or infeasible is returned: the result is evaluated again, exactly, over a dense grid of the whole uncertainty.
     `neighbour` is the result for another range of K_e: the search begins at its design and with what was worst there,
     and looks around less, so that it may take a valley's end for the best that a search from nowhere would leave.
@@ -107,6 +109,7 @@ def solve_design(
     # The given design is kept if nothing better is found: margins held in reserve could cost a hair otherwise.
     given = None if start is None else (start, *_evaluated_exactly(whole, start))
     unit = search.explore(active, lambda share: report(0.6 * share))
+    search.elite += [search.box.unit(each) for each in others]
     for round_index in range(_ROUNDS):
         unit = search.polish(active, unit)
         design = presentable(problem, search.box.design(unit))
@@ -174,18 +177,6 @@ def _begun(
     worst = (moved_scenario(each, neighbour.problem, problem) for each in neighbour.active.scenarios)
     active = tuple(dict.fromkeys((*problem.scenarios(3, 2), *worst)))
     return Search(problem, seed, begin, generations=_NEARBY_GENERATIONS), active
-
-
-def presentable(problem: DesignProblem, design: FloatArray) -> FloatArray:
-    """Return the design with six digits, inside its bounds: what is certified is what people read and type."""
-    rounded = np.array([float(f"{value:.6g}") for value in design])
-    if rounded[3] < SMALLEST_FEEDBACK_DAMPING_S and problem.bounds["feedback_damping_s"][0] == 0.0:
-        rounded[3] = 0.0
-    bounds = bounds_of(problem)
-    # What is nothing beside its bounds is meant as none: a compensation of 1e-16 kg would only be another structure.
-    nothing = linear_variables(problem) & (rounded < _NOTHING * bounds[:, 1])
-    rounded = np.where(nothing, 0.0, rounded)
-    return np.asarray(np.clip(rounded, bounds[:, 0], bounds[:, 1]))
 
 
 def _evaluated_exactly(whole: WholeSet, design: FloatArray) -> tuple[Evaluation, tuple[PlantMargins, ...]]:
@@ -340,6 +331,12 @@ class Search:
         starts = spread_out(known, _SAME, len(known))
         candidates = np.array([unit, *(self.local(screen, start) for start in starts)])
         costs = self._tightened_costs(screen, candidates)
+        if BIQUAD_VARIABLES[0] in self.problem.variables:
+            # Eight numbers take a longer way: the most promising go on.
+            ahead = [candidates[i] for i in np.argsort(costs, kind="stable")]
+            further = [self.local(screen, each, _LONG_WAY) for each in spread_out(ahead, _SAME, _GO_ON)]
+            candidates = np.array([*candidates, *further])
+            costs = self._tightened_costs(screen, candidates)
         order = np.argsort(costs, kind="stable")
         best = candidates[order[0]]
         # The next round starts where this one ended, in the best few valleys.
@@ -404,9 +401,9 @@ class Search:
                 flattered = min(value - 1.0, 0.02)
                 self.backoff[name] = self.backoff.get(name, 0.0) + 1.5 * flattered + BACKOFF
 
-    def local(self, screen: BatchEvaluator, start: FloatArray) -> FloatArray:
+    def local(self, screen: BatchEvaluator, start: FloatArray, iterations: int = SHORT_WAY) -> FloatArray:
         """Descend from a point, with what the grid flattered asked for."""
-        found = descend(screen, self.box, start, backoff=self.backoff)
+        found = descend(screen, self.box, start, backoff=self.backoff, iterations=iterations)
         self.evaluations += found.evaluations
         if not self.impacts:
             return found.unit

@@ -211,10 +211,13 @@ def _delays(plant: CoupledPlant, sample_time_s: float) -> tuple[list[int], list[
 
 
 def _law_parts(law: AdmittanceController, sample_time_s: float) -> list[tuple[FloatArray, ...]]:
-    """Return A(1 + C_ff), C_fb and P̂ O_a in their Tustin form, as state-space systems by scipy."""
+    """Return A(1 + C_ff) N, C_fb and P̂ O_a in their Tustin form, as state-space systems by scipy."""
     v, a = law.velocity_filter_rad_per_s, law.acceleration_filter_rad_per_s
+    zero, pole = law.biquad_zero_s, law.biquad_pole_s
+    above = np.trim_zeros(np.array([zero**2, 2.0 * law.biquad_zero_damping_ratio * zero, 1.0]), "f")
+    below = np.trim_zeros(np.array([pole**2, 2.0 * law.biquad_pole_damping_ratio * pole, 1.0]), "f")
     continuous = (
-        ([law.lead_s, 1.0], [law.mass_kg, law.damping_n_s_per_m, 0.0]),
+        (np.convolve(above, [law.lead_s, 1.0]), np.convolve(below, [law.mass_kg, law.damping_n_s_per_m, 0.0])),
         ([law.feedback_damping_s * v, 0.0], [1.0, v]),
         ([law.compensation_mass_kg * v * a, 0.0, 0.0], [1.0, v + a, v * a]),
     )

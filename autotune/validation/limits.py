@@ -14,6 +14,7 @@ from autotune.runtime.load import LEVER_M, REDUCED_SPEED_M_S
 from problems.arrays import FloatArray
 from problems.design.requirements import ContactAtSpeed
 from problems.model.controller import AdmittanceController, controller_blocks
+from problems.model.difference import BIQUAD_0, INTEGRATOR_DIRECT, LAG_DIRECT
 
 from .certified_requirements import asked_of
 from .contacts import Replays
@@ -116,7 +117,7 @@ def step_motion(controller: Controller, name: str, force: float) -> tuple[float,
 
 def _force_gain(controller: Controller, name: str) -> float:
     blocks = controller_blocks(admittance_controller(controller, name), controller.sample_time_s)
-    return float(blocks[0, 0] + blocks[1, 0])
+    return float((blocks[INTEGRATOR_DIRECT] + blocks[LAG_DIRECT]) * blocks[BIQUAD_0])
 
 
 def _noisy_motion(controller: Controller, name: str, noise: LimitsNoise) -> tuple[float, float]:

@@ -334,6 +334,7 @@ def _memories(law: AdmittanceController) -> tuple[str, ...]:
         "force_last",
         *(("velocity",) if law.feedback_damping_s > 0.0 or filtered else ()),
         *(("acceleration",) if filtered else ()),
+        *(("force_before", "push_before", "push_last") if law.has_biquad else ()),
     )
 
 
@@ -343,6 +344,7 @@ def _answer(law: AdmittanceController, h: float, force: FloatArray, position: Fl
     `steady` has felt the same force before; `force_last` is both forces before, which the command shows apart
     in its first sample only.
     """
-    fields = ("force_before", "force_last") if memory == "steady" else (memory,) if memory else ()
+    steady = ("force_before", "force_last", "push_before", "push_last")
+    fields = steady if memory == "steady" else tuple(filter(None, (memory,)))
     past = rest_at(0.0)._replace(**dict.fromkeys(fields, 1.0))
     return equation_commands(equation_gains(law, h), past, force, position)

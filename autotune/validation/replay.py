@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import expm
+from scipy.signal import bilinear
 
 from autotune.formats.limits import VariableDampingSettings
 from problems.arrays import FloatArray
@@ -206,6 +207,7 @@ def equation_gains(controller: AdmittanceController, sample_time_s: float) -> Eq
     """Return the coefficients of the paper's eq. (discretized admittance)."""
     ratio = controller.damping_n_s_per_m * sample_time_s / (2.0 * controller.mass_kg)
     lead = 2.0 * controller.lead_s / sample_time_s
+    (b_0, b_1, b_2), (a_1, a_2) = _biquad(controller, sample_time_s)
     return EquationGains(
         old=1.0 - ratio,
         new=1.0 + ratio,
@@ -218,7 +220,26 @@ def equation_gains(controller: AdmittanceController, sample_time_s: float) -> Eq
         corner=float(controller.velocity_filter_rad_per_s),
         second_corner=float(controller.acceleration_filter_rad_per_s),
         h=float(sample_time_s),
+        b_0=b_0,
+        b_1=b_1,
+        b_2=b_2,
+        a_1=a_1,
+        a_2=a_2,
     )
+
+
+def _biquad(law: AdmittanceController, h: float) -> tuple[tuple[float, float, float], tuple[float, float]]:
+    """Return the coefficients of the biquad in powers of z⁻¹ by scipy's bilinear rule, 1 without one."""
+    if not law.has_biquad:
+        return (1.0, 0.0, 0.0), (0.0, 0.0)
+    zero, pole = law.biquad_zero_s, law.biquad_pole_s
+    above, below = bilinear(
+        [zero**2, 2.0 * law.biquad_zero_damping_ratio * zero, 1.0],
+        [pole**2, 2.0 * law.biquad_pole_damping_ratio * pole, 1.0],
+        fs=1.0 / h,
+    )
+    (b_0, b_1, b_2), (_, a_1, a_2) = map(float, above), map(float, below)
+    return (b_0, b_1, b_2), (a_1, a_2)
 
 
 def robot_alone(robot: RobotModel, sample_time_s: float) -> RobotAlone:

@@ -16,7 +16,10 @@ _ROBOT, _PAYLOAD, _VELOCITY = 0, -2, -1
 
 
 class EquationGains(NamedTuple):
-    """Coefficients of the paper's eq. (discretized admittance); corners in rad/s, `h` in s."""
+    """Coefficients of the paper's eq. (discretized admittance); corners in rad/s, `h` in s.
+
+    The force passes a biquad first, y_k = Σ b_i u_{k−i} − a_1 y_{k−1} − a_2 y_{k−2}.
+    """
 
     old: float
     new: float
@@ -29,6 +32,11 @@ class EquationGains(NamedTuple):
     corner: float
     second_corner: float
     h: float
+    b_0: float
+    b_1: float
+    b_2: float
+    a_1: float
+    a_2: float
 
 
 class DampingSchedule(NamedTuple):
@@ -42,7 +50,10 @@ class DampingSchedule(NamedTuple):
 
 
 class EquationMemory(NamedTuple):
-    """What the difference equation remembers from tick to tick; `sent` is the command x^d."""
+    """What the difference equation remembers from tick to tick; `sent` is the command x^d.
+
+    `force_before` and `force_last` have passed the biquad, `push_before` and `push_last` not.
+    """
 
     before: float
     last: float
@@ -52,6 +63,8 @@ class EquationMemory(NamedTuple):
     velocity: float
     acceleration: float
     sent: float
+    push_before: float
+    push_last: float
 
 
 class SampleStep(NamedTuple):
@@ -122,7 +135,7 @@ class ReplayedContact(NamedTuple):
 @equation
 def rest_at(position: float) -> EquationMemory:
     """Return the memory at rest: C_fb x is zero there, so the admittance's own position is the command."""
-    return EquationMemory(position, position, 0.0, 0.0, position, 0.0, 0.0, position)
+    return EquationMemory(position, position, 0.0, 0.0, position, 0.0, 0.0, position, 0.0, 0.0)
 
 
 @equation
@@ -142,7 +155,9 @@ def difference_step(
     """
     velocity = filtered(past.velocity, position - past.seen, gains.corner, gains.h)
     acceleration = filtered(past.acceleration, velocity - past.velocity, gains.second_corner, gains.h)
-    driven = force + gains.compensation * acceleration
+    push = force + gains.compensation * acceleration
+    driven = gains.b_0 * push + gains.b_1 * past.push_last + gains.b_2 * past.push_before
+    driven = driven - gains.a_1 * past.force_last - gains.a_2 * past.force_before
     pushed = gains.gain * (
         gains.now_weight * driven + gains.last_weight * past.force_last + gains.before_weight * past.force_before
     )
@@ -151,7 +166,9 @@ def difference_step(
         # What the admittance put out is the command without C_fb, which goes on seeing the robot move.
         following = before = past.sent + gains.feedback * velocity
     sent = following - gains.feedback * velocity
-    return EquationMemory(before, following, past.force_last, driven, position, velocity, acceleration, sent)
+    return EquationMemory(
+        before, following, past.force_last, driven, position, velocity, acceleration, sent, past.push_last, push
+    )
 
 
 @equation
@@ -170,6 +187,11 @@ def with_damping(gains: EquationGains, mass: float, damping: float) -> EquationG
         gains.corner,
         gains.second_corner,
         gains.h,
+        gains.b_0,
+        gains.b_1,
+        gains.b_2,
+        gains.a_1,
+        gains.a_2,
     )
 
 

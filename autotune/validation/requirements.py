@@ -257,7 +257,7 @@ def speed_rms(plants: Sequence[Plant], law: AdmittanceController, sample_time_s:
     # The difference equation adds and multiplies only: what it does to a number it does to each plant's.
     past: Any = rest_at(0.0)
     gains, step = equation_gains(law, h), cast(Any, difference_step)
-    direct = gains.gain * gains.now_weight / gains.new
+    direct = gains.gain * gains.now_weight / gains.new * gains.b_0
     last = squares = np.zeros(len(plants))
     for k in range(max(settling_samples(each, law, h, _SHORTEST_S) for each in plants)):
         tick = 1.0 if k == 0 else 0.0

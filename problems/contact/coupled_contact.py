@@ -15,7 +15,14 @@ from numpy.typing import NDArray
 from ..arrays import FloatArray
 from ..compiled import compiled
 from ..errors import ParameterError
-from ..model.controller import controller_blocks, controller_step, needed_states
+from ..model.controller import (
+    CONTROLLER_STATES,
+    control_tuple,
+    controller_blocks,
+    controller_step,
+    keep_control,
+    needed_states,
+)
 from ..model.coupled import (
     CoupledLoop,
     CoupledPlant,
@@ -26,6 +33,7 @@ from ..model.coupled import (
     build_coupled_sampled_plant,
     coupled_poles,
 )
+from ..model.difference import BLOCK_ROWS
 from ..model.sampled import hold
 from ..stability.margins import UnstableLoopError
 from .bouncing import BOUNCING, SETTLED, Ending, judge_window
@@ -228,9 +236,13 @@ def _follow(pair: CoupledPair, force: FloatArray, start: _Start) -> CoupledConta
 
 
 def _begin(pair: CoupledPair, state: FloatArray) -> _Moment:
-    """Return plant (n,), past commands (k, longest) and all four states of every controller of a loop state."""
+    """Return plant (n,), past commands (k, longest) and all states of every controller of a loop state."""
     at, chains = pair.free_loop.state_count, pair.free.chains
-    plant, past, control = state[:at].copy(), np.zeros((len(chains), max(*chains, 1))), np.zeros((len(chains), 4))
+    plant, past, control = (
+        state[:at].copy(),
+        np.zeros((len(chains), max(*chains, 1))),
+        np.zeros((len(chains), CONTROLLER_STATES)),
+    )
     for i, length in enumerate(chains):
         past[i, :length] = state[at : at + length]
         at += length
@@ -257,7 +269,7 @@ def _cell(pair: CoupledPair) -> _Cell:
     parts = [[hold(rates[mode], drives[mode], float(each)) for each in np.diff([0.0, *ends])] for mode in (0, 1)]
     gap = np.zeros(len(m.a))
     gap[list(m.places)] = surface.direction
-    blocks = [np.zeros((6, 3)) if law is None else controller_blocks(law, h) for law in pair.laws]
+    blocks = [np.zeros((BLOCK_ROWS, 3)) if law is None else controller_blocks(law, h) for law in pair.laws]
     return _Cell(
         steps=np.array([[step for step, _ in mode] for mode in parts]),
         inputs=np.array([[held for _, held in mode] for mode in parts]),
@@ -323,10 +335,9 @@ def _command(cell: _Cell, moment: _Moment, desired: FloatArray, command: FloatAr
         along -= cell.along[i] * force
         if cell.driven[i] == 1:
             own = moment.control[i]
-            before, position = (own[0], own[1], own[2], own[3]), np.dot(cell.position[i], moment.plant)
+            before, position = control_tuple(own), np.dot(cell.position[i], moment.plant)
             command[i], after = controller_step(cell.blocks[i], before, desired[i] + force, position)
-            for s in range(4):
-                own[s] = after[s]
+            keep_control(own, after)
     return along
 
 

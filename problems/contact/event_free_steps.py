@@ -12,8 +12,10 @@ from numpy.typing import NDArray
 
 from ..arrays import FloatArray
 from ..compiled import compiled
-from ..model.controller import controller_step
+from ..model.controller import control_tuple, controller_step, keep_control
 from ..model.difference import (
+    BIQUAD_POLE_1,
+    BIQUAD_POLE_2,
     COMPENSATION,
     FEEDBACK_DAMPING,
     INTEGRATOR_DIRECT,
@@ -22,6 +24,7 @@ from ..model.difference import (
     LAG_DIRECT,
     LAG_GAIN,
     LAG_POLE,
+    ControlState,
 )
 from .events import spring_force
 from .kernel_types import (
@@ -86,7 +89,7 @@ def _leave(
     sensor: tuple[float, int],
     contact: tuple[float, int],
     head: int,
-    law: tuple[float, float, float, float],
+    law: ControlState,
 ) -> None:
     """Hand on new peaks (tick −1 without one), the head of the ring and the controller's states."""
     (sensor_peak, sensor_tick), (contact_peak, contact_tick) = sensor, contact
@@ -95,7 +98,7 @@ def _leave(
     if contact_tick >= 0:
         found[CONTACT_PEAK], found[CONTACT_TIME] = contact_peak, contact_tick
     flags[HEAD] = head
-    control[0], control[1], control[2], control[3] = law
+    keep_control(control, law)
 
 
 @compiled
@@ -117,7 +120,7 @@ def step_without_events(
     (state, past, control, _), ((force, contact), found, crest) = now, results
     (_, _, rows, _, (whole, chain, _), wall), step = plant, plant.step[IN_CONTACT if flags[TOUCHING] == 1 else APART]
     n, head, last, touching, (k, aim, end) = len(state), flags[HEAD], len(past) - 1, flags[TOUCHING] == 1, span
-    law = (control[0], control[1], control[2], control[3])
+    law = control_tuple(control)
     following = np.empty(n)
     pressed = wall.stiffness * state[n - 2] + wall.damping * state[n - 1]
     (sensor_peak, contact_peak), sensor_tick, contact_tick = (found[SENSOR_PEAK], found[CONTACT_PEAK]), -1, -1
@@ -178,6 +181,13 @@ def _three_rows(step: FloatArray) -> tuple[_Row, _Row, _Row]:
 
 
 @compiled
+def _is_plain(blocks: FloatArray) -> bool:
+    """Return whether the law is A(1 + C_ff) alone."""
+    reads_force_alone = blocks[FEEDBACK_DAMPING] == 0.0 and blocks[COMPENSATION] == 0.0 and blocks[IS_IDEAL] == 0.0
+    return bool(reads_force_alone and blocks[BIQUAD_POLE_1] == 0.0 and blocks[BIQUAD_POLE_2] == 0.0)
+
+
+@compiled
 def step_three_states(
     plant: Contact,
     blocks: FloatArray,
@@ -191,7 +201,7 @@ def step_three_states(
     (state, past, control, _), ((force, contact), found, crest) = now, results
     steps, _, rows, _, (whole, chain, _), wall = plant
     head, last, touching, (k, aim, end) = flags[HEAD], len(past) - 1, flags[TOUCHING] == 1, span
-    plain = blocks[FEEDBACK_DAMPING] == 0.0 and blocks[COMPENSATION] == 0.0 and blocks[IS_IDEAL] == 0.0
+    plain = _is_plain(blocks)
     of_x, of_p, of_v = _three_rows(steps[IN_CONTACT if touching else APART])
     f_x, f_p, f_v, f_held = rows[SENSED, 0], rows[SENSED, 1], rows[SENSED, 2], rows[SENSED, 3]
     p_rest, v_rest, c_x, gain = (
@@ -201,16 +211,16 @@ def step_three_states(
         blocks[LAG_GAIN],
     )
     direct, integral, pole = blocks[INTEGRATOR_DIRECT] + blocks[LAG_DIRECT], blocks[INTEGRATOR_GAIN], blocks[LAG_POLE]
-    law, (x, p, v) = (control[0], control[1], control[2], control[3]), (state[0], state[1], state[2])
+    law, (x, p, v) = control_tuple(control), (state[0], state[1], state[2])
     pressed, sensor_peak, contact_peak = wall.stiffness * p + wall.damping * v, found[SENSOR_PEAK], found[CONTACT_PEAK]
     sensor_tick, contact_tick, last_unsettled = -1, -1, -1
     threshold = _settling_threshold(touching, wall, forces, force[0] if k > 0 else 0.0, sensor_peak)
     while k < aim:
-        held, (a, b, _, _) = past[(head + chain - 1) & last], law
+        held, (a, b, _, _, _, _) = past[(head + chain - 1) & last], law
         sensed = (f_x * x + f_p * p) + (f_v * v + f_held * held)
         e = forces.desired + sensed
         if plain:
-            command, law_after = (a + b) + direct * e, (a + integral * e, pole * b + gain * e, 0.0, 0.0)
+            command, law_after = (a + b) + direct * e, (a + integral * e, pole * b + gain * e, 0.0, 0.0, 0.0, 0.0)
         else:
             command, law_after = controller_step(blocks, law, e, c_x * x)
         newer = command if whole == 0 else past[(head + whole - 1) & last]

@@ -5,8 +5,8 @@ from numpy.typing import NDArray
 
 from ..arrays import FloatArray
 from ..compiled import compiled
-from ..model.controller import controller_step, steady_states
-from ..model.difference import INTEGRATOR_DIRECT, LAG_DIRECT
+from ..model.controller import control_tuple, controller_step, keep_control, steady_states
+from ..model.difference import BIQUAD_0, INTEGRATOR_DIRECT, LAG_DIRECT, ControlState
 from .event_free_steps import SETTLED, SHORTEST_QUARTER, step_three_states, step_without_events
 from .events import (
     advance_surface,
@@ -141,10 +141,10 @@ def _step(
 ) -> None:
     """Step over one sample with all that may happen in it."""
     (step, flow, rows, inside, delay, wall), (state, past, control, surface), n = plant, now, len(now.state)
-    law = (control[0], control[1], control[2], control[3])
+    law = control_tuple(control)
     held = _held(past, flags[HEAD], delay)
     sensed, command, pressed, law = _outputs(rows, blocks, law, state, held, delay, forces)
-    control[0], control[1], control[2], control[3] = law
+    keep_control(control, law)
     newer, older = _commands(past, flags[HEAD], delay, command)
     inputs, touching, mode = Inputs(older, newer, forces.push), flags[TOUCHING] == 1, IN_CONTACT
     if not touching:
@@ -262,12 +262,12 @@ def _commands(past: FloatArray, head: int, delay: Delay, command: float) -> tupl
 def _outputs(
     rows: FloatArray,
     blocks: FloatArray,
-    control: tuple[float, float, float, float],
+    control: ControlState,
     state: FloatArray,
     held: float,
     delay: Delay,
     forces: Forces,
-) -> tuple[float, float, float, tuple[float, float, float, float]]:
+) -> tuple[float, float, float, ControlState]:
     """Return F, x^d, F_e and the next controller states at a tick; without delay the command acts on F at once."""
     n, delayed, direct = len(state), delay.chain > 0, rows[SENSED, len(state)]
     position, sensed, pressed = 0.0, 0.0, rows[PRESSED, n + 1] * forces.push
@@ -277,7 +277,7 @@ def _outputs(
         pressed += rows[PRESSED, i] * state[i]
     if not delayed and direct != 0.0:
         rest, _ = controller_step(blocks, control, forces.desired + sensed, position)
-        held = rest / (1.0 - (blocks[INTEGRATOR_DIRECT] + blocks[LAG_DIRECT]) * direct)
+        held = rest / (1.0 - (blocks[INTEGRATOR_DIRECT] + blocks[LAG_DIRECT]) * blocks[BIQUAD_0] * direct)
     if delayed or direct != 0.0:
         sensed += direct * held
     command, following = controller_step(blocks, control, forces.desired + sensed, position)

@@ -79,7 +79,7 @@ class Forces(NamedTuple):
 
 
 class Start(NamedTuple):
-    """Plant state, past commands (a ring of 2^k places, newest first) and controller states (4,)."""
+    """Plant state, past commands (a ring of 2^k places, newest first) and controller states (6,)."""
 
     state: FloatArray
     past: FloatArray

@@ -13,8 +13,8 @@ from ..arrays import FloatArray
 from ..compiled import compiled, equation, inlined
 from ..model import difference
 from ..model.controller import controller_step, write_blocks
+from ..model.difference import BLOCK_ROWS, ControlState, Entry
 from ..model.difference import DAMPING as PLACE_OF_DAMPING
-from ..model.difference import Entry
 from .events import advance_surface
 from .kernel_types import (
     CONTACT_PEAK,
@@ -36,6 +36,7 @@ _ON_TICK = 1e-9
 
 resume = equation(difference.resume)
 measured_motion = equation(difference.measured_motion)
+shaped_drive = equation(difference.shaped_drive)
 through_deadband = equation(difference.through_deadband)
 opposes_motion = equation(difference.opposes_motion)
 
@@ -68,7 +69,7 @@ class NonlinearController(NamedTuple):
 class Memory(NamedTuple):
     """What the controller keeps from tick to tick: block states, two entries, the command sent and its last step."""
 
-    control: tuple[float, float, float, float]
+    control: ControlState
     recent: Entry
     older: Entry
     sent: float
@@ -99,8 +100,8 @@ def damping_at(law: NonlinearController, speed: float) -> float:
 
 @compiled
 def blocks_at(law: NonlinearController, damping: float) -> FloatArray:
-    """Return the controller's blocks (6, 3) at this B_a."""
-    blocks, parameters = np.zeros((6, 3)), law.parameters.copy()
+    """Return the controller's blocks (BLOCK_ROWS, 3) at this B_a."""
+    blocks, parameters = np.zeros((BLOCK_ROWS, 3)), law.parameters.copy()
     parameters[PLACE_OF_DAMPING] = damping
     write_blocks(blocks, parameters, law.h, law.theta, law.ideal)
     return blocks
@@ -120,14 +121,14 @@ def keep_within(law: NonlinearController, sent: float, last_step: float, command
 @compiled
 def update_damping(law: NonlinearController, blocks: FloatArray, memory: Memory, position: float) -> Memory:
     """Let B_a follow the speed: `blocks` are rewritten, the command goes on where it was."""
-    (_, _, before), (_, _, of_velocity, of_acceleration) = memory.recent, memory.control
+    (_, _, before), (_, _, of_velocity, of_acceleration, b_1, b_2) = memory.recent, memory.control
     speed = (position - before) / law.h
     change = min(max(damping_at(law, speed) - memory.damping, -law.change), law.change)
     damping = memory.damping + change
     blocks[:] = blocks_at(law, damping)
     integral, lag = resume(blocks, memory.recent, memory.older)
     return Memory(
-        (integral, lag, of_velocity, of_acceleration),
+        (integral, lag, of_velocity, of_acceleration, b_1, b_2),
         memory.recent,
         memory.older,
         memory.sent,
@@ -164,7 +165,8 @@ def control_tick(
     seen, flags = seen_force(law, force)
     added, inertial = measured_motion(blocks, memory.control, position)
     wanted, control = controller_step(blocks, memory.control, desired + seen, position)
-    phase, older, drive = next_phase(law, memory, seen, position), memory.recent, desired + seen + inertial
+    drive = shaped_drive(blocks, memory.control, desired + seen + inertial)
+    phase, older = next_phase(law, memory, seen, position), memory.recent
     resting = phase in (BRAKING, STOPPED)
     command, limited = keep_within(law, memory.sent, memory.step, memory.sent if resting else wanted)
     recent = (command - added, drive, position)
@@ -172,8 +174,8 @@ def control_tick(
         _, driven, place = older
         older = (command - added, driven, place)
     if resting or limited != 0:
-        (integral, lag), (_, _, of_velocity, of_acceleration) = resume(blocks, recent, older), control
-        control = (integral, lag, of_velocity, of_acceleration)
+        (integral, lag), (_, _, of_velocity, of_acceleration, b_1, b_2) = resume(blocks, recent, older), control
+        control = (integral, lag, of_velocity, of_acceleration, b_1, b_2)
     step = command - memory.sent
     if phase == BRAKING and step == 0.0:
         phase = OVER

@@ -12,7 +12,7 @@ import numpy as np
 from .._checks import non_negative, positive
 from ..arrays import BoolArray, FloatArray
 from ..errors import ParameterError
-from ..model.controller import AdmittanceController
+from ..model.controller import AdmittanceController, control_tuple
 from ..model.difference import rest_states
 from ..model.plant import FREE_SPACE, Environment, Plant, build_plant_matrices
 from ..model.sampled import SampledPlant, build_loop, build_sampled_plant, spectral_radius
@@ -324,8 +324,8 @@ def _rest(free: SampledPlant, law: NonlinearController, distance: float) -> tupl
     state = np.zeros(n)
     # The robot chain's first state has unit gain at rest; then x_p.
     state[0] = state[n - 2] = place
-    integral, lag, velocity, acceleration = (place * state for state in rest_states(blocks_at(law, damping)))
-    states = (integral, lag, velocity, acceleration)
+    control = rest_states(blocks_at(law, damping))
+    states = control_tuple(place * np.array(control))
     entry = (place, 0.0, place)
     past = np.full(max(1, free.chain_length), place)
     return state, past, Memory(states, entry, entry, place, 0.0, damping, law.period, WATCHING)

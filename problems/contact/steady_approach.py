@@ -25,8 +25,8 @@ from .nonlinear_kernel import (
 # deadband, or the hand's force is clipped.
 POSSIBLE, TOO_FAST, TOO_WEAK, CLIPPED_HAND = 0, 1, 2, 3
 
-# Places of the filters' states among those of the controller.
-_OF_VELOCITY, _OF_ACCELERATION = 2, 3
+# Places of the filters' and the biquad's states among those of the controller.
+_OF_VELOCITY, _OF_ACCELERATION, _BIQUAD_1, _BIQUAD_2 = 2, 3, 4, 5
 _SCAN = 512
 _BISECTIONS = 60
 
@@ -137,7 +137,7 @@ def begin_steadily(
     recent, older = (output - way, used, position - way), (output - 2.0 * way, used, position - 2.0 * way)
     integral, lag = resume(blocks, recent, older)
     memory = Memory(
-        (integral, lag, control[_OF_VELOCITY], control[_OF_ACCELERATION]),
+        (integral, lag, control[_OF_VELOCITY], control[_OF_ACCELERATION], control[_BIQUAD_1], control[_BIQUAD_2]),
         recent,
         older,
         command - way,

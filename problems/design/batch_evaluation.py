@@ -36,6 +36,7 @@ from .batch_kernel import (
     Contacts,
     Plants,
     evaluate_designs,
+    find_moduli,
     stack_contacts,
     stack_grids,
     stack_loops,
@@ -43,7 +44,8 @@ from .batch_kernel import (
 )
 from .evaluation import Evaluation, PreparedScenarios
 from .objectives import admittance_target
-from .requirements import Requirements, target_response
+from .requirements import HeldByHand, Requirements, target_response
+from .requirements.held_by_hand import held_plants
 from .stable_design import StableDesign
 
 _MARGINS = {
@@ -54,7 +56,8 @@ _MARGINS = {
 }
 EVERY_REQUIREMENT = "all requirements"
 """The goal that combines all requirements: the worst required/achieved of any."""
-_FAST = (*_MARGINS, "free_space_admittance", "max_peak_force_n")
+_HELD = "held_by_hand"
+_FAST = (*_MARGINS, "free_space_admittance", "max_peak_force_n", _HELD)
 _CROSSOVERS = ("gain_margin_db", "phase_margin_deg", "delay_margin_s")
 
 _KIND = attrgetter("discretization", "compensation", "compensation_mass_kg")
@@ -143,6 +146,8 @@ class BatchEvaluation:
 class BatchEvaluator:
     """Prepared scenarios as the compiled loop takes them; `slow` are requirements that it does not know.
 
+    `held` are all plants in all hands, one plant after the other, where a modulus with a hand is asked for.
+
     With a `goal` that requirement is minimised in place of the objective, see `BatchEvaluation.towards`, and every
     design is evaluated in full; contacts are simulated only where a requirement asks for their peaks.
     """
@@ -153,6 +158,7 @@ class BatchEvaluator:
     band: Band
     required: tuple[FloatArray, float, bool]
     slow: tuple[str, ...]
+    held: Plants | None = None
     goal: str | None = None
 
     def evaluate(
@@ -192,6 +198,8 @@ class BatchEvaluator:
             soft_rows=soft,
             asked=problem.requirements,
         )
+        if self.held is not None:
+            self._ask_hands(self.held, found, numbers, (h, theta, ideal), everywhere=margins_if_missed)
         missed, is_slow = found.violation > 0.0, bool(self.slow) or self._has_slow_objective
         for i in range(len(designs)):
             if whole[i, VERDICT] == DOUBTFUL:
@@ -201,6 +209,28 @@ class BatchEvaluator:
         if self.slow and not peaks_if_missed:
             found.objective_rows[found.violation > 0.0] = np.inf
         return found if self.goal is None else found.towards(self.goal)
+
+    def _ask_hands(
+        self,
+        held: Plants,
+        found: BatchEvaluation,
+        numbers: FloatArray,
+        sampling: tuple[float, float, bool],
+        *,
+        everywhere: bool,
+    ) -> None:
+        """Write the least modulus in the hands of stable designs, of those that miss something only `everywhere`."""
+        asked = self.prepared.problem.requirements
+        looked_at = np.flatnonzero(found.is_stable if everywhere else found.violation == 0.0)
+        if not len(looked_at):
+            return
+        count = len(self.prepared.plants)
+        moduli = np.empty((len(looked_at), len(held[1])))
+        find_moduli(held, numbers[looked_at], sampling, moduli)
+        # A verdict that rounding could turn counts as unstable: the exact evaluation has the last word.
+        least = np.min(np.nan_to_num(moduli).reshape(len(looked_at), count, -1), axis=2)
+        rows = found.soft_rows if _HELD in asked.soft_n else found.rows
+        rows[_HELD][looked_at] = _hands_of(asked).min_modulus / np.maximum(least, 1e-300)
 
     @property
     def _has_contacts(self) -> bool:
@@ -258,7 +288,8 @@ class BatchEvaluator:
         if asked.max_peak_force_n is not None:
             # Without a peak another requirement is missed anyway.
             rows["max_peak_force_n"] = np.nan_to_num(by_pair[:, :, PEAK_CONTACT] / asked.max_peak_force_n, nan=0.0)
-        rows |= {name: np.zeros((len(whole), asked.kind(name).count(self.prepared))) for name in self.slow}
+        written_later = self.slow if self.held is None else (*self.slow, _HELD)
+        rows |= {name: np.zeros((len(whole), asked.kind(name).count(self.prepared))) for name in written_later}
         for value in rows.values():
             value[unstable] = np.nan
         soft = {name: rows.pop(name) for name in asked.soft_n}
@@ -300,7 +331,21 @@ def build_batch_evaluator(prepared: PreparedScenarios) -> BatchEvaluator:
         else (target.frequency_rad_per_s * _wrench_gain(target), target.z, target.position),
         required=(margins, 0.0 if wanted is None else wanted.min_m_s_per_n, crosses),
         slow=tuple(name for name in asked.asked() if name not in _FAST),
+        held=_stack_held(prepared) if _HELD in asked.asked() else None,
     )
+
+
+def _hands_of(asked: Requirements) -> HeldByHand:
+    held = asked.further[_HELD]
+    assert isinstance(held, HeldByHand)  # the requirement of that name
+    return held
+
+
+def _stack_held(prepared: PreparedScenarios) -> Plants:
+    """Return all plants in all hands, as `find_moduli` takes them."""
+    asked = _hands_of(prepared.problem.requirements)
+    held = [each for plant in prepared.plants for each in held_plants(asked, plant.sampled)]
+    return stack_loops([each.sampled for each in held]), stack_responses(held), stack_grids(held)
 
 
 def _wrench_gain(target: PlantResponse) -> FloatArray | float:

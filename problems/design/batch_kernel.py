@@ -27,7 +27,14 @@ from ..model.sampled import SampledPlant
 from ..stability import margin_kernel
 from ..stability.margin_kernel import MARGINS, MODULUS_ALONE, WITH_CROSSOVERS, PolynomialLoop, find_loop_margins
 from ..stability.margins import PreparedMargins, loop_polynomials
-from ..stability.polynomials import CONTROLLER_POWERS, STABLE, controller_polynomials, hurwitz, loop_polynomial
+from ..stability.polynomials import (
+    CONTROLLER_POWERS,
+    DOUBTFUL,
+    STABLE,
+    controller_polynomials,
+    hurwitz,
+    loop_polynomial,
+)
 
 # Polynomials (p, 3, L), their degrees (p,), and the power of w that is divided out (1 for the integrator of a loop
 # without anchor).
@@ -130,7 +137,7 @@ def evaluate_designs(
     if_missed: tuple[bool, bool],
     out: tuple[FloatArray, FloatArray, FloatArray],
 ) -> None:
-    """Fill `out` for designs (m, 7): (m, COLUMNS), by plant (m, p, PLANT_COLUMNS), by scenario (m, s, PEAK_COLUMNS).
+    """Fill `out` for designs (m, 7 or 11): (m, COLUMNS), by plant (m, p, PLANT_COLUMNS), scenario (m, s, PEAK_COLUMNS).
 
     `plants` are those in contact, as many as `contacts` has, then those in free space. `required` has what must hold of
     each margin and of the admittance, 0 where nothing must, and whether crossovers are wanted. Of a design that misses
@@ -174,6 +181,24 @@ def evaluate_designs(
             continue
         for j in range(by_pair.shape[1]):
             simulate_pair(contacts, j, blocks, designs[i, DAMPING], h, approach, traces, by_pair[i, j])
+
+
+@released
+def find_moduli(plants: Plants, designs: FloatArray, sampling: tuple[float, float, bool], out: FloatArray) -> None:
+    """Fill `out` (m, p) with min |1 + L| of designs (m, 7 or 11) on plants: 0 where unstable, NaN where doubtful."""
+    loops, responses, grids = plants
+    h, theta, ideal = sampling
+    controller, work, found = np.zeros((3, CONTROLLER_POWERS)), polynomial_workspace(loops), np.zeros(MARGINS)
+    for i in range(len(designs)):
+        degree = controller_polynomials(designs[i], ideal, controller)
+        for j in range(len(responses)):
+            verdict = judge_loop(loops, j, controller, degree, h, theta, work)
+            if verdict != STABLE:
+                out[i, j] = 0.0 if verdict != DOUBTFUL else np.nan
+                continue
+            loop = PolynomialLoop(responses[j], controller, degree, h, theta)
+            find_loop_margins(loop, grid_of(grids, j), MODULUS_ALONE, found)
+            out[i, j] = found[_OF_LOOP[MODULUS]]
 
 
 @compiled

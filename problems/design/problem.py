@@ -23,6 +23,8 @@ from .requirements import AdmittanceTarget, MultiplicativeError, NoiseLimit, Pas
 from .uncertainty import SYMBOLS, PlantSet, Scenario
 
 __all__ = [
+    "BIQUAD_VARIABLES",
+    "CONTROLLER_VARIABLES",
     "DEFAULT_BOUNDS",
     "FURTHER_VARIABLES",
     "VARIABLES",
@@ -43,15 +45,28 @@ DEFAULT_BOUNDS: Mapping[str, tuple[float, float]] = FrozenDict(
 )
 FURTHER_VARIABLES = ("velocity_filter_rad_per_s", "acceleration_filter_rad_per_s", "compensation_mass_kg")
 """Variables that are free on request, in the order in which they follow: ω_v, ω_a, P̂."""
+BIQUAD_VARIABLES = ("biquad_zero_s", "biquad_zero_damping_ratio", "biquad_pole_s", "biquad_pole_damping_ratio")
+"""Variables of the structure with a biquad, free together: τ_z, ζ_z, τ_p, ζ_p."""
+CONTROLLER_VARIABLES = (*VARIABLES, *FURTHER_VARIABLES, *BIQUAD_VARIABLES)
+"""All of them, in the order of `AdmittanceController.numbers`."""
+# A pole that is damped less rings; a zero that is damped more makes the payload light in one band and heavy below it.
+_BIQUAD_ZERO_DAMPING, _BIQUAD_POLE_DAMPING = (0.05, 1.5), (0.5, 3.0)
+_MAY_BE_ZERO = ("lead_s", "feedback_damping_s", "compensation_mass_kg")
 # A nominal value that is the end of its own range may differ from it by the rounding of a unit.
 _ROUNDING = 1e-9
+
+
+def biquad_bounds(sample_time_s: float, slowest_rad_per_s: float) -> dict[str, tuple[float, float]]:
+    """Return the usual bounds of a biquad that is stepped at h: its corners lie above the slowest one and below 1/h."""
+    corners = (sample_time_s, max(1.0 / slowest_rad_per_s, 2.0 * sample_time_s))
+    return dict(zip(BIQUAD_VARIABLES, (corners, _BIQUAD_ZERO_DAMPING, corners, _BIQUAD_POLE_DAMPING), strict=True))
 
 
 @dataclass(frozen=True, kw_only=True)
 class DesignProblem:
     """One axis: the plants that must all be safe, approach, bounds, requirements and objective.
 
-    `bounds` of `FURTHER_VARIABLES` make those free too.
+    `bounds` of `FURTHER_VARIABLES` and of all `BIQUAD_VARIABLES` make those free too.
     """
 
     plants: PlantSet
@@ -78,14 +93,17 @@ class DesignProblem:
             raise ParameterError("soft_n", dict(prices), must)
 
     def _check_bounds(self) -> None:
-        unknown = sorted(set(self.bounds) - {*VARIABLES, *FURTHER_VARIABLES})
+        unknown = sorted(set(self.bounds) - {*CONTROLLER_VARIABLES})
         if unknown:
-            raise ParameterError("bounds", unknown, f"given for {', '.join((*VARIABLES, *FURTHER_VARIABLES))} only")
+            raise ParameterError("bounds", unknown, f"given for {', '.join(CONTROLLER_VARIABLES)} only")
         given = {**DEFAULT_BOUNDS, **self.bounds}
-        bounds = {name: interval(name, given[name]) for name in (*VARIABLES, *FURTHER_VARIABLES) if name in given}
-        for name in ("mass", "damping", "velocity_filter_rad_per_s", "acceleration_filter_rad_per_s"):
-            if name in bounds:
+        bounds = {name: interval(name, given[name]) for name in CONTROLLER_VARIABLES if name in given}
+        for name in bounds:
+            if name not in _MAY_BE_ZERO:
                 positive(f"lower bound of {name}", bounds[name][0])
+        missing = [name for name in BIQUAD_VARIABLES if name not in bounds]
+        if 0 < len(missing) < len(BIQUAD_VARIABLES):
+            raise ParameterError("bounds", ", ".join(missing), "given too: the four of a biquad are free together")
         for value in bounds["feedback_damping_s"]:
             check_feedback_damping(value)
         if "acceleration_filter_rad_per_s" in bounds and bounds.get("compensation_mass_kg", (0.0, 0.0))[1] == 0.0:

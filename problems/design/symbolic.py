@@ -17,6 +17,7 @@ from ..arrays import FloatArray
 from ..contact.transient import Approach
 from ..errors import ParameterError
 from ..model.controller import CONTROLLER_STATES, AdmittanceController, controller_step, write_blocks
+from ..model.difference import ALL_PARAMETERS, BLOCK_ROWS, PLAIN_PARAMETERS
 from ..model.plant import PLANT_PARAMETERS, Plant, build_plant_matrices, write_plant
 from ..model.response import controller_gains
 from ..model.sampled import SampledPlant, close_loop, exponential, squarings_for, write_open_loop
@@ -27,7 +28,7 @@ Arguments = tuple[FloatArray, FloatArray, FloatArray, float, FloatArray]
 # Two squarings more than a nominal plant needs: its rates may then grow fourfold at full precision.
 _SPARE_SQUARINGS = 2
 _INPUTS = ("plant", "numerator", "denominator", "fraction", "controller")
-_CONTROLLER_PARAMETERS = 7
+_BIQUAD_STATES = (4, 5)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,7 +37,8 @@ class Structure:
 
     T_d = (`whole_delay` + fraction)·h; the fraction is a symbol in [0, 1] if `has_fraction`. Derivatives by it are
     those inside the sample: at a whole delay they are one-sided. A state missing in `controller_states` belongs to a
-    parameter that is zero: 2 for B_fb, 3 for P̂ (with the ideal compensation for K_l). `squarings` is how often the
+    parameter that is zero: 2 for B_fb, 3 for P̂ (with the ideal compensation for K_l); those of the biquad, 4 and 5,
+    are `has_biquad`'s. `squarings` is how often the
     arguments of the matrix exponentials are halved, see `covers`. With `has_filter` the wrench has passed a filter, τ
     being the last of the plant's parameters.
     """
@@ -50,6 +52,7 @@ class Structure:
     controller_states: tuple[int, ...]
     squarings: int
     has_filter: bool = False
+    has_biquad: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "sample_time_s", positive("sample_time_s", self.sample_time_s))
@@ -84,6 +87,7 @@ class Structure:
             controller_states=tuple(controller_states),
             squarings=_needed_squarings(sampled.plant, sampled.sample_time_s) + spare_squarings,
             has_filter=sampled.plant.wrench_filter.time_constant_s > 0.0,
+            has_biquad=controller.has_biquad,
         )
 
     def covers(self, plant: Plant) -> bool:
@@ -96,6 +100,11 @@ class Structure:
         return self.whole_delay + (1 if self.has_fraction else 0)
 
     @property
+    def law_states(self) -> tuple[int, ...]:
+        """All states of the controller that count."""
+        return (*self.controller_states, *(_BIQUAD_STATES if self.has_biquad else ()))
+
+    @property
     def plant_states(self) -> int:
         """States of the continuous plant."""
         return self.robot_order + 2 + self.has_filter
@@ -103,7 +112,7 @@ class Structure:
     @property
     def state_count(self) -> int:
         """States of plant, delay chain and controller."""
-        return self.plant_states + self.chain_length + len(self.controller_states)
+        return self.plant_states + self.chain_length + len(self.law_states)
 
 
 def _needed_squarings(plant: Plant, h: float) -> int:
@@ -137,7 +146,7 @@ def _symbols(structure: Structure) -> _Symbols:
         numerator=ca.SX.sym("numerator", structure.robot_order),
         denominator=ca.SX.sym("denominator", structure.robot_order + 1),
         fraction=ca.SX.sym("fraction"),
-        controller=ca.SX.sym("controller", _CONTROLLER_PARAMETERS),
+        controller=ca.SX.sym("controller", ALL_PARAMETERS if structure.has_biquad else PLAIN_PARAMETERS),
     )
 
 
@@ -197,15 +206,15 @@ def _blocks(structure: Structure, controller: ca.SX) -> ca.SX:
         values[3] = ca.SX(0.0)
     if 3 not in states:
         values[2 if structure.is_ideal else 6] = ca.SX(0.0)
-    blocks = ca.SX(6, 3)
+    blocks = ca.SX(BLOCK_ROWS, 3)
     write_blocks(blocks, values, structure.sample_time_s, structure.theta, structure.is_ideal)
     return blocks
 
 
 def _controller_rows(blocks: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Return rows (x^d, the four next states) over columns (the four states) and over (e, x)."""
+    """Return rows (x^d, the next states) over columns (the states) and over (e, x)."""
     states, inputs = ca.SX.sym("states", CONTROLLER_STATES), ca.SX.sym("inputs", 2)
-    state = (states[0], states[1], states[2], states[3])
+    state = (states[0], states[1], states[2], states[3], states[4], states[5])
     command, following = controller_step(blocks, state, inputs[0], inputs[1])
     rows = ca.vertcat(command, *following)
     return ca.jacobian(rows, states), ca.jacobian(rows, inputs)
@@ -230,7 +239,7 @@ class _Loop:
 def _loop(structure: Structure, plant: _Plant, blocks: ca.SX) -> _Loop:
     of_states, of_inputs = _controller_rows(blocks)
     kept, chain, n, size = (
-        structure.controller_states,
+        structure.law_states,
         structure.chain_length,
         plant.phi.shape[0],
         structure.state_count,
@@ -307,7 +316,8 @@ class SymbolicForm:
 
     All take `plant` (7,), or (8,) with a filter of the wrench, as in `Plant.parameters`, `numerator` (n,) and
     `denominator` (n + 1,) as in `RobotModel.ascending` (r(0) = 1 is the caller's to keep), `fraction`, and all but
-    `plant` take `controller` (7,) as in `AdmittanceController.parameters`.
+    `plant` take `controller` (7,), or (11,) with a biquad, as in
+    `AdmittanceController.parameters`.
 
     `plant`: the matrices of `SampledPlant`. `loop`: those of `SampledLoop`, and F_e = c_contact s + d_contact F^d +
     push_contact f while in contact. `response` (with `frequency_rad_per_s`): L and L_x as (Re, Im), |1 + L|² and
@@ -355,12 +365,14 @@ def build_contact_forces(structure: Structure, approach: Approach, samples: int)
     speed, push, desired, push_after = _drive(approach, damping - moving * h)
     scale = ca.vertcat(speed * h, push)
     state, newest = ramp @ scale, command @ scale
-    rest = _controller_state(blocks, 1.0, ca.SX(CONTROLLER_STATES, 1), 0.0, 1.0)
+    # Without a biquad its states are none of those that are solved for.
+    solved = CONTROLLER_STATES - (0 if structure.has_biquad else len(_BIQUAD_STATES))
+    rest = _controller_state(blocks, 1.0, ca.SX(solved, 1), 0.0, 1.0)
     control = _controller_state(blocks, newest, rest * speed * h, damping * speed, free.c_position.T @ state)
     # The environment's mass takes its part of the payload's momentum.
     state[-1] = state[-1] * symbols.plant[2] / (symbols.plant[2] + symbols.plant[6])
     past = [newest - (i + 1) * speed * h for i in range(structure.chain_length)]
-    s = ca.vertcat(state, *past, control[list(structure.controller_states)])
+    s = ca.vertcat(state, *past, control[list(structure.law_states)])
 
     parts = [loop.a, loop.b * desired + loop.b_push * push_after, loop.c_force, loop.c_contact]
     direct = ca.vertcat(loop.d_force * desired, loop.d_contact * desired + loop.push_contact * push_after)
@@ -423,8 +435,9 @@ def _solve_chain(matrix: ca.SX, right: ca.SX) -> ca.SX:
 
 
 def _controller_state(blocks: ca.SX, command: Any, drift: ca.SX, force: Any, position: Any) -> ca.SX:
-    """Solve for the four states that give this command and move on by `drift` (but for the integrator's)."""
+    """Solve for the first states that give this command and move on by `drift` (but for the integrator's)."""
     of_states, of_inputs = _controller_rows(blocks)
-    rows, moving = [0, 2, 3, 4], ca.diag(ca.SX([0.0, 1.0, 1.0, 1.0]))
+    count = drift.shape[0]
+    rows, moving = [0, *range(2, count + 1)], ca.diag(ca.SX([0.0, *[1.0] * (count - 1)]))
     right = ca.vertcat(command, drift[1:]) - of_inputs[rows, :] @ ca.vertcat(force, position)
-    return ca.solve(of_states[rows, :] - moving, right)
+    return ca.solve(of_states[rows, :count] - moving, right)

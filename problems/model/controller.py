@@ -14,11 +14,16 @@ from ..compiled import compiled, equation
 from ..errors import ParameterError
 from . import difference
 from .difference import (
+    BIQUAD_1,
+    BIQUAD_2,
+    BIQUAD_POLE_1,
+    BLOCK_ROWS,
     COMPENSATION,
     DERIVATIVE_GAIN,
     FEEDBACK_DAMPING,
     LAG_GAIN,
     POSITION_TO_LAG,
+    ControlState,
 )
 
 Compensation = Literal["filtered", "ideal"]
@@ -31,7 +36,7 @@ PAPER_ACCELERATION_FILTER_RAD_PER_S = 200.0
 
 # s is replaced by (z − 1)/(h (θ z + 1 − θ)).
 THETA: dict[Discretization, float] = {"tustin": 0.5, "forward_euler": 0.0, "backward_euler": 1.0}
-CONTROLLER_STATES = 4
+CONTROLLER_STATES = 6
 
 
 _NUMBERS: Callable[["AdmittanceController"], tuple[float, ...]] = attrgetter(
@@ -43,19 +48,26 @@ _NUMBERS: Callable[["AdmittanceController"], tuple[float, ...]] = attrgetter(
     "acceleration_filter_rad_per_s",
     "compensation_mass_kg",
 )
+_BIQUAD: Callable[["AdmittanceController"], tuple[float, ...]] = attrgetter(
+    "biquad_zero_s", "biquad_zero_damping_ratio", "biquad_pole_s", "biquad_pole_damping_ratio"
+)
 
 
 @dataclass(frozen=True, kw_only=True)
 class AdmittanceController:
-    """x^d = A(1 + C_ff)(F^d + F + P̂ O_a x) − C_fb x.
+    """x^d = A(1 + C_ff) N (F^d + F + P̂ O_a x) − C_fb x.
 
-    A = 1/(M_a s² + B_a s), C_ff = K_l s, C_fb = B_fb ω_v s/(s + ω_v), O_a = ω_v ω_a s²/((s + ω_a)(s + ω_v)).
+    A = 1/(M_a s² + B_a s), C_ff = K_l s, C_fb = B_fb ω_v s/(s + ω_v), O_a = ω_v ω_a s²/((s + ω_a)(s + ω_v)), and the
+    biquad N = (1 + 2 ζ_z τ_z s + τ_z² s²)/(1 + 2 ζ_p τ_p s + τ_p² s²), which is 1 in the paper's law.
 
     `mass_kg` M_a, `damping_n_s_per_m` B_a, `lead_s` K_l, `feedback_damping_s` B_fb (seconds),
     `velocity_filter_rad_per_s` ω_v, `acceleration_filter_rad_per_s` ω_a, `compensation_mass_kg` P̂. With the
-    compensation "ideal", O_a = s². `discretization` is the form that runs in the cell.
+    compensation "ideal", O_a = s². `discretization` is the form that runs in the cell. `biquad_zero_s` τ_z,
+    `biquad_zero_damping_ratio` ζ_z, `biquad_pole_s` τ_p and `biquad_pole_damping_ratio` ζ_p are the time constants 1/ω
+    and damping ratios of the biquad; there is none where τ_p = 0.
 
-    Raises ParameterError for values out of range, among them a B_fb in the paper's printed unit.
+    Raises ParameterError for values out of range, among them a B_fb in the paper's printed unit, and for a biquad with
+    a zero alone, beside the ideal compensation, or in the form forward_euler.
     """
 
     mass_kg: float
@@ -67,6 +79,10 @@ class AdmittanceController:
     compensation_mass_kg: float = 0.0
     compensation: Compensation = "filtered"
     discretization: Discretization = "tustin"
+    biquad_zero_s: float = 0.0
+    biquad_zero_damping_ratio: float = 1.0
+    biquad_pole_s: float = 0.0
+    biquad_pole_damping_ratio: float = 1.0
 
     def __post_init__(self) -> None:
         for name in ("mass_kg", "damping_n_s_per_m", "velocity_filter_rad_per_s", "acceleration_filter_rad_per_s"):
@@ -81,11 +97,31 @@ class AdmittanceController:
             raise ParameterError(
                 "discretization", self.discretization, "tustin or backward_euler (a derivative ahead of time is none)"
             )
+        self._check_biquad()
+
+    def _check_biquad(self) -> None:
+        for name in ("biquad_zero_s", "biquad_zero_damping_ratio", "biquad_pole_s"):
+            object.__setattr__(self, name, non_negative(name, getattr(self, name)))
+        damping = positive("biquad_pole_damping_ratio", self.biquad_pole_damping_ratio)
+        object.__setattr__(self, "biquad_pole_damping_ratio", damping)
+        if not self.has_biquad:
+            if self.biquad_zero_s > 0.0:
+                raise ParameterError("biquad_pole_s", 0.0, "above 0 where the biquad has a zero")
+            return
+        if self.is_ideal:
+            raise ParameterError("compensation", self.compensation, "filtered beside a biquad")
+        if self.theta == 0.0:
+            raise ParameterError("discretization", self.discretization, "tustin or backward_euler with a biquad")
 
     @property
     def compensates(self) -> bool:
         """Whether the payload's acceleration is compensated."""
         return self.compensation_mass_kg > 0.0
+
+    @property
+    def has_biquad(self) -> bool:
+        """Whether the force passes a biquad."""
+        return self.biquad_pole_s > 0.0
 
     @property
     def theta(self) -> float:
@@ -98,12 +134,12 @@ class AdmittanceController:
         return self.compensates and self.compensation == "ideal"
 
     def parameters(self) -> FloatArray:
-        """Return (M_a, B_a, K_l, B_fb, ω_v, ω_a, P̂), the order that the equations take."""
+        """Return (M_a, B_a, K_l, B_fb, ω_v, ω_a, P̂), then (τ_z, ζ_z, τ_p, ζ_p) of a biquad, as the equations take."""
         return np.array(self.numbers())
 
     def numbers(self) -> tuple[float, ...]:
         """Return the same as a tuple, from which the parameters of many controllers make one array faster."""
-        return _NUMBERS(self)
+        return (*_NUMBERS(self), *_BIQUAD(self)) if self.has_biquad else _NUMBERS(self)
 
 
 def check_feedback_damping(feedback_damping_s: float) -> float:
@@ -141,27 +177,41 @@ def _printed(feedback_damping: float) -> float:
 # Written once in plain arithmetic, and compiled into whatever kernel calls them.
 write_first_order = equation(difference.write_first_order)
 forward_in_s = equation(difference.forward_in_s)
+biquad_in_s = equation(difference.biquad_in_s)
+write_biquad = equation(difference.write_biquad)
 write_blocks = equation(difference.write_blocks)
 controller_step = equation(difference.controller_step)
 steady_states = equation(difference.steady_states)
 
 
 def controller_blocks(controller: AdmittanceController, sample_time_s: float) -> FloatArray:
-    """Return the blocks (6, 3) of a controller at h, see `write_blocks`."""
+    """Return the blocks (BLOCK_ROWS, 3) of a controller at h, see `write_blocks`."""
     h = positive("sample_time_s", sample_time_s)
     return blocks_of(controller.parameters(), h, controller.theta, controller.is_ideal)
 
 
 @compiled
+def control_tuple(control: FloatArray) -> ControlState:
+    """Return the states (CONTROLLER_STATES,) as `controller_step` takes them."""
+    return control[0], control[1], control[2], control[3], control[4], control[5]
+
+
+@compiled
+def keep_control(control: FloatArray, state: ControlState) -> None:
+    """Write the states into an array (CONTROLLER_STATES,)."""
+    control[0], control[1], control[2], control[3], control[4], control[5] = state
+
+
+@compiled
 def blocks_of(parameters: FloatArray, h: float, theta: float, ideal: bool) -> FloatArray:
-    """Return the blocks (6, 3) of a parameter vector, see `write_blocks`."""
-    blocks = np.zeros((6, 3))
+    """Return the blocks (BLOCK_ROWS, 3) of a parameter vector, see `write_blocks`."""
+    blocks = np.zeros((BLOCK_ROWS, 3))
     write_blocks(blocks, parameters, h, theta, ideal)
     return blocks
 
 
 def needed_states(blocks: FloatArray) -> NDArray[np.int64]:
-    """Return which of the four states the command can see; the others would only add poles that nobody excites."""
+    """Return which of the states the command can see; the others would only add poles that nobody excites."""
     filtered = blocks[COMPENSATION] != 0.0
     kept = [0]
     if blocks[LAG_GAIN] != 0.0 or blocks[POSITION_TO_LAG] != 0.0:
@@ -170,4 +220,7 @@ def needed_states(blocks: FloatArray) -> NDArray[np.int64]:
         kept.append(2)
     if filtered or blocks[DERIVATIVE_GAIN] != 0.0:
         kept.append(3)
+    if blocks[BIQUAD_1] != 0.0 or blocks[BIQUAD_2] != 0.0 or blocks[BIQUAD_POLE_1] != 0.0:
+        kept.append(4)
+        kept.append(5)
     return np.array(kept, dtype=np.int64)

@@ -15,9 +15,18 @@ ACCELERATION_DIRECT, ACCELERATION_POLE, ACCELERATION_GAIN = (3, 0), (3, 1), (3, 
 # Then B_fb, P̂ and whether the compensation is ideal; then its gain on the derivative, on x, and on x into the lag.
 FEEDBACK_DAMPING, COMPENSATION, IS_IDEAL = (4, 0), (4, 1), (4, 2)
 DERIVATIVE_GAIN, POSITION_GAIN, POSITION_TO_LAG = (5, 0), (5, 1), (5, 2)
+# The biquad's numerator and denominator in z^-1, without the leading 1 of the latter.
+BIQUAD_0, BIQUAD_1, BIQUAD_2 = (6, 0), (6, 1), (6, 2)
+BIQUAD_POLE_1, BIQUAD_POLE_2, _UNUSED = (7, 0), (7, 1), (7, 2)
+BLOCK_ROWS = 8
 
 # Place of B_a among the parameters of a controller.
 DAMPING = 1
+# Parameters of a controller without a biquad, and with one.
+PLAIN_PARAMETERS, ALL_PARAMETERS = 7, 11
+
+# Integrator, lag, velocity filter, acceleration filter, and two of the biquad.
+ControlState = tuple[float, float, float, float, float, float]
 # Output of the admittance without what it adds from the robot's motion, the force that drives it, and x, at one tick.
 Entry = tuple[float, float, float]
 
@@ -48,8 +57,32 @@ def filters_in_s(parameters: Any, ideal: bool) -> Any:
     return ((0.0, feedback * corner), (corner, 1.0)), observer
 
 
+def biquad_in_s(parameters: Any) -> Any:
+    """Return N = (1 + 2 ζ_z τ_z s + τ_z² s²)/(1 + 2 ζ_p τ_p s + τ_p² s²) as `forward_in_s`."""
+    zero, zero_damping, pole, pole_damping = parameters[7], parameters[8], parameters[9], parameters[10]
+    return (1.0, 2.0 * zero_damping * zero, zero * zero), (1.0, 2.0 * pole_damping * pole, pole * pole)
+
+
+def write_biquad(blocks: Any, parameters: Any, h: float, theta: float) -> None:
+    """Write the sampled form of `biquad_in_s`, 1 for parameters without one, into its two rows."""
+    blocks[BIQUAD_0] = 1.0
+    for entry in (BIQUAD_1, BIQUAD_2, BIQUAD_POLE_1, BIQUAD_POLE_2, _UNUSED):
+        blocks[entry] = 0.0
+    if len(parameters) == PLAIN_PARAMETERS:
+        return
+    (_, n_1, n_2), (_, d_1, d_2) = biquad_in_s(parameters)
+    new, old = h * theta, h * (1.0 - theta)
+    # s² and s times (θ z + 1 − θ)², so that everything is a polynomial in z.
+    lead = d_2 + new * (d_1 + new)
+    blocks[BIQUAD_0] = (n_2 + new * (n_1 + new)) / lead
+    blocks[BIQUAD_1] = (old * (n_1 + new) - new * (n_1 - old) - 2.0 * n_2) / lead
+    blocks[BIQUAD_2] = (n_2 - old * (n_1 - old)) / lead
+    blocks[BIQUAD_POLE_1] = (old * (d_1 + new) - new * (d_1 - old) - 2.0 * d_2) / lead
+    blocks[BIQUAD_POLE_2] = (d_2 - old * (d_1 - old)) / lead
+
+
 def write_blocks(blocks: Any, parameters: Any, h: float, theta: float, ideal: bool) -> None:
-    """Write the controller's first-order blocks into `blocks` (6, 3), see `controller_step`.
+    """Write the controller's blocks into `blocks` (BLOCK_ROWS, 3), see `controller_step`.
 
     The first two add up to A(1 + C_ff) = (1/B_a)/s + (K_l − M_a/B_a)/(M_a s + B_a); the third is the velocity filter
     ω_v s/(s + ω_v), the fourth the acceleration filter ω_a s/(s + ω_a) behind it. The sampled form of a sum or of a
@@ -62,6 +95,7 @@ def write_blocks(blocks: Any, parameters: Any, h: float, theta: float, ideal: bo
     write_first_order(blocks, 0, 0.0, one / damping, 1.0, 0.0, h, theta)
     write_first_order(blocks, 1, 0.0, lead - mass / damping, mass, damping, h, theta)
     write_first_order(blocks, 2, corner, 0.0, 1.0, corner, h, theta)
+    write_biquad(blocks, parameters, h, theta)
     blocks[FEEDBACK_DAMPING] = feedback
     if ideal:
         kappa = compensation * (1.0 - lead * damping / mass) / mass
@@ -79,16 +113,17 @@ def write_blocks(blocks: Any, parameters: Any, h: float, theta: float, ideal: bo
             blocks[entry] = 0.0
 
 
-def controller_step(blocks: Any, state: tuple[Any, Any, Any, Any], force: Any, position: Any) -> Any:
-    """Return x^d_k from F^d + F and x at the tick, and the four states at the next: the difference equation.
+def controller_step(blocks: Any, state: tuple[Any, Any, Any, Any, Any, Any], force: Any, position: Any) -> Any:
+    """Return x^d_k from F^d + F and x at the tick, and the six states at the next: the difference equation.
 
     `blocks` are those of `write_blocks`.
     """
-    integral, lag, of_velocity, of_acceleration = state
+    integral, lag, of_velocity, of_acceleration, newer, older = state
     velocity = blocks[VELOCITY_DIRECT] * position + of_velocity
     source = position * blocks[IS_IDEAL] + velocity * (1.0 - blocks[IS_IDEAL])
     acceleration = blocks[ACCELERATION_DIRECT] * source + of_acceleration
-    drive = force + blocks[COMPENSATION] * acceleration
+    pushed = force + blocks[COMPENSATION] * acceleration
+    drive = blocks[BIQUAD_0] * pushed + newer
     command = (
         integral
         + lag
@@ -102,6 +137,8 @@ def controller_step(blocks: Any, state: tuple[Any, Any, Any, Any], force: Any, p
         blocks[LAG_POLE] * lag + blocks[LAG_GAIN] * drive + blocks[POSITION_TO_LAG] * position,
         blocks[VELOCITY_POLE] * of_velocity + blocks[VELOCITY_GAIN] * position,
         blocks[ACCELERATION_POLE] * of_acceleration + blocks[ACCELERATION_GAIN] * source,
+        blocks[BIQUAD_1] * pushed - blocks[BIQUAD_POLE_1] * drive + older,
+        blocks[BIQUAD_2] * pushed - blocks[BIQUAD_POLE_2] * drive,
     )
     return command, following
 
@@ -124,16 +161,16 @@ def resume(blocks: Any, recent: Entry, older: Entry) -> tuple[float, float]:
     return both - lag, lag
 
 
-def rest_states(blocks: Any) -> tuple[Any, Any, Any, Any]:
+def rest_states(blocks: Any) -> tuple[Any, Any, Any, Any, Any, Any]:
     """Return the controller's states at rest at one metre: the filters see no motion, the command is one metre."""
     lag = blocks[POSITION_TO_LAG] / (1.0 - blocks[LAG_POLE])
     derivative = -blocks[ACCELERATION_DIRECT] * blocks[IS_IDEAL]
-    return 1.0 - lag - blocks[POSITION_GAIN], lag, -blocks[VELOCITY_DIRECT], derivative
+    # No force has passed the biquad.
+    nothing = 0.0 * lag
+    return 1.0 - lag - blocks[POSITION_GAIN], lag, -blocks[VELOCITY_DIRECT], derivative, nothing, nothing
 
 
-def steady_states(
-    blocks: Any, command: float, position: float, speed: float, h: float, force: float
-) -> tuple[float, float, float, float]:
+def steady_states(blocks: Any, command: float, position: float, speed: float, h: float, force: float) -> ControlState:
     """Return the states of a steady motion at `speed` [m/s] under a constant e = F^d + F, at the tick with x, x^d.
 
     The filters see a steady speed, the lag a steady force (and, with ideal compensation, a ramp).
@@ -149,6 +186,8 @@ def steady_states(
         lag,
         speed - blocks[VELOCITY_DIRECT] * position,
         acceleration - blocks[ACCELERATION_DIRECT] * (ideal * position + (1.0 - ideal) * speed),
+        (1.0 - blocks[BIQUAD_0]) * force,
+        (blocks[BIQUAD_2] - blocks[BIQUAD_POLE_2]) * force,
     )
 
 
@@ -156,7 +195,11 @@ def controller_gains(blocks: Any, z: Any) -> Any:
     """Return x^d per force e, and −x^d per position x, of the sampled controller at `z`, see `controller_step`."""
     lag = 1.0 / (z - blocks[LAG_POLE])
     integrator = blocks[INTEGRATOR_DIRECT] + blocks[INTEGRATOR_GAIN] / (z - blocks[INTEGRATOR_POLE])
-    forward = integrator + blocks[LAG_DIRECT] + blocks[LAG_GAIN] * lag
+    # Without a biquad exactly 1.
+    first = blocks[BIQUAD_1] - blocks[BIQUAD_0] * blocks[BIQUAD_POLE_1]
+    second = blocks[BIQUAD_2] - blocks[BIQUAD_0] * blocks[BIQUAD_POLE_2]
+    shaped = blocks[BIQUAD_0] + (z * first + second) / ((z + blocks[BIQUAD_POLE_1]) * z + blocks[BIQUAD_POLE_2])
+    forward = (integrator + blocks[LAG_DIRECT] + blocks[LAG_GAIN] * lag) * shaped
     velocity = blocks[VELOCITY_DIRECT] + blocks[VELOCITY_GAIN] / (z - blocks[VELOCITY_POLE])
     source = blocks[IS_IDEAL] + velocity * (1.0 - blocks[IS_IDEAL])
     derivative = blocks[ACCELERATION_DIRECT] + blocks[ACCELERATION_GAIN] / (z - blocks[ACCELERATION_POLE])
@@ -166,18 +209,24 @@ def controller_gains(blocks: Any, z: Any) -> Any:
     return forward, blocks[FEEDBACK_DAMPING] * velocity - compensation
 
 
-def measured_motion(blocks: Any, control: tuple[float, float, float, float], position: float) -> tuple[float, float]:
+def measured_motion(blocks: Any, control: ControlState, position: float) -> tuple[float, float]:
     """Return what the controller adds to its output from the robot's motion, and to the force: P̂ times acceleration.
 
     The first is −C_fb x and, with the ideal compensation, its gain on the derivative; see `controller_step`.
     """
-    _, _, of_velocity, of_acceleration = control
+    _, _, of_velocity, of_acceleration, _, _ = control
     velocity = blocks[VELOCITY_DIRECT] * position + of_velocity
     source = position * blocks[IS_IDEAL] + velocity * (1.0 - blocks[IS_IDEAL])
     acceleration = blocks[ACCELERATION_DIRECT] * source + of_acceleration
     return blocks[DERIVATIVE_GAIN] * acceleration - blocks[FEEDBACK_DAMPING] * velocity, blocks[
         COMPENSATION
     ] * acceleration
+
+
+def shaped_drive(blocks: Any, control: ControlState, pushed: float) -> float:
+    """Return what drives the admittance of F^d + F + P̂ O_a x at this tick: it has passed the biquad."""
+    _, _, _, _, newer, _ = control
+    return float(blocks[BIQUAD_0] * pushed + newer)
 
 
 def through_deadband(force: float, width: float, subtractive: bool) -> float:

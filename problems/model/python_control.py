@@ -11,7 +11,7 @@ from scipy.linalg import matrix_balance
 from ..arrays import FloatArray
 from ..errors import ParameterError
 from .controller import AdmittanceController
-from .difference import filters_in_s, forward_in_s
+from .difference import biquad_in_s, filters_in_s, forward_in_s
 from .plant import Environment, Plant
 from .sampled import CutLoop, SampledPlant, build_cut_loop, build_sampled_plant, translation_state
 
@@ -89,13 +89,22 @@ def to_control(sampled: SampledPlant, controller: AdmittanceController) -> Contr
         environment=_environment(plant.environment),
         wrench=_block("wrench", [1.0], [plant.wrench_filter.time_constant_s, 1.0], "F", "F_m"),
         wrench_delay_s=plant.wrench_filter.delay_s,
-        forward=_law_block("forward", forward_in_s(controller.numbers()), "e", "x_a"),
+        forward=_law_block("forward", _forward(controller), "e", "x_a"),
         feedback=_law_block("feedback", feedback, "x", "x_fb"),
         acceleration=_law_block("acceleration", acceleration, "x", "a"),
         at_force=_system("L", _cut_at_force(cut, sampled, controller), h, ["e"], ["-F"]),
         at_command=_system("L_x", _cut_at_command(cut, sampled), h, ["w"], ["-x_d"]),
         closed_loop=_system("closed_loop", _closed(cut, sampled), h, ["F_d", "f"], ["F", "x_d", "F_e"]),
     )
+
+
+def _forward(controller: AdmittanceController) -> Any:
+    """Return A(1 + C_ff) N: numerator and denominator in ascending powers of s."""
+    numbers = controller.numbers()
+    parts = forward_in_s(numbers)
+    if not controller.has_biquad:
+        return parts
+    return tuple(np.convolve(one, other) for one, other in zip(parts, biquad_in_s(numbers), strict=True))
 
 
 def polynomials_of(system: Any) -> tuple[tuple[float, ...], tuple[float, ...]]:

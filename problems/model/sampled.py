@@ -281,7 +281,8 @@ def controller_matrices(blocks: FloatArray, kept: NDArray[np.int64]) -> FloatArr
     for j in range(r + 2):
         place = kept[j] if j < r else CONTROLLER_STATES + j - r
         unit[place] = 1.0
-        m[r, j], following = controller_step(blocks, (unit[0], unit[1], unit[2], unit[3]), unit[e], unit[e + 1])
+        state = (unit[0], unit[1], unit[2], unit[3], unit[4], unit[5])
+        m[r, j], following = controller_step(blocks, state, unit[e], unit[e + 1])
         for i in range(r):
             m[i, j] = np.array(following)[kept[i]]
         unit[place] = 0.0

@@ -42,6 +42,10 @@ def common_loop(sampled: SampledPlant, controller: AdmittanceController) -> Floa
     n, chain, h = sampled.state_count, sampled.chain_length, sampled.sample_time_s
     if chain == 0 and sampled.d_force != 0.0:
         raise ParameterError("delay_s", sampled.plant.loop_delay_s, "above 0, with damping in the coupling")
+    if controller.has_biquad:
+        raise ParameterError(
+            "controller", "with a biquad", "without one: its memory is not shared with other controllers"
+        )
     blocks, commands = controller_blocks(controller, h), max(2, chain)
     stiffness = sampled.plant.coupling.stiffness_n_per_m
     size = n + commands + _MEMORY

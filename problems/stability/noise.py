@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from ..arrays import FloatArray
+from ..compiled import compiled
 from ..model.sampled import Controller, SampledLoop, SampledPlant, build_loop
 
 # 2^60 ticks: no stable loop in double precision is slower.
@@ -36,18 +37,25 @@ def _variance(loop: SampledLoop, row: FloatArray, direct: FloatArray) -> float:
         # A difference does not see the translation, so c·shift is zero and dropping the pivot loses nothing.
         a = (a - np.outer(shift, a[pivot]))[np.ix_(keep, keep)]
         b, c = (b - shift * b[pivot])[keep], c[keep]
-    return max(0.0, float(c @ _covariance(a, b) @ c)) + float(direct @ direct)
+    covariance = _covariance(np.ascontiguousarray(a), np.ascontiguousarray(b))
+    return max(0.0, float(c @ covariance @ c)) + float(direct @ direct)
 
 
+@compiled
 def _covariance(a: FloatArray, b: FloatArray) -> FloatArray:
     """Return Σ aᵏ b bᵀ (aᵏ)ᵀ over k ≥ 0, twice as many terms each time.
 
     Sums of squares lose no digits, however differently the states are scaled; a linear solve for the whole does.
     """
+    n = len(b)
     covariance, power = np.outer(b, b), a
     for _ in range(_DOUBLINGS):
-        covariance = covariance + power @ covariance @ power.T
+        covariance = covariance + power @ covariance @ np.ascontiguousarray(power.T)
         power = power @ power
-        if np.max(np.abs(power)) < _NOTHING:
+        largest = 0.0
+        for i in range(n):
+            for j in range(n):
+                largest = max(largest, abs(power[i, j]))
+        if largest < _NOTHING:
             break
     return covariance

@@ -10,7 +10,8 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..compiled import compiled
-from ..model.controller import forward_in_s
+from ..model.controller import biquad_in_s, forward_in_s
+from ..model.difference import PLAIN_PARAMETERS
 
 STABLE, UNSTABLE, DOUBTFUL = 1, 0, -1
 # Rows of the plant's polynomials and, without whole delays, of what `plant_at` takes; rows of a controller's.
@@ -21,8 +22,9 @@ _CANCELLED = 1e-6
 # The delay chain is a power of 1 + w, whose coefficients hold its roots ever less well: from degree 100 or so the
 # rounded polynomial is another one. Far below that, eigenvalues decide.
 _HIGHEST_DEGREE = 64
-# Coefficients of the controller's polynomials in s: M_a s² + B_a s with two filters, and room to multiply in.
-CONTROLLER_POWERS = 7
+# Coefficients of the controller's polynomials in s: M_a s² + B_a s with two filters and a biquad, and room to
+# multiply in.
+CONTROLLER_POWERS = 9
 
 
 @compiled
@@ -90,7 +92,8 @@ def controller_polynomials(parameters: FloatArray, ideal: bool, out: FloatArray)
     """Write what multiplies denominator, F and x in the loop's polynomial, ascending powers of s; return their degree.
 
     With A(1 + C_ff) = (1 + K_l s)/(s (M_a s + B_a)): s (M_a s + B_a) D − (1 + K_l s)(F + P̂ O_a X) + s (M_a s + B_a)
-    C_fb X, times the filters' denominators as far as they are in use.
+    C_fb X, times the filters' denominators as far as they are in use; with a biquad its numerator multiplies what
+    comes from the force, its denominator the rest.
     """
     numerator, denominator = forward_in_s(parameters)
     feedback, corner, acceleration, compensation = parameters[3], parameters[4], parameters[5], parameters[6]
@@ -111,18 +114,55 @@ def controller_polynomials(parameters: FloatArray, ideal: bool, out: FloatArray)
         for row in range(3 if ideal else 2):
             _times_filter(out, row, corner)
         degree += 1
-    if feedback > 0.0:
-        gain, share = feedback * corner, 1.0 if filtered else 0.0
-        # s (M_a s + B_a) B_fb ω_v s, times s + ω_a when that filter is there.
-        _, damping, mass = denominator
-        out[FED, 2] += gain * damping * (acceleration if filtered else 1.0)
-        out[FED, 3] += gain * (mass * (acceleration if filtered else 1.0) + share * damping)
-        out[FED, 4] += gain * share * mass
     if filtered:
         for row in range(2):
             _times_filter(out, row, acceleration)
         degree += 1
+    degree += _times_biquad(parameters, out)
+    if feedback > 0.0:
+        _add_feedback(parameters, filtered, out)
     return degree
+
+
+@compiled
+def _add_feedback(parameters: FloatArray, filtered: bool, out: FloatArray) -> None:
+    """Add s (M_a s + B_a) B_fb ω_v s, times s + ω_a when that filter is there, and times the biquad's denominator."""
+    feedback, corner, acceleration = parameters[3], parameters[4], parameters[5]
+    _, (_, damping, mass) = forward_in_s(parameters)
+    gain, share = feedback * corner, 1.0 if filtered else 0.0
+    c_2 = gain * damping * (acceleration if filtered else 1.0)
+    c_3 = gain * (mass * (acceleration if filtered else 1.0) + share * damping)
+    c_4 = gain * share * mass
+    out[FED, 2] += c_2
+    out[FED, 3] += c_3
+    out[FED, 4] += c_4
+    if len(parameters) > PLAIN_PARAMETERS:
+        _, (_, d_1, d_2) = biquad_in_s(parameters)
+        out[FED, 3] += d_1 * c_2
+        out[FED, 4] += d_1 * c_3 + d_2 * c_2
+        out[FED, 5] += d_1 * c_4 + d_2 * c_3
+        out[FED, 6] += d_2 * c_4
+
+
+@compiled
+def _times_biquad(parameters: FloatArray, out: FloatArray) -> int:
+    """Multiply what comes from the force by the biquad's numerator, the rest by its denominator; return its degree."""
+    if len(parameters) == PLAIN_PARAMETERS:
+        return 0
+    (_, n_1, n_2), (_, d_1, d_2) = biquad_in_s(parameters)
+    _times_quadratic(out, OWN, d_1, d_2)
+    _times_quadratic(out, SENSED, n_1, n_2)
+    # So far that is the compensation alone, which passes the biquad too.
+    _times_quadratic(out, FED, n_1, n_2)
+    return 2
+
+
+@compiled
+def _times_quadratic(out: FloatArray, row: int, linear: float, quadratic: float) -> None:
+    """Multiply a row by 1 + linear s + quadratic s²."""
+    for i in range(out.shape[1] - 1, 1, -1):
+        out[row, i] += linear * out[row, i - 1] + quadratic * out[row, i - 2]
+    out[row, 1] += linear * out[row, 0]
 
 
 @compiled

@@ -77,7 +77,8 @@ def in_mujoco(laws: tuple[Law, ...]) -> FloatArray:
     running = Running(CELL, Wall(distance_m=10.0))
     weight, seen = np.array(running.read().wrench_S), []
     blocks = [None if law is None else controller_blocks(law, CELL.period_s) for law in laws]
-    states, command = [(0.0,) * 4] * 2, [0.0, 0.0]
+    rest = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    states, command = [rest] * 2, [0.0, 0.0]
     for tick in range(TICKS):
         wrench = np.array(running.read().wrench_S) - weight
         seen.append(wrench[list(PLACES)])

@@ -68,16 +68,17 @@ class HeldByHandRequirement(LoopRequirement[HeldByHand]):
 
     def of_loop(self, asked: HeldByHand, loop: StableLoop) -> float:
         """Return the least modulus over the hands."""
-        return min(_modulus(each, loop.controller) for each in _held(asked, loop.sampled))
+        return min(_modulus(each, loop.controller) for each in held_plants(asked, loop.sampled))
 
     def achieved(self, asked: HeldByHand, design: StableDesign, row: int) -> float:
         """Return the least modulus of one plant, whose held twins are sampled once for all controllers."""
         key = (self.name, row, asked.hand)
-        held = design.prepared.once(key, lambda: _held(asked, design.prepared.plants[row].sampled))
+        held = design.prepared.once(key, lambda: held_plants(asked, design.prepared.plants[row].sampled))
         return min(_modulus(each, design.controller) for each in held)
 
 
-def _held(asked: HeldByHand, sampled: SampledPlant) -> tuple[PreparedMargins, ...]:
+def held_plants(asked: HeldByHand, sampled: SampledPlant) -> tuple[PreparedMargins, ...]:
+    """Return a plant in the hands at the ends of the impedance, ready for margins."""
     h = sampled.sample_time_s
     return tuple(prepare_margins(build_sampled_plant(hand.holding(sampled.plant), h)) for hand in asked.corners())
 

@@ -49,14 +49,14 @@ class CCommand(Structure):
 
 class CState(Structure):
     _fields_ = (
-        ("control", c_double * 24),
+        ("control", c_double * 36),
         ("drive", c_double * 6),
         ("position", c_double * 6),
         ("command", c_double * 6),
         ("output", c_double * 6),
         ("older", c_double * 18),
         ("damping", c_double * 6),
-        ("b", c_double * 108),
+        ("b", c_double * 144),
         ("position_W_m", c_double * 3),
         ("R_WS", c_double * 9),
         ("twist", c_double * 6),

@@ -13,6 +13,7 @@ from autotune.export.c_source import CSource, render_c
 from autotune.export.export import export_controller
 from autotune.formats.controller import write_controller
 from autotune.formats.controller_record import ControllerStatus
+from autotune.formats.limits import Biquad
 from autotune.runtime import AXES, CollisionResponse, Command, RuntimeController, change, rearm, step
 from autotune.runtime.load import read_law
 from tests.autotune.export.c_twin import CPayload, Twin, compile_c, numbers
@@ -70,6 +71,36 @@ def test_c_is_the_python_step_over_long_random_sequences(response: CollisionResp
         # The same operations in the same order, and none of them contracted: the same bits, far inside of 1e-12.
         np.testing.assert_allclose(c, python, rtol=0.0, atol=1e-12)
         np.testing.assert_array_equal(c, python)
+
+
+def with_biquads(controller: RuntimeController, rng: np.random.Generator) -> RuntimeController:
+    """Return the controller with another biquad on every axis."""
+    axes = tuple(
+        dataclasses.replace(
+            each,
+            biquad=Biquad(
+                zero_s=float(rng.uniform(2e-3, 2e-2)),
+                zero_damping_ratio=float(rng.uniform(0.1, 1.0)),
+                pole_s=float(rng.uniform(2e-3, 2e-2)),
+                pole_damping_ratio=float(rng.uniform(0.4, 1.0)),
+            ),
+        )
+        for each in controller.axes
+    )
+    return dataclasses.replace(controller, axes=axes)
+
+
+@needs_gcc
+@pytest.mark.parametrize("response", CollisionResponse)
+def test_c_is_the_python_step_with_a_biquad(response: CollisionResponse, tmp_path: Path) -> None:
+    rng = np.random.default_rng(31)
+    plain = random_runtime(rng, response)
+    controller, readings = with_biquads(plain, rng), random_readings(rng, 2000)
+    python, c = both(controller, twin_of(controller, tmp_path), readings)
+    assert np.all(python[:, -1] == 0.0)
+    np.testing.assert_array_equal(c, python)
+    without, _ = both(plain, twin_of(plain, tmp_path, "plain"), readings)
+    assert np.max(np.abs(python[:, :6] - without[:, :6])) > 1e-4
 
 
 @needs_gcc
@@ -196,7 +227,8 @@ def test_every_number_is_the_exact_double(tmp_path: Path) -> None:
 
 
 @needs_gcc
-def test_c_takes_over_as_python_does_and_only_after_the_dwell_time(tmp_path: Path) -> None:
+@pytest.mark.parametrize("has_biquad", [False, True])
+def test_c_takes_over_as_python_does_and_only_after_the_dwell_time(tmp_path: Path, has_biquad: bool) -> None:
     rng = np.random.default_rng(7)
     first = random_runtime(rng, CollisionResponse.NONE)
     second = dataclasses.replace(
@@ -214,6 +246,7 @@ def test_c_takes_over_as_python_does_and_only_after_the_dwell_time(tmp_path: Pat
             for each in first.axes
         ),
     )
+    second = with_biquads(second, rng) if has_biquad else second
     twins = [twin_of(first, tmp_path, "one"), twin_of(second, tmp_path, "two")]
     state, running, laws, refused = STARTED, 0, (first, second), 0
     for k, reading in enumerate(random_readings(rng, 1500)):

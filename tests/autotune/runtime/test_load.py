@@ -56,7 +56,7 @@ def test_a_good_file_says_what_it_says_to_the_rest_of_the_tool(tmp_path: Path) -
 
     for axis in law.axes:
         blocks = controller_blocks(admittance_controller(whole.controller, axis.name), law.sample_time_s)
-        assert [[axis.blocks[row, i] for i in range(3)] for row in range(6)] == blocks.tolist()
+        assert [[axis.blocks[row, i] for i in range(3)] for row in range(8)] == blocks.tolist()
         assert axis.payload_range == (14.0, 18.0)
         assert (axis.deadband, axis.is_subtractive) == (5.0, False)
 

@@ -78,7 +78,7 @@ def test_each_axis_is_the_linear_controller_of_the_ground_floor(axis: int) -> No
     wrenches[:, axis] = force
     readings = [along(axis, TURNED, x, PAYLOAD, wrench) for x, wrench in zip(position, wrenches, strict=True)]
     commands = stepped(controller, readings)
-    blocks, states, expected = controller_blocks(law_of(compensation), PERIOD_S), (0.0,) * 4, []
+    blocks, states, expected = controller_blocks(law_of(compensation), PERIOD_S), (0.0,) * 6, []
     for x, drive in zip(position, force, strict=True):
         command, states = controller_step(blocks, states, drive, x)
         expected.append(command)

@@ -19,8 +19,7 @@ from autotune.studies.plugins import ObjectiveLimit
 from autotune.studies.points import STRUCTURES, Judge, Sampler, build_controller, check_choices
 from autotune.studies.storage import Storage, close_storage, open_storage, quiet_optuna
 from autotune.studies.study import StudyPlan, is_feasible, run_study
-from autotune.tuning.bounds import LINEAR_VARIABLES
-from autotune.tuning.search import presentable
+from autotune.tuning.bounds import LINEAR_VARIABLES, presentable
 from problems.design.evaluation import build_scenarios
 from problems.design.objectives import HandForce, PeakForce
 from problems.design.problem import VARIABLES

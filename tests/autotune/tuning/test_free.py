@@ -12,12 +12,11 @@ from autotune.formats.controller import read_controller, write_controller
 from autotune.formats.controller_record import admittance_controller
 from autotune.formats.identified import IdentifiedFile
 from autotune.formats.problem import ProblemSpec
-from autotune.tuning.bounds import Box
+from autotune.tuning.bounds import Box, presentable
 from autotune.tuning.compare import start_design
 from autotune.tuning.optimality import active_rows, unit_widths
 from autotune.tuning.optimize import Optimized, optimize
 from autotune.tuning.problems import build_problems
-from autotune.tuning.search import presentable
 from autotune.validation.validate import validate_controller
 from problems.design.evaluation import build_scenarios
 from problems.design.problem import VARIABLES

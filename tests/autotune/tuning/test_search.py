@@ -12,8 +12,8 @@ from scipy.optimize import minimize
 from autotune.errors import InfeasibleError
 from autotune.tuning import scenario_exchange as joining
 from autotune.tuning import search as search_module
-from autotune.tuning.bounds import Box
-from autotune.tuning.search import Search, presentable, solve_design
+from autotune.tuning.bounds import Box, presentable
+from autotune.tuning.search import Search, solve_design
 from benchmarks.tuning_problems import paper_cell
 from problems.arrays import FloatArray
 from problems.contact.transient import Approach

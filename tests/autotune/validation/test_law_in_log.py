@@ -14,6 +14,13 @@ from problems.model.controller import AdmittanceController, controller_blocks, c
 H = 8e-4
 PLAIN = AdmittanceController(mass_kg=10.0, damping_n_s_per_m=1200.0, lead_s=0.015)
 FULL = replace(PLAIN, feedback_damping_s=0.01, compensation_mass_kg=12.0)
+SHAPED = replace(
+    FULL,
+    biquad_zero_s=0.01,
+    biquad_zero_damping_ratio=0.3,
+    biquad_pole_s=0.006,
+    biquad_pole_damping_ratio=0.7,
+)
 GAINS = AxisGains(
     mass=10.0,
     damping=1200.0,
@@ -33,7 +40,8 @@ def motion(count: int = 700) -> tuple[FloatArray, FloatArray]:
 
 def commands(law: AdmittanceController, force: FloatArray, position: FloatArray, desired: float) -> FloatArray:
     """Return the commands of the state form, from a state in the middle of a motion."""
-    blocks, state = controller_blocks(law, H), (0.41, 1e-4, -60.0, -7000.0)
+    blocks, state = controller_blocks(law, H), (0.41, 1e-4, -60.0, -7000.0, 2.0, -3.0)
+    state = state if law.has_biquad else (*state[:4], 0.0, 0.0)
     sent = []
     for felt_force, place in zip(felt(GAINS, force), position, strict=True):
         command, state = controller_step(blocks, state, desired + float(felt_force), float(place))
@@ -41,7 +49,7 @@ def commands(law: AdmittanceController, force: FloatArray, position: FloatArray,
     return np.array(sent)
 
 
-@pytest.mark.parametrize("law", [PLAIN, FULL], ids=["plain", "with feedback and compensation"])
+@pytest.mark.parametrize("law", [PLAIN, FULL, SHAPED], ids=["plain", "with feedback and compensation", "with a biquad"])
 def test_its_own_law_explains_a_command_to_rounding(law: AdmittanceController) -> None:
     force, position = motion()
     found = follow_law(law, GAINS, H, commands(law, force, position, 30.0), position, force)

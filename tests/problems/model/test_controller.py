@@ -79,7 +79,7 @@ def test_the_blocks_are_scipys_sampled_forms(controller: AdmittanceController, h
 
 def run(controller: AdmittanceController, forces: FloatArray, positions: FloatArray, h: float) -> FloatArray:
     """Iterate `controller_step` from rest at zero."""
-    blocks, state, out = controller_blocks(controller, h), (0.0, 0.0, 0.0, 0.0), []
+    blocks, state, out = controller_blocks(controller, h), (0.0,) * 6, []
     for force, position in zip(forces, positions, strict=True):
         command, state = controller_step(blocks, state, force, position)
         out.append(command)
