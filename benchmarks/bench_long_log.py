@@ -2,8 +2,10 @@
 
 `python benchmarks/bench_long_log.py --hours 1 2 4` writes an MCAP of three channels at 1.25 kHz for each length (1.7 GB
 an hour), runs `inspect`, `identify`, `validate --log` and `predict --log` on it, and prints the slope of their memory
-over the hours, and what a day would take. The controller of the log is one that was optimized for the cell. The
-peer is the MCAP library's own pass over the chunks, with their checksums, without a look into any message.
+over the hours, and what a day would take: that of all processes of a command together, what they share counted once
+(PSS, looked at every tenth of a second), and the largest that one of them ever had. The controller of the log is one
+that was optimized for the cell. The peer is the MCAP library's own pass over the chunks, with their checksums, without
+a look into any message.
 """
 
 import argparse
@@ -30,25 +32,50 @@ _DAY_H = 24.0
 _SHORTER_S = 120.0
 
 
-def _run(*words: str) -> tuple[float, float, float]:
-    """Return wall time [s], processor time [s] and the largest memory of any process [MiB] of a command."""
+_LOOK_S = 0.1
+
+
+def _run(*words: str) -> tuple[float, float, float, float]:
+    """Return wall and processor time [s], memory [MiB] of all processes and of the largest one of a command."""
     before = os.times()
     begun = time.perf_counter()
     code = subprocess.run([sys.executable, __file__, "--command", *words], stdout=subprocess.DEVNULL, check=False)
     took, after = time.perf_counter() - begun, os.times()
     if code.returncode:
         print(f"{' '.join(words)} ended with {code.returncode}")
-    memory = float(Path(words[-1]).read_text(encoding="utf-8"))
+    together, largest = map(float, Path(words[-1]).read_text(encoding="utf-8").split())
     spent = after.children_user + after.children_system - before.children_user - before.children_system
-    return took, spent, memory
+    return took, spent, together, largest
 
 
 def _command(words: list[str]) -> int:
-    """Run a command of autotune and write the largest memory of it and of its workers to the last word."""
-    done = subprocess.run([sys.executable, "-m", "autotune", *words[:-1]], check=False)
-    memory = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
-    Path(words[-1]).write_text(f"{memory}", encoding="utf-8")
-    return done.returncode
+    """Run a command of autotune; write the memory [MiB] of all its processes, and of the largest, to the last word."""
+    together = 0.0
+    with subprocess.Popen([sys.executable, "-m", "autotune", *words[:-1]]) as process:
+        while process.poll() is None:
+            together = max(together, sum(map(_share_mib, _family(process.pid))))
+            time.sleep(_LOOK_S)
+    largest = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
+    Path(words[-1]).write_text(f"{together} {largest}", encoding="utf-8")
+    return process.returncode
+
+
+def _family(process: int) -> list[int]:
+    """Return a process and all that it has started."""
+    try:
+        started = [path.read_text() for path in Path(f"/proc/{process}/task").glob("*/children")]
+    except OSError:
+        return []
+    return [process, *(each for child in " ".join(started).split() for each in _family(int(child)))]
+
+
+def _share_mib(process: int) -> float:
+    """Return the memory of a process, of what it shares with others its share; 0 where it is gone."""
+    try:
+        lines = Path(f"/proc/{process}/smaps_rollup").read_text().splitlines()
+    except OSError:
+        return 0.0
+    return sum(int(line.split()[1]) for line in lines if line.startswith("Pss:")) / 1024
 
 
 def _tuned_cell(path: Path, folder: Path, said: str) -> SimulatedCell:
@@ -64,12 +91,12 @@ def _tuned_cell(path: Path, folder: Path, said: str) -> SimulatedCell:
 
 
 def _pass(path: Path) -> float:
-    begun = time.perf_counter()
+    begun = time.process_time()
     with path.open("rb") as file:
         for record in StreamReader(file, emit_chunks=True, validate_crcs=True).records:
             if isinstance(record, Chunk):
                 len(record.data)
-    return time.perf_counter() - begun
+    return time.process_time() - begun
 
 
 def main() -> int:
@@ -90,19 +117,27 @@ def main() -> int:
             "validate": [*of_controller, "--samples", "0"],
             "predict": [f"{made}/identified.yaml", "--controller", *of_controller],
         }
-        memories: dict[str, list[float]] = {name: [] for name in options.commands or commands}
+        memories: dict[str, list[tuple[float, float]]] = {name: [] for name in options.commands or commands}
         for hours in options.hours:
             # The last window is no longer than the others, which would pass for growth.
             count = write_long_log(path, 3600.0 * hours - _SHORTER_S, [cell], compression=options.compression)
-            print(f"{hours:g} h, {path.stat().st_size / 1e9:.2f} GB, {count} messages; a pass: {_pass(path):.1f} s")
+            print(
+                f"{hours:g} h, {path.stat().st_size / 1e9:.2f} GB, {count} messages; a pass: {_pass(path):.1f} s of "
+                "processor",
+                flush=True,
+            )
             for name, found in memories.items():
-                wall, spent, memory = _run(name, *commands[name], said)
-                found.append(memory)
-                print(f"  {name}: {wall:.1f} s, {spent:.1f} s of processor, largest process {memory:.0f} MiB")
+                wall, spent, *memory = _run(name, *commands[name], said)
+                found.append((memory[0], memory[1]))
+                print(
+                    f"  {name}: {wall:.1f} s, {spent:.1f} s of processor, {memory[0]:.0f} MiB, largest process", end=" "
+                )
+                print(f"{memory[1]:.0f} MiB", flush=True)
     if len(options.hours) > 1:
         for name, found in memories.items():
-            slope, start = np.polyfit(options.hours, found, 1)
-            print(f"{name}: {slope:+.1f} MiB per hour, so a day takes {start + _DAY_H * slope:.0f} MiB")
+            (slope, of_one), (start, one) = np.polyfit(options.hours, found, 1)
+            print(f"{name}: {slope:+.1f} MiB per hour, so a day takes {start + _DAY_H * slope:.0f} MiB;", end=" ")
+            print(f"of the largest process {of_one:+.1f}, {one + _DAY_H * of_one:.0f} MiB")
     return 0
 
 

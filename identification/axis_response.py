@@ -5,13 +5,13 @@ from collections.abc import Iterator
 import numpy as np
 
 from problems.arrays import ComplexArray, FloatArray
+from problems.model.axis_kind import LEVER_M
 from problems.model.plant import FREE_SPACE, Coupling, PayloadDynamics, Plant
 from problems.model.response import plant_response
 from problems.model.robot import RobotModel
 from problems.model.sampled import build_sampled_plant
 
 from .axes.straight import AXIS_NAMES
-from .axes.turning import LEVER_M
 from .joint_fit.data import JointData
 from .joint_fit.result import JointFit
 from .measured_response import FrequencyResponse, MeasuredResponse

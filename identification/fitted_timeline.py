@@ -5,8 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from problems.model.axis_kind import LEVER_M
+
 from .axes.straight import AXIS_NAMES
-from .axes.turning import LEVER_M
 from .axis_command import CellSignals
 from .axis_estimate import AxisResult
 from .result import (

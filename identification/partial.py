@@ -10,6 +10,7 @@ from .errors import EstimateError, LogError
 from .fitted_timeline import account_for_log, hand_findings, turning_spans, with_surfaces, without_surface
 from .given import Given
 from .result import (
+    TICK_S,
     AxisEstimate,
     Covariance,
     EnvironmentEstimate,
@@ -22,7 +23,6 @@ from .result import (
     Status,
 )
 from .robot.admittance_estimates import AdmittanceRobots, identify_admittance_robots
-from .robot.logged_command import TICK_S
 from .signals.recording import AXES, Recording
 from .touches.inertia import KnownMotion
 from .touches.signals import axis_signals, offset_findings

@@ -383,6 +383,8 @@ class SensorEstimate:
     position_noise_rms_m: _Above0 | None = None
 
 
+TICK_S = 1.5e-3
+"""A log with a longer period may hold samples of a faster controller."""
 CONTACT_UNEXPLAINED = "contact-unexplained"
 RESPONSE_DIFFERS = "response-differs"
 """Code of the finding, of severity `error`, that something was touched whose stiffness is not known."""

@@ -6,9 +6,10 @@ from functools import partial
 import numpy as np
 from scipy.signal import detrend
 
+from problems.model.axis_kind import LEVER_M
 from problems.progress import ProgressSlice
 
-from .axes.turning import LEVER_M, AxisTurn, Unrolled, rests_after, unroll
+from .axes.turning import AxisTurn, Unrolled, rests_after, unroll
 from .axis_command import AxisKnowledge, CellSignals
 from .axis_estimate import AxisResult, axis_priors, fit_axis
 from .errors import EstimateError

@@ -12,6 +12,8 @@ from .errors import ParameterError
 
 def number(name: str, value: object) -> float:
     """Return `value` as a float if it is a real number and not a truth value."""
+    if type(value) is float:  # nearly always, and asking the abstract class takes most of a constructor's time
+        return value
     if isinstance(value, bool | np.bool_) or not isinstance(value, Real):
         raise ParameterError(name, value, "a number")
     return float(value)

@@ -16,12 +16,12 @@ from autotune.formats.units import ROTATIONAL_AXES
 from autotune.formats.yaml12 import kind_of_file
 from autotune.prediction.as_run_by import own_law_notes
 from autotune.tuning.wrench import build_wrench
-from identification.axes.turning import LEVER_M
 from identification.errors import EstimateError
 from identification.result import AxisEstimate, Estimate, Identified, Status
 from problems.contact.transient import Approach
 from problems.frozen import freeze
 from problems.maps.parameters import PLANT_NAMES
+from problems.model.axis_kind import LEVER_M
 from problems.model.controller import AdmittanceController
 from problems.model.plant import NO_FILTER, WrenchFilter
 from problems.model.plant_parameters import PARAMETERS

@@ -12,8 +12,7 @@ from autotune.errors import UsageError
 from autotune.formats.identified import IdentifiedFile
 from autotune.formats.units import ROTATIONAL_AXES, axis_units
 from identification.errors import EstimateError
-from identification.result import AxisEstimate, EnvironmentEstimate, Estimate, Identified, Status
-from identification.robot.logged_command import TICK_S
+from identification.result import TICK_S, AxisEstimate, EnvironmentEstimate, Estimate, Identified, Status
 from problems.arrays import FloatArray
 from problems.design.uncertainty import PlantSet, Scenario
 from problems.model.plant import Coupling, Environment, PayloadDynamics, Plant, WrenchFilter

@@ -10,7 +10,6 @@ from autotune.errors import UsageError
 from autotune.formats.problem import Interval, ProblemSpec, RotationalSpec
 from autotune.formats.units import ROTATIONAL_AXES, axis_key
 from autotune.plugins import build_requirements
-from identification.axes.turning import LEVER_M
 from identification.errors import EstimateError
 from identification.result import (
     AxisEstimate,
@@ -22,6 +21,7 @@ from identification.result import (
 from problems.contact.transient import Approach
 from problems.design.problem import DEFAULT_BOUNDS, DesignProblem, Requirements
 from problems.design.uncertainty import ALWAYS_UNCERTAIN, PlantSet
+from problems.model.axis_kind import LEVER_M
 from problems.model.plant import WrenchFilter
 from problems.model.robot import RobotModel
 

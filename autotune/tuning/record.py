@@ -33,7 +33,6 @@ from autotune.formats.units import ROTATIONAL_AXES, axis_units
 from autotune.text import scenario_text
 from autotune.validation.driving_arm import driven_plants
 from autotune.validation.validation_samples import sampled_claims
-from identification.axes.turning import LEVER_M
 from identification.errors import EstimateError
 from identification.result import Identified, Status
 from problems.contact.nonlinearities import DeadbandType
@@ -53,6 +52,7 @@ from problems.design.requirements import (
 from problems.design.stable_design import Peak
 from problems.design.uncertainty import Scenario
 from problems.errors import ParameterError
+from problems.model.axis_kind import LEVER_M
 from problems.model.controller import AdmittanceController
 from problems.model.response import hand_force_per_speed
 

@@ -12,8 +12,8 @@ from autotune.formats.certificate_record import AxisDomain
 from autotune.formats.controller_record import Controller, admittance_controller
 from autotune.formats.coupled_record import CoupledBody, HeldAxis, Vector
 from autotune.formats.units import AXES, ROTATIONAL_AXES
-from identification.axes.turning import LEVER_M
 from problems.arrays import FloatArray
+from problems.model.axis_kind import LEVER_M
 from problems.model.coupled import CoupledPlant, Law, PointSurface, RigidPayload, contact_direction
 from problems.model.plant import Coupling, Environment, PayloadDynamics, Plant
 from problems.model.robot import RobotModel

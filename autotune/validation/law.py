@@ -25,7 +25,6 @@ from autotune.formats.units import ROTATIONAL_AXES, axis_units
 from autotune.plugins import find_requirement
 from autotune.prediction.as_run_by import as_run_by, designed_for
 from autotune.text import scenario_text
-from identification.axes.turning import LEVER_M
 from problems.contact.linear_controller_contact import (
     force_per_speed,
     simulate_linear_contact,
@@ -47,6 +46,7 @@ from problems.design.requirements import (
     led_mass_kg,
 )
 from problems.design.uncertainty import ENVIRONMENT_MASS, PlantSet, Scenario
+from problems.model.axis_kind import LEVER_M
 from problems.model.linear_controllers import LinearController
 from problems.model.plant import Plant
 from problems.model.response import controller_response, free_space_admittance, plant_response

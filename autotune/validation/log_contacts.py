@@ -9,7 +9,7 @@ from autotune.formats.certificate_record import AxisDomain
 from autotune.formats.controller_record import AxisGains, Controller
 from autotune.formats.units import ROTATIONAL_AXES
 from identification.axes.straight import AxisMotion, find_axes
-from identification.axes.turning import LEVER_M, Unrolled, find_turns, rests_after, unroll
+from identification.axes.turning import Unrolled, find_turns, rests_after, unroll
 from identification.conventions.choice import read_by_weight
 from identification.errors import EstimateError, LogError
 from identification.joint_fit.segments import find_holds
@@ -23,6 +23,7 @@ from identification.timeline.contacts import ContactTimes, find_contacts, learn_
 from identification.timeline.payload import AxisContacts, observe_payload, press_sign
 from problems.arrays import FloatArray
 from problems.contact.nonlinearities import DeadbandType
+from problems.model.axis_kind import LEVER_M
 from problems.model.controller import AdmittanceController
 
 from .replay import equation_gains

@@ -7,6 +7,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from problems.arrays import FloatArray
+from problems.model.axis_kind import LEVER_M
 
 from ..errors import EstimateError
 from ..payload.gravity import GravityFit
@@ -17,9 +18,6 @@ from ..signals.segments import MotionSpans, Span, low_pass
 from .straight import AxisMotion
 
 AXIS_NAMES = ("rx", "ry", "rz")
-
-LEVER_M = 0.2
-"""Where an angle is counted as a path: the deadbands of the paper, 5 N and 1 N·m, are one at this distance."""
 
 _TURNING_RAD_S = 0.015
 _ABOUT_ONE_AXIS = 0.97

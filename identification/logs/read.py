@@ -159,8 +159,11 @@ def _held(role: Role, inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def recorded_spans(paths: Sequence[Path], cell: Cell, *, salvage: bool = False) -> tuple[tuple[int, int], ...]:
-    """Return the first and the last instant of each log on its recording clock [ns]; raises LogError for no log."""
-    with open_logs(tuple(paths), cell, salvage=salvage) as logs:
+    """Return the first and the last instant of each log on its recording clock [ns]; raises LogError for no log.
+
+    A damaged chunk is no matter yet: who reads it refuses it, or leaves it out of a window.
+    """
+    with open_logs(tuple(paths), cell, salvage=salvage, recorded_ns=(-_LARGEST_NS, _LARGEST_NS)) as logs:
         return tuple((part.survey.start_ns, part.survey.end_ns) for part in logs.parts)
 
 

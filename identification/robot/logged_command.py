@@ -7,9 +7,9 @@ import numpy as np
 from problems.arrays import FloatArray
 
 from ..errors import EstimateError
+from ..result import TICK_S
 from .position_loop import RobotFit, identify_robot
 
-TICK_S = 1.5e-3
 _SAME_PERIOD = 0.05
 _DECISIVE, _DECISIVE_SHARE = 10.0, 0.03
 # A controller of robots is hardly slower; where the log's own period is no hold, this bounds the one behind it.

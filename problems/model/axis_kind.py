@@ -17,6 +17,8 @@ _ENDINGS = (
 )
 _NOUNS = {"force": "torque", "mass": "inertia"}
 
+LEVER_M = 0.2
+"""Where an angle is counted as a path: the deadbands of the paper, 5 N and 1 N·m, are one at this distance."""
 _SHOWN = {"s": (1e3, "ms"), "N/m": (1e-3, "N/mm")}
 
 

@@ -281,6 +281,18 @@ def test_a_damaged_chunk_of_a_window_costs_that_chunk(
     assert windows[1].values == windows_of(in_windows.provenance)[1].values
 
 
+def test_a_damaged_first_chunk_costs_that_chunk(long_log: Path, tmp_path: Path) -> None:
+    damaged = tmp_path / "damaged.mcap"
+    data = bytearray(long_log.read_bytes())
+    data[100_000] ^= 0x10
+    damaged.write_bytes(data)
+    with pytest.raises(LogError, match="the CRC of a chunk does not agree"):
+        read_recording(damaged)
+    found = identify_log(damaged, IN_WINDOWS)
+    assert [each.is_used for each in windows_of(found.provenance)] == [True, True]
+    assert any("1 part(s) of it are left out" in each.message for each in found.result.findings)
+
+
 def test_a_long_log_is_looked_at_in_windows_and_its_channels_are_those_of_the_whole(
     long_log: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

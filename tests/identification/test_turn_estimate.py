@@ -11,7 +11,7 @@ from autotune.simulation.phases import Program
 from autotune.simulation.simulate import simulate_cell
 from autotune.simulation.truth import SimulatedCell
 from identification.axes.straight import commanded_motion, find_axes, free_motions, unguided_spans
-from identification.axes.turning import LEVER_M, AxisTurn, find_turns, rests_after, unroll
+from identification.axes.turning import AxisTurn, find_turns, rests_after, unroll
 from identification.joint_fit.data import build_joint_data
 from identification.joint_fit.fit import identify_joint
 from identification.joint_fit.latency import WrenchLatency
@@ -29,6 +29,7 @@ from identification.signals.segments import find_motion
 from identification.turn_estimate import fit_about_axis, inertia_findings, path_of
 from identification.verdicts import unidentifiable
 from problems.arrays import FloatArray
+from problems.model.axis_kind import LEVER_M
 from problems.model.controller import AdmittanceController
 from problems.model.robot import RobotModel
 from tests.autotune.formats.samples import FIT

@@ -84,12 +84,16 @@ class _Records(Reader):
 
 
 class Ros1BagContainer(Container):
-    """A ROS 1 bag; with `salvage` damaged chunks are left out, and a missing index is replaced by a walk."""
+    """A ROS 1 bag; with `salvage` damaged chunks are left out, and a missing index is replaced by a walk.
+
+    Of a window of it a damaged chunk is left out and reported: in a log of hours it costs no more than itself.
+    """
 
     def __init__(self, path: Path, *, salvage: bool = False) -> None:
         self._name, self._salvage = path.name, salvage
         self._survey: Survey | None = None
         self._lost: list[Damage] = []
+        self._left_out: dict[int, Damage] = {}
         self._was_read = False
         self._connections: dict[int, Channel] = {}
         with self._refusing():
@@ -142,7 +146,8 @@ class Ros1BagContainer(Container):
             ) from damage
 
     def _salvaged(self) -> tuple[Finding, ...]:
-        return salvaged(self._name, [f"at byte {item.offset}: {item.reason}" for item in self._lost])
+        lost = (*self._lost, *self._left_out.values())
+        return salvaged(self._name, [f"at byte {item.offset}: {item.reason}" for item in lost])
 
     # Layout
 
@@ -270,6 +275,16 @@ class Ros1BagContainer(Container):
             check_index(self._index_of(record), record, walk)
         return data, walk
 
+    def _sound_chunk(self, record: ChunkRecord) -> tuple[bytes, Walk] | None:
+        """Return a chunk as `_chunk` does; of a window None where it is damaged, which is noted."""
+        try:
+            return self._chunk(record, [])
+        except Damage as damage:
+            if self.recorded_ns is None:
+                raise
+            self._left_out[record.offset] = damage
+            return None
+
     def _index_of(self, record: ChunkRecord) -> Iterator[tuple[int, int, bytes]]:
         """Yield offset, connection and entries of the index records behind a chunk."""
         file, offset = self._file, record.data_at + record.stored
@@ -285,7 +300,9 @@ class Ros1BagContainer(Container):
             offset = data_at + size
 
     def _batches(self, record: ChunkRecord, channels: dict[int, Channel]) -> Iterator[Batch]:
-        data, walk = self._chunk(record, [])
+        if (opened := self._sound_chunk(record)) is None:
+            return
+        data, walk = opened
         is_message = walk.ops == RecordType.MSGDATA
         here = np.unique(walk.connections[is_message]).tolist()
         for channel in {channels[number]: None for number in here if number in channels}:
@@ -308,8 +325,8 @@ class Ros1BagContainer(Container):
             here = {self._connections[number]: count for number, count in record.counts.items() if count}
             for number, count in record.counts.items():
                 counts[self._connections[number]] += count
-            if here.keys() - first.keys():
-                self._note_first(*self._chunk(record, []), first)
+            if here.keys() - first.keys() and (opened := self._sound_chunk(record)) is not None:
+                self._note_first(*opened, first)
         filled = [record for record in self._chunks if record.counts]
         start_ns, end_ns = [record.start_ns for record in filled], [record.end_ns for record in filled]
         return self._survey_of(counts, first, min(start_ns, default=0), max(end_ns, default=0))

@@ -7,12 +7,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from identification.axes.straight import commanded_motion
-from identification.axes.turning import LEVER_M, find_turns, rests_after, unroll
+from identification.axes.turning import find_turns, rests_after, unroll
 from identification.errors import EstimateError
 from identification.payload.static_poses import GRAVITY_B_M_S2
 from identification.signals.aligned import align
 from identification.signals.segments import Span, find_motion
 from problems.arrays import FloatArray
+from problems.model.axis_kind import LEVER_M
 from tests.identification.synthetic import ramp, sweep
 from tests.identification.turned import RATE_HZ, WEIGHTLESS, WORKING, recorded, to_and_fro, turns_of
 

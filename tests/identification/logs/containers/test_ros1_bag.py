@@ -237,6 +237,27 @@ def test_a_damaged_chunk_costs_that_chunk_alone(tmp_path: Path, compression: Wri
     assert f"at byte {at}: " in container.findings()[0].message
 
 
+@pytest.mark.parametrize("place", [0, 1, -1])
+def test_of_a_window_a_damaged_chunk_is_left_out_and_named(tmp_path: Path, place: int) -> None:
+    messages = several()
+    path = write_bag(tmp_path / "run.bag", messages, Writer.CompressionFormat.LZ4)
+    sound, data = reported(messages), bytearray(path.read_bytes())
+    at, start, end = [(at, start, end) for kind, at, start, end in records_of(bytes(data)) if kind == CHUNK][place]
+    data[start:end] = bytes(end - start)
+    path.write_bytes(data)
+    with pytest.raises(LogError, match=f"at byte {at}: "):
+        read_all(Ros1BagContainer(path))
+    container = Ros1BagContainer(path)
+    container.recorded_ns = (0, 2**62)
+    found = read_all(container)
+    lost = sum(map(len, sound.values())) - sum(map(len, found.values()))
+    assert 2 < lost < 60
+    assert all(set(each) <= set(sound[topic]) for topic, each in found.items())
+    (said,) = container.findings()
+    assert said.code == "salvaged"
+    assert f"1 part(s) of it are left out: at byte {at}: " in said.message
+
+
 def test_a_message_with_a_wrong_length_costs_that_message(tmp_path: Path) -> None:
     content = [message(0, START_NS + i, bytes([i]) * 50) for i in range(9)]
     offsets = np.cumsum([0, *map(len, content)]).tolist()
