@@ -272,6 +272,10 @@ class Running:
             self.data.ctrl[:] = command
             if self.hand is not None:
                 self._hold(self.hand)
+            if self.cell.filter_hz is not None:
+                # Dry friction jumps with the acceleration where a command arrives.
+                mujoco.mj_forward(self.model, self.data)
+                self._last = self._coupling_wrench()
             for _ in range(steps if self.cell.filter_hz else 1):
                 mujoco.mj_step(self.model, self.data, nstep=1 if self.cell.filter_hz else steps)
                 self._filter(self.model.opt.timestep)

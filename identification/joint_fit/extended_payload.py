@@ -1,11 +1,9 @@
-"""Force of a payload in free motion of which a part swings on the rest, and whose coupling has dry friction.
+"""Force of a payload in free motion of which a part swings on the rest.
 
     M (1 − μ) dv_p/dt = −F − B_p v_p + F_2,   M μ dv_2/dt = −F_2,   F_2 = M μ (ω² (x_2 − x_p) + 2 ζ ω (v_2 − v_p)),
-    F = K_s (x_p − x) + B_s (v_p − v) + F_c sign(v_p − v),
+    F = K_s (x_p − x) + B_s (v_p − v), and beside it the dry friction of `rubbing_coupling`,
 
-M as gravity shows it, x the flange's path between the ticks as in `model.payload_step`. Friction is stepped in time as
-Moreau (1999, Numerical aspects of the sweeping process) does: over a sample it takes the value, F_c at most, that
-brings the coupling to rest at its end. Time is counted in samples.
+M as gravity shows it, x the flange's path between the ticks as in `model.payload_step`. Time is counted in samples.
 """
 
 from collections.abc import Sequence
@@ -21,7 +19,7 @@ from problems.compiled import compiled
 from .kernel import PAYLOAD, SPEED
 from .path import FlangePath
 
-_TAYLOR = 4
+TAYLOR = 4
 _FACTORIALS = np.array([1.0, 1.0, 2.0, 6.0])
 # Own parameters of a span: the payload's offset and speed at first and the force's offset, then those of the part.
 OWN, OWN_WITH_PART = 3, 5
@@ -29,15 +27,18 @@ OWN, OWN_WITH_PART = 3, 5
 
 @dataclass(frozen=True, kw_only=True)
 class Extension:
-    """What a payload has beside one mass on one spring: a part with a share of its mass, and F_c [N].
+    """What a payload has beside one mass on one spring: a part with a share of its mass, and friction F_c [N].
 
-    The part swings freely at `frequency_hz`, 0 without one.
+    The part swings freely at `frequency_hz`, 0 without one; κ and τ of friction's law are `prompt` and
+    `stopping_s`.
     """
 
     mass_share: float = 0.0
     frequency_hz: float = 0.0
     damping_ratio: float = 0.0
     friction_n: float = 0.0
+    prompt: float = 1.0
+    stopping_s: float = 0.0
 
     @property
     def own_count(self) -> int:
@@ -46,51 +47,42 @@ class Extension:
 
 
 class _Motion(NamedTuple):
-    """One sample's step: `phi` (m, m), `gamma` (m, k), friction `rubbed` (m,) per N; K_s and B_s over a sample."""
+    """One sample's step: `phi` (m, m) and `gamma` (m, k); K_s and B_s over a sample."""
 
     phi: FloatArray
     gamma: FloatArray
-    rubbed: FloatArray
     k_s: float
     b_s: float
 
 
 @compiled
-def run_extended(motion: _Motion, drive: FloatArray, ends: FloatArray, limit: float, start: FloatArray) -> FloatArray:
-    """Return F (n,) at every tick under p_(k+1) = phi p_k + gamma drive_k + rubbed f_k, |f_k| at most `limit`.
+def run_extended(motion: _Motion, drive: FloatArray, ends: FloatArray, start: FloatArray) -> FloatArray:
+    """Return F (n,) at every tick under p_(k+1) = phi p_k + gamma drive_k.
 
-    `drive` (n, k) and `ends` (n, 4) are those of a `PathSegment`, `start` p_0 (m,), positions against the first. At a
-    tick the friction is the mean of what acts before and after it.
+    `drive` (n, k) and `ends` (n, 4) are those of a `PathSegment`, `start` p_0 (m,), positions against the first.
     """
-    phi, gamma, rubbed = motion.phi, motion.gamma, motion.rubbed
+    phi, gamma = motion.phi, motion.gamma
     count, width, size = drive.shape[0], drive.shape[1], len(start)
     force, now, following = np.empty(count), start.copy(), start.copy()
-    origin = before = 0.0
+    origin = ends[0, 0]
     for k in range(count):
-        x, v, _, arriving = ends[k, 0], ends[k, 1], ends[k, 2], ends[k, 3]
-        if k == 0:
-            origin = x
+        x, v = ends[k, 0], ends[k, 1]
+        force[k] = motion.k_s * (now[PAYLOAD] - x + origin) + motion.b_s * (now[SPEED] - v)
         for i in range(size):
-            total = -origin * gamma[i, width - _TAYLOR]
+            total = -origin * gamma[i, width - TAYLOR]
             for j in range(width):
                 total += gamma[i, j] * drive[k, j]
             for j in range(size):
                 total += phi[i, j] * now[j]
             following[i] = total
-        friction = min(max((arriving - following[SPEED]) / rubbed[SPEED], -limit), limit)
-        if k == 0:
-            before = friction
-        coupled = motion.k_s * (now[PAYLOAD] - x + origin) + motion.b_s * (now[SPEED] - v)
-        force[k] = coupled + 0.5 * (before + friction)
         for i in range(size):
-            now[i] = following[i] + rubbed[i] * friction
-        before = friction
+            now[i] = following[i]
     return force
 
 
 @compiled
 def run_undriven(motion: _Motion, start: FloatArray, count: int) -> FloatArray:
-    """Return F (n,) of a payload that is left to itself, without friction, beside a flange at rest in 0."""
+    """Return F (n,) of a payload that is left to itself beside a flange at rest in 0."""
     phi, size = motion.phi, len(start)
     force, now, following = np.empty(count), start.copy(), start.copy()
     for k in range(count):
@@ -121,7 +113,7 @@ def extended_step(
     mass = whole_mass * (1.0 - extension.mass_share)
     order, size = 0 if robot is None else len(robot), 4 if extension.frequency_hz > 0.0 else 2
     held, rest = size + order, size + order + (1 if order else 0)
-    a = np.zeros((rest + _TAYLOR + 1, rest + _TAYLOR + 1))
+    a = np.zeros((rest + TAYLOR + 1, rest + TAYLOR + 1))
     a[0, 1] = 1.0
     a[1, :2] = -k_s / mass, -(b_s + b_p) / mass
     if size == 4:
@@ -151,35 +143,37 @@ def extended_step(
 def extended_force(
     coupling: FloatArray, extension: Extension, own: FloatArray, path: FlangePath, used: slice, period_s: float
 ) -> FloatArray:
-    """Return F (n,) [N] of a span in free motion.
+    """Return F (n,) [N] of a span in free motion, without friction.
 
     `own` (`extension.own_count`,) is the payload's offset and speed against the flange at first, counted in N of the
     coupling, the force's offset [N], and the part's offset and speed against the payload in the same way.
     """
     cut, motion = path.cut(used), _motion(coupling, extension, path, period_s)
-    start = _first_state(own, motion)
+    start = first_state(own, motion.k_s, len(motion.phi))
     start[SPEED::2] += cut.ends[0, 1]
-    return np.asarray(run_extended(motion, cut.drive, cut.ends, extension.friction_n, start) + own[2])
+    return np.asarray(run_extended(motion, cut.drive, cut.ends, start) + own[2])
 
 
 def own_forces(
     coupling: FloatArray, extension: Extension, path: FlangePath, used: slice, period_s: float
 ) -> FloatArray:
-    """Return what each of a span's own parameters adds to F (own, n) per unit; without friction F is linear in them."""
+    """Return what each of a span's own parameters adds to F (own, n) per unit; F is linear in them."""
     motion, count = _motion(coupling, extension, path, period_s), used.stop - used.start
     units = np.eye(extension.own_count)
-    return np.array([run_undriven(motion, _first_state(unit, motion), count) + unit[2] for unit in units])
+    return np.array(
+        [run_undriven(motion, first_state(unit, motion.k_s, len(motion.phi)), count) + unit[2] for unit in units]
+    )
 
 
 def _motion(coupling: FloatArray, extension: Extension, path: FlangePath, period_s: float) -> _Motion:
     """Return what happens over one sample."""
     robot = None if path.robot is None else np.asarray(path.robot.real)
-    steps = extended_step(coupling, extension, robot, float(path.hold.fraction.real), period_s)
-    phi, gamma, rubbed = map(np.ascontiguousarray, steps)
-    return _Motion(phi, gamma, rubbed, float(coupling[0]), float(coupling[1]) / period_s)
+    phi, gamma, _ = extended_step(coupling, extension, robot, float(path.hold.fraction.real), period_s)
+    arrays = np.ascontiguousarray(phi), np.ascontiguousarray(gamma)
+    return _Motion(*arrays, float(coupling[0]), float(coupling[1]) / period_s)
 
 
-def _first_state(own: FloatArray, motion: _Motion) -> FloatArray:
-    """Return the state at a span's beginning against a flange at rest in 0."""
-    start = own[:2] / motion.k_s
-    return start if len(motion.phi) == 2 else np.concatenate([start, start + own[OWN:] / motion.k_s])
+def first_state(own: FloatArray, k_s: float, size: int) -> FloatArray:
+    """Return the state (size,) at a span's beginning against a flange at rest in 0."""
+    start = own[:2] / k_s
+    return start if size == 2 else np.concatenate([start, start + own[OWN:] / k_s])

@@ -105,7 +105,9 @@ def _identify(data: JointData, begin: _Beginning, progress: ProgressSlice) -> Jo
     )
     _require_explained(fit)
     is_held = data.robot_order > 0 and not blurred and not problem.signals.is_smooth
-    wider = extend_payload(problem, point, latency, quiet_rms_n=rest_rms_n, is_held=is_held)
+    wider = extend_payload(
+        problem, point, latency, quiet_rms_n=rest_rms_n, is_held=is_held, force_n=data.force_n, shifted_s=data.shifted_s
+    )
     noise_n = float(np.std(np.concatenate(left_at_rest(problem, point, quiet_rests(data)))))
     fit = with_unexplained(with_extension(fit, wider), wider.left_n, rest_rms_n, max(noise_n, rest_rms_n))
     is_vague = data.robot_order > 0 and not blurred and fit.value("delay_s")[1] > _VAGUE_SAMPLES * data.period_s

@@ -335,14 +335,15 @@ class SensorDynamics:
     time_constant_s: float = 0.0
     delay_s: float = 0.0
 
-    def felt(self, forces: FloatArray, period_s: float) -> FloatArray:
+    def felt(self, forces: FloatArray, period_s: float, every: int = 1) -> FloatArray:
         """Return what the sensor shows of forces (…, n) that are smooth between the samples, from rest at the first.
 
-        Between the samples low-pass and shift take Lagrange's cubic through the four about them.
+        It is shown at every so manieth of these samples. Between the samples low-pass and shift take Lagrange's cubic
+        through the four about them.
         """
         if self.time_constant_s > 0.0:
             forces = low_passed(forces, self.time_constant_s, period_s)
-        return forces if self.delay_s == 0.0 else _later(forces, self.delay_s / period_s)
+        return forces[..., ::every] if self.delay_s == 0.0 else _later(forces, self.delay_s / period_s, every)
 
     def shown(self, force: FloatArray, path: FlangePath, used: slice, damping: float, period_s: float) -> FloatArray:
         """Return what the sensor shows of a coupling's force (n,) at the ticks that jumps with a held command.
@@ -412,8 +413,8 @@ def _moments(share: float) -> FloatArray:
     return np.array(moments)
 
 
-def _later(forces: FloatArray, samples: float) -> FloatArray:
-    """Return forces (…, n) `samples` later; the ends are held."""
+def _later(forces: FloatArray, samples: float, every: int = 1) -> FloatArray:
+    """Return forces (…, n) `samples` later, every so manieth; the ends are held."""
     whole = math.floor(samples)
     u = 1.0 - (samples - whole)  # where between the older sample (0) and the newer one (1)
     weights = (
@@ -423,5 +424,5 @@ def _later(forces: FloatArray, samples: float) -> FloatArray:
         (u + 1.0) * u * (u - 1.0) / 6.0,
     )
     last = forces.shape[-1] - 1
-    ticks = np.arange(last + 1) - whole - 1
+    ticks = np.arange(0, last + 1, every) - whole - 1
     return np.asarray(sum(weight * forces[..., np.clip(ticks + k - 1, 0, last)] for k, weight in enumerate(weights)))

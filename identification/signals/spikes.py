@@ -77,7 +77,8 @@ def without_pose_spikes(pose: PoseSignal) -> tuple[PoseSignal, tuple[Finding, ..
 def _spikes(values: FloatArray, least: float | None = None) -> BoolArray:
     """Return which values (n, k) are spikes, none of an axis that is not known.
 
-    They are away from both neighbours by `least` too; without it an axis without noise has none.
+    They are away from both neighbours by `least` too; without it an axis without noise has none. What jumps by no more
+    than the neighbours' own steps is none: dry friction that turns makes a corner at a peak of the force.
     """
     found = np.zeros(values.shape, dtype=np.bool_)
     known = np.flatnonzero(np.any(np.isfinite(values), axis=0))
@@ -89,6 +90,8 @@ def _spikes(values: FloatArray, least: float | None = None) -> BoolArray:
     # Away and back: both steps are large, of one sign, and alike.
     smaller = np.minimum(np.abs(before), np.abs(after))
     suspects = (before * after > 0.0) & (smaller > limit) & (np.abs(before - after) < smaller)
+    steps = np.abs(np.diff(values[:, known], axis=0))
+    suspects &= smaller > np.pad(np.fmax(steps[:-3], steps[3:]), ((1, 1), (0, 0)))
     for row, index in np.argwhere(suspects).tolist():
         axis, k = known[index], row + 1
         found[k, axis] = _stands_out(values[max(k - _AROUND, 0) : k + 1 + _AROUND, axis], min(k, _AROUND))

@@ -14,13 +14,14 @@ from identification.joint_fit import extension
 from identification.joint_fit.data import JointData, usual_coupling
 from identification.joint_fit.extended_fit import Score, explains_misfit
 from identification.joint_fit.extended_payload import Extension, extended_force
-from identification.joint_fit.extension import Extended, extend_payload, unseen_by_log, with_extension
+from identification.joint_fit.extension import Extended, extend_payload, with_extension
 from identification.joint_fit.fit import identify_joint
 from identification.joint_fit.free_motion import fit_free_motion, fit_robot, with_fitted_noise
 from identification.joint_fit.latency import WrenchLatency, find_wrench_filter, fit_filter
 from identification.joint_fit.model import COUPLING_NAMES, SURFACE_NAMES, robot_model
 from identification.joint_fit.noise import Smoother
-from identification.joint_fit.path import SensorDynamics, measured_path
+from identification.joint_fit.path import SensorDynamics, commanded_path, measured_path
+from identification.joint_fit.payload_search import unseen_by_log
 from identification.joint_fit.result import (
     JointFit,
     JointSurface,
@@ -28,6 +29,7 @@ from identification.joint_fit.result import (
     with_robot_of_pose,
     with_unexplained,
 )
+from identification.joint_fit.rubbing_coupling import fine_path, rubbed_force
 from identification.joint_fit.solve import Point, Problem
 from identification.result import Status
 from identification.signals.segments import Span
@@ -277,9 +279,42 @@ def test_the_extended_force_is_that_of_fine_steps() -> None:
     extension = Extension(mass_share=0.15, frequency_hz=38.0, damping_ratio=0.03, friction_n=1.0)
     coupling = np.array([STIFFNESS, DAMPING, DRAG, MASS])
     used = slice(1500, len(x) // FINER - 1500)
-    force = extended_force(coupling, extension, np.zeros(5), path, used, PERIOD_S)
+    fine = fine_path(path, used, PERIOD_S)
+    force = rubbed_force(coupling, extension, np.zeros(5), fine, PERIOD_S)[:: fine.count]
     expected = cell.run(x)[::FINER][used]
     assert float(np.std(force - expected)) < 0.05 * float(np.std(expected))
+
+
+@pytest.mark.parametrize("robot", [None, (40.0, 3.7e-3), (40.0, 0.9, 3.7e-3), (40.0, 4e-3)])
+def test_without_friction_short_steps_are_those_of_a_sample(robot: tuple[float, ...] | None) -> None:
+    """A path without a command, and robots of one and two poles whose command comes within a sample and at its end."""
+    x, extension = sweep()[::FINER], Extension(mass_share=0.15, frequency_hz=38.0, damping_ratio=0.03)
+    smoother, used = Smoother(taps=np.pad([1.0], 3)), slice(1500, 9000)
+    if robot is None:
+        path = measured_path(x, smoother)
+    else:
+        path = commanded_path(np.array(robot), x, 0.9 * x, smoother, PERIOD_S)
+    coupling, own = np.array([STIFFNESS, DAMPING, DRAG, MASS]), np.array([1.0, 2.0, 0.5, -1.0, 0.7])
+    fine = fine_path(path, used, PERIOD_S)
+    force = rubbed_force(coupling, extension, own, fine, PERIOD_S)[:: fine.count]
+    expected = extended_force(coupling, extension, own, path, used, PERIOD_S)
+    np.testing.assert_allclose(force, expected, atol=1e-8 * float(np.max(np.abs(expected))))
+
+
+@pytest.mark.parametrize(("prompt", "stopping_s"), [(1.0, 0.0), (1.0, 2e-3), (0.6, 2e-3), (0.0, 5e-4)])
+def test_friction_that_is_never_overcome_lets_the_slip_go_as_its_law_says(prompt: float, stopping_s: float) -> None:
+    """dw/dt = (1 − κ) a − w/τ under a steady pull: w goes to (1 − κ) a τ, and to 0 where friction is Coulomb's."""
+    count, speed = 400, 0.03
+    path = measured_path(speed * PERIOD_S * np.arange(count), Smoother(taps=np.pad([1.0], 3)))
+    extension = Extension(friction_n=1e6, prompt=prompt, stopping_s=stopping_s)
+    drag = 200.0
+    # A spring that hardly pulls: what accelerates the slip is the drag.
+    coupling = np.array([1e-3, 0.0, drag, MASS])
+    fine = fine_path(path, slice(100, 300), PERIOD_S)
+    force = rubbed_force(coupling, extension, np.zeros(3), fine, PERIOD_S)
+    # The payload follows at all but the slip: F balances the drag.
+    slip = -(1.0 - prompt) * stopping_s * drag * speed / MASS
+    assert force[-1] == pytest.approx(-drag * (speed + slip), rel=1e-3)
 
 
 @pytest.mark.parametrize(("both", "spread"), [(True, 0.01), (False, 0.6)])
