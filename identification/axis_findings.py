@@ -103,6 +103,15 @@ def latency_findings(axis: str, fit: JointFit, shifted_s: float = 0.0) -> list[F
     `shifted_s` was taken off its stamps before, as a clock's offset: where both together are none, the clocks agree.
     """
     latency = fit.latency
+    if latency.is_filter and shifted_s != 0.0 and not is_clear_latency(shifted_s - latency.advanced_s, latency.std_s):
+        agree = Finding.info(
+            CLOCKS_AGREE,
+            f"Axis {axis}: the wrench's stamps as logged agree with pose and command "
+            f"({1e3 * (shifted_s - latency.advanced_s):+.3f} ± {1e3 * latency.std_s:.2g} ms); the "
+            f"{1e3 * shifted_s:+.3f} ms that the weight in the turning tool showed are its low-pass's.",
+            "",
+        )
+        return [agree]
     if latency.is_filter or latency.applied_s == 0.0 or not is_clear_latency(latency.seconds, latency.std_s):
         return []
     if shifted_s != 0.0 and not is_clear_latency(shifted_s + latency.seconds, latency.std_s):
@@ -200,7 +209,7 @@ def payload_findings(axis: str, fit: JointFit) -> list[Finding]:
             Finding.warning(
                 "coupling-friction",
                 f"Axis {axis}: the coupling rubs with {friction:.3g} ± {std:.1g} {unit}. K_s, B_s and B_p are "
-                "those beside it, and their deviations hold what it moves, since its law is not known.",
+                "those beside it, and their deviations hold what its law leaves open.",
                 _NOT_DESIGNED_FOR,
             )
         )

@@ -16,6 +16,7 @@ from scipy.linalg import expm
 from problems.arrays import FloatArray
 from problems.compiled import compiled
 
+from .force_kernel import V, X
 from .kernel import PAYLOAD, SPEED
 from .path import FlangePath
 
@@ -64,9 +65,9 @@ def run_extended(motion: _Motion, drive: FloatArray, ends: FloatArray, start: Fl
     phi, gamma = motion.phi, motion.gamma
     count, width, size = drive.shape[0], drive.shape[1], len(start)
     force, now, following = np.empty(count), start.copy(), start.copy()
-    origin = ends[0, 0]
+    origin = ends[0, X]
     for k in range(count):
-        x, v = ends[k, 0], ends[k, 1]
+        x, v = ends[k, X], ends[k, V]
         force[k] = motion.k_s * (now[PAYLOAD] - x + origin) + motion.b_s * (now[SPEED] - v)
         for i in range(size):
             total = -origin * gamma[i, width - TAYLOR]

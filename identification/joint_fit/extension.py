@@ -9,6 +9,7 @@ from problems.arrays import FloatArray
 from ..verdicts import TWO_SIDED, WEAK_SHARE
 from .covariance import EXACT_SHARE, SHARPEST_DELAY_SAMPLES, widened
 from .extended_fit import (
+    Score,
     beginning,
     beyond_noise,
     explains_misfit,
@@ -86,32 +87,14 @@ def extend_payload(
     the deviations hold as much as they leave of it, a tenth at least. Beside friction the wrench's latency is settled
     anew from `force_n` (n,), the force as it was read, with `shifted_s` taken off its stamps.
     """
-    period = problem.signals.period_s
-    # What was taken for a latency may be the part's, or friction's.
-    lag_s = max(_LATENCY_STDS * latency.std_s, abs(latency.applied_s))
-    lag_s = _FILTER_SHARE * latency.seconds if latency.is_filter else lag_s
-    of = ExtendedProblem(
-        problem=problem,
-        point=point,
-        latency_std_samples=max(lag_s / period, _LEAST_LATENCY),
-        quiet_rms_n=quiet_rms_n,
-        is_held=is_held,
-    )
-    begun = here = beginning(of)
-    moves, lags_s = _moved_by_yielding(of, begun), list[float]()
+    of = _widened_problem(problem, point, latency, quiet_rms_n, is_held)
+    begun = beginning(of)
     here = find_friction(of, begun) or begun
     looks = look_for_part(of, here)
     unseen = unseen_by_log(of, here, looks)
-    swinging, gain = find_part(of, here, looks)
-    if swinging is not None:
-        # A shifted force is not exact between its samples, which looks like a part.
-        is_clear = is_held and latency.applied_s == 0.0 and gain >= _CLEAR and beyond_noise(of, here) == 0.0
-        is_needed = is_clear or explains_misfit(of, swinging, here)
-        if gain >= TOLD and not is_at_bound(of, swinging) and is_needed:
-            here = swinging
-        else:
-            moves.append(_moved(of, swinging, here))
-            lags_s.append(_later_s(of, swinging, here))
+    here, untold = _with_part(of, here, latency, looks)
+    moves = [*_moved_by_yielding(of, begun), *(_moved(of, each, here) for each in untold)]
+    lags_s = [_later_s(of, each, here) for each in untold]
     is_as_before, left, left_before = True, mean_square(of, here), mean_square(of, begun)
     if here.kind.friction and force_n is not None:
         settled = settle_latency(SettledLatency(of=of, fit=here, latency=latency), force_n, shifted_s)
@@ -137,6 +120,35 @@ def extend_payload(
         is_apart=is_apart,
         explains=(is_one or is_apart) and unexplained_share < _LEFT_OPEN,
     )
+
+
+def _widened_problem(
+    problem: Problem, point: Point, latency: WrenchLatency, quiet_rms_n: float, is_held: bool
+) -> ExtendedProblem:
+    """Return the problem with a latency as far open as a part, or friction, may have made it."""
+    lag_s = max(_LATENCY_STDS * latency.std_s, abs(latency.applied_s))
+    lag_s = _FILTER_SHARE * latency.seconds if latency.is_filter else lag_s
+    return ExtendedProblem(
+        problem=problem,
+        point=point,
+        latency_std_samples=max(lag_s / problem.signals.period_s, _LEAST_LATENCY),
+        quiet_rms_n=quiet_rms_n,
+        is_held=is_held,
+    )
+
+
+def _with_part(
+    of: ExtendedProblem, here: PayloadFit, latency: WrenchLatency, looks: list[tuple[Score, float]]
+) -> tuple[PayloadFit, list[PayloadFit]]:
+    """Return the fit with a part where one is to be reported, else as it is, and those that stay open beside it."""
+    swinging, gain = find_part(of, here, looks)
+    if swinging is None:
+        return here, []
+    # A shifted force is not exact between its samples, which looks like a part.
+    is_clear = of.is_held and latency.applied_s == 0.0 and gain >= _CLEAR and beyond_noise(of, here) == 0.0
+    is_needed = is_clear or explains_misfit(of, swinging, here)
+    is_told = gain >= TOLD and not is_at_bound(of, swinging) and is_needed
+    return (swinging, []) if is_told else (here, [swinging])
 
 
 def _tells_apart(of: ExtendedProblem, both: PayloadFit) -> bool:

@@ -19,6 +19,7 @@ from problems.arrays import FloatArray
 from problems.compiled import compiled
 
 from .extended_payload import TAYLOR, Extension, extended_step, first_state
+from .force_kernel import V_END, V, X
 from .kernel import PAYLOAD, SPEED
 from .path import FlangePath
 
@@ -133,13 +134,13 @@ def run_rubbing(motion: _Rubbing, driven: FloatArray, ends: FloatArray, start: F
             for j in range(size):
                 total += phi[i, j] * now[j]
             following[i] = total
-        slip = now[SPEED] - ends[k, 1]
-        free = following[SPEED] - ends[k, 3]
+        slip = now[SPEED] - ends[k, V]
+        free = following[SPEED] - ends[k, V_END]
         stopping = (motion.keep * slip + motion.gain * (free - slip) - free) / rubbed[SPEED]
         acting = min(max(stopping, -motion.limit), motion.limit)
         if k == 0:
             friction = acting
-        force[k] = motion.k_s * (now[PAYLOAD] - ends[k, 0] + ends[0, 0]) + motion.b_s * slip + friction
+        force[k] = motion.k_s * (now[PAYLOAD] - ends[k, X] + ends[0, X]) + motion.b_s * slip + friction
         friction = acting
         for i in range(size):
             now[i] = following[i] + rubbed[i] * friction

@@ -17,6 +17,7 @@ pytest.importorskip("mujoco", reason="the extra mujoco is not installed")
 
 from examples.mujoco.cell import P_0, R_0, Hand, MujocoCell, Running, Wall
 from examples.mujoco.chain import estimates, record, truths
+from examples.mujoco.guided import TARGETS, errors, record_guided
 from examples.mujoco.page import page, tables
 from examples.mujoco.study import Drawn, contacts, draw, kept
 
@@ -156,12 +157,40 @@ def test_a_log_of_the_cell_is_identified_and_its_contact_predicted(tmp_path: Pat
     assert predicted.peak_force == pytest.approx(pressed(cell, wall, gains, 40.0, 2.5), rel=0.03)
 
 
+def test_dry_friction_of_the_coupling_is_identified_beside_the_spring(tmp_path: Path) -> None:
+    """One mass on one spring takes it for damping: three times B_s here."""
+    cell = MujocoCell(
+        period_s=2e-3, delay_s=5.1e-3, coupling_friction_n=2.4, damping_n_s_per_m=68.0, drag_n_s_per_m=80.0
+    )
+    program = FirstLog(
+        axis="z", rest_s=0.8, pose_count=4, pose_move_s=0.5, pose_hold_s=0.7, sweep_s=5.0, contact_count=1
+    )
+    record(cell, Wall(distance_m=0.01), program, tmp_path / "cell.mcap")
+    found = at.identify(tmp_path / "cell.mcap", cell=tmp_path / "cell.cell.yaml", allow_partial=True)
+    axis = found.result.axes["z"]
+    friction = axis.coupling_friction_n
+    assert friction is not None
+    assert friction.value == pytest.approx(2.4, rel=0.05)
+    for name, share in {"K_s": 0.01, "B_s": 0.15, "B_p": 0.1}.items():
+        estimate, truth = estimates(found)[name], truths(cell, Wall())[name]
+        assert estimate.value == pytest.approx(truth, rel=share), name
+        assert estimate.value is not None
+        assert abs(estimate.value - truth) < 2.58 * (estimate.std or 0.0), name
+
+
 @pytest.mark.parametrize("seed", [14, 22])
 def test_the_program_of_a_first_log_is_gentle_where_a_plain_admittance_was_not(tmp_path: Path, seed: int) -> None:
     # Cell 14 is unstable under 20 kg and 1500 N·s/m; in cell 22 the contacts chattered.
     drawn = draw(seed)
     program = FirstLog(axis="z", pose_count=0, sweep_s=0.0, contact_count=2)
     assert record(drawn.cell, replace(drawn.wall, distance_m=4e-3), program, tmp_path / "cell.mcap") < 45.0
+
+
+def test_a_hand_a_sweep_and_contacts_without_rests_between_are_used(tmp_path: Path) -> None:
+    drawn, path = draw(0), tmp_path / "cell.mcap"
+    record_guided(drawn.cell, drawn.wall, path, (0.0, 0.1), seed=0)
+    off = errors(drawn.cell, drawn.wall, at.identify(path, cell=path.with_suffix(".cell.yaml")))
+    assert all(abs(off[name]) <= target for name, target in TARGETS.items()), off
 
 
 def _estimates(drawn: Drawn, deviations: float) -> dict[str, Any]:
@@ -191,7 +220,7 @@ def test_the_page_counts_what_the_intervals_hold_and_what_was_refused(tmp_path: 
     assert "## Parameters: 3 cells, 1 logs refused" in text
     assert "| K_s | 2 | 0 | 1 | 2.5 | 4 | **1 of 2** | -4.0 (cell 1) |" in text
     assert "K_s, B_s, B_p, T_d and bandwidth have a value in 2 cells; in 1 of them" in text
-    assert "Of 2 cells without a filter, which delays the wrench, 1 have a finding" in text
+    assert "Of 2 cells, 0 of which have a filter that delays the wrench, 1 have a finding" in text
     assert "Cell 2 (B_p 38, joints 39 N) refused: no sweep" in text
     assert "| wall of the log | 1 | +10.0 | +10.0 | +10.0 | 1 | 0 |" in text
     assert "| half as stiff | 1 | – | – | – | 0 | 1 |" in text

@@ -305,7 +305,9 @@ def test_without_friction_short_steps_are_those_of_a_sample(robot: tuple[float, 
 def test_friction_that_is_never_overcome_lets_the_slip_go_as_its_law_says(prompt: float, stopping_s: float) -> None:
     """dw/dt = (1 − κ) a − w/τ under a steady pull: w goes to (1 − κ) a τ, and to 0 where friction is Coulomb's."""
     count, speed = 400, 0.03
-    path = measured_path(speed * PERIOD_S * np.arange(count), Smoother(taps=np.pad([1.0], 3)))
+    path = measured_path(
+        np.linspace(0.0, speed * PERIOD_S * count, count, endpoint=False), Smoother(taps=np.pad([1.0], 3))
+    )
     extension = Extension(friction_n=1e6, prompt=prompt, stopping_s=stopping_s)
     drag = 200.0
     # A spring that hardly pulls: what accelerates the slip is the drag.
