@@ -1,12 +1,13 @@
 """A hand that guides goes over into a sweep, and the sweep into an approach: identified minus true beside the targets.
 
-Usage: python examples/mujoco/guided.py [--cells 7] [--pauses 0,0.1 1.4,1.0] [--folder mujoco-guided] [--table TABLE.md]
+Usage: python examples/mujoco/guided.py [--cells 9] [--pauses 0,0.1 1.4,1.0] [--folder mujoco-guided] [--table CSV]
 
 Pauses are before and after the sweep, in seconds. A log is kept; the cells are those of `study` without dry friction,
 filter and second mode, 0, 8, 16, …, but for those that a plain admittance does not hold (drag below 50 N·s/m).
 """
 
 import argparse
+import csv
 import math
 import sys
 from collections.abc import Generator, Iterator
@@ -138,14 +139,15 @@ def errors(cell: MujocoCell, wall: Wall, found: at.Identification) -> dict[str, 
     return {name: out[name] for name in TARGETS}
 
 
-def rows(folder: Path, seeds: list[int], pauses: list[tuple[float, float]]) -> Iterator[str]:
-    """Yield the table, log by log, and what it comes to."""
-    yield "| cell | pauses [s] | " + " | ".join(TARGETS) + " | within |\n|" + "---|" * (len(TARGETS) + 3)
-    shown = [
-        f"{t} sample" if n == "T_d" else f"{1e3 * t:g} mm" if "com" in n else f"{t:.1%}" for n, t in TARGETS.items()
-    ]
-    yield "| target | | " + " | ".join(shown) + " | |"
-    within = []
+def shown(name: str, error: float) -> str:
+    """Return an error, or a target, in mm, samples or percent."""
+    return f"{1e3 * error:.2f} mm" if name.startswith("com") else f"{error:.3f}" if name == "T_d" else f"{error:.2%}"
+
+
+def tables(folder: Path, seeds: list[int], pauses: list[tuple[float, float]]) -> Iterator[list[str]]:
+    """Yield the table, log by log: errors, and whether all of them are within the targets."""
+    yield ["cell", "pauses [s]", *TARGETS, "within"]
+    yield ["target", "", *(shown(name, target) for name, target in TARGETS.items()), ""]
     for seed in seeds:
         drawn = draw(seed)
         for pair in pauses:
@@ -155,33 +157,30 @@ def rows(folder: Path, seeds: list[int], pauses: list[tuple[float, float]]) -> I
                 record_guided(drawn.cell, drawn.wall, log, pair, seed=seed)
             found = at.identify(log, cell=log.with_suffix(".cell.yaml"), allow_partial=True)
             off = errors(drawn.cell, drawn.wall, found)
-            within.append(all(abs(off[name]) <= target for name, target in TARGETS.items()))
-            cells = [
-                f"{1e3 * e:+.2f}" if "com" in n else f"{e:+.3f}" if n == "T_d" else f"{e:+.2%}" for n, e in off.items()
-            ]
-            yield (
-                f"| {seed} | {pair[0]:g}, {pair[1]:g} | " + " | ".join(cells) + f" | {'yes' if within[-1] else 'no'} |"
-            )
-    yield f"\n{sum(within)} of {len(within)} logs have every value within its target."
+            within = all(abs(off[name]) <= target for name, target in TARGETS.items())
+            cells = [shown(name, error) for name, error in off.items()]
+            yield [str(seed), f"{pair[0]:g} and {pair[1]:g}", *cells, "yes" if within else "no"]
 
 
 def main(arguments: list[str]) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--cells", type=int, default=7)
+    parser.add_argument("--cells", type=int, default=9)
     parser.add_argument("--pauses", nargs="+", default=[f"{a:g},{b:g}" for a, b in PAUSES])
     parser.add_argument("--folder", type=Path, default=Path("mujoco-guided"))
-    parser.add_argument("--table", type=Path)
+    parser.add_argument("--table", type=Path, help="a CSV beside docs/independent_physics.md")
     options = parser.parse_args(arguments)
     options.folder.mkdir(parents=True, exist_ok=True)
     drawn = (seed for seed in range(0, 1000, 8) if draw(seed).cell.drag_n_s_per_m >= LEAST_DRAG_N_S_PER_M)
     seeds = [next(drawn) for _ in range(options.cells)]
     pauses = [(float(pair.split(",")[0]), float(pair.split(",")[1])) for pair in options.pauses]
-    lines = []
-    for line in rows(options.folder, seeds, pauses):
-        print(line, flush=True)
-        lines.append(line)
+    rows = []
+    for row in tables(options.folder, seeds, pauses):
+        print(" | ".join(row), flush=True)
+        rows.append(row)
+    print(f"{sum(row[-1] == 'yes' for row in rows)} of {len(rows) - 2} logs have every value within its target.")
     if options.table is not None:
-        options.table.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        with options.table.open("w", encoding="utf-8", newline="") as stream:
+            csv.writer(stream, lineterminator="\n").writerows(rows)
     return 0
 
 

@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+import math
 import statistics
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
@@ -45,15 +46,15 @@ integrated to fourth order.
 """
 
 
-def page(folders: Mapping[int, Path]) -> str:
-    """Return the page of the cells that are done."""
+def page(folders: Mapping[int, Path], guided: Path | None = None) -> str:
+    """Return the page of the cells that are done, with what the table of `guided.py` says."""
     found = {seed: _read(folder / "identified.json") for seed, folder in folders.items()}
     pressed = {seed: _read(folder / "contacts.json") for seed, folder in folders.items()}
     head = HEAD.format(drag=DRAG_N_S_PER_M, coupling=FRICTION_N, joints=JOINT_FRICTION_N, filter=FILTER_HZ)
     cells = {seed: (draw(seed), held) for seed, held in found.items() if held is not None}
     if len(cells) < len(folders):
         head += f"\n**{len(cells)} of {len(folders)} cells are done.** The command goes on with the others.\n"
-    return "\n".join([head, *_parameters(cells), *_peaks(pressed)]) + "\n"
+    return "\n".join([head, *_parameters(cells), *_guided(guided), *_peaks(pressed)]) + "\n"
 
 
 def tables(folders: Mapping[int, Path]) -> dict[str, str]:
@@ -132,6 +133,33 @@ def _parameters(cells: Mapping[int, tuple[Drawn, dict[str, Any]]]) -> Iterator[s
                 yield f"\nCell {seed} ({cells[seed][0].words()}), exit code 4: {finding['message']}"
     for seed, reason in refused.items():
         yield f"\nCell {seed} ({cells[seed][0].words()}) refused: {reason}"
+
+
+def _guided(table: Path | None) -> Iterator[str]:
+    """Yield what is off in logs in which a hand goes over into the sweep, and the sweep into contacts."""
+    if table is None or not table.is_file():
+        return
+    with table.open(encoding="utf-8", newline="") as stream:
+        names, targets, *logs = csv.reader(stream)
+    good = sum(row[-1] == "yes" for row in logs)
+    yield "\n## A hand, the sweep and contacts without rests between\n"
+    yield (
+        f"`python examples/mujoco/guided.py --table docs/{table.name}`: {good} of {len(logs)} logs of "
+        f"{len({row[0] for row in logs})} cells have every value\nwithin its target ([log by log]({table.name})); "
+        "pauses before and after the sweep: "
+        f"{', '.join(dict.fromkeys(row[1] for row in logs))} s.\nLargest error beside its target, T_d in samples:\n"
+    )
+    yield "| |" + "".join(f" {name} |" for name in names[2:-1])
+    yield "|---" * (len(names) - 2) + "|"
+    sizes = [max((row[i].lstrip("-") for row in logs), key=_size) for i in range(2, len(names) - 1)]
+    for title, cells in (("largest", sizes), ("target", targets[2:-1])):
+        yield f"| {title} | " + " | ".join(cells) + " |"
+
+
+def _size(shown: str) -> float:
+    """Return the number in a cell of the table, and more than any for one that is missing."""
+    number = float(shown.split(maxsplit=1)[0].rstrip("%"))
+    return math.inf if math.isnan(number) else number
 
 
 def _codes(held: dict[str, Any]) -> set[str]:

@@ -223,7 +223,8 @@ def main(arguments: list[str]) -> int:
     if options.page is not None:
         from examples.mujoco.page import page, tables
 
-        options.page.write_text(page(folders), encoding="utf-8")
+        guided = options.page.with_name(f"{options.page.stem}_guided.csv")
+        options.page.write_text(page(folders, guided), encoding="utf-8")
         for name, text in tables(folders).items():
             options.page.with_name(f"{options.page.stem}_{name}.csv").write_text(text, encoding="utf-8")
     return 0

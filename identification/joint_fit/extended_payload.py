@@ -65,9 +65,11 @@ def run_extended(motion: _Motion, drive: FloatArray, ends: FloatArray, start: Fl
     phi, gamma = motion.phi, motion.gamma
     count, width, size = drive.shape[0], drive.shape[1], len(start)
     force, now, following = np.empty(count), start.copy(), start.copy()
-    origin = ends[0, X]
+    origin = 0.0
     for k in range(count):
         x, v = ends[k, X], ends[k, V]
+        if k == 0:
+            origin = x
         force[k] = motion.k_s * (now[PAYLOAD] - x + origin) + motion.b_s * (now[SPEED] - v)
         for i in range(size):
             total = -origin * gamma[i, width - TAYLOR]

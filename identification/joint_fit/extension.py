@@ -28,8 +28,8 @@ from .solve import Block, Point, Problem
 
 # The −2 log L that shows a part behind a held command where one mass leaves no more than the noise at rest may be.
 _CLEAR = 200.0
-# Of what a part and friction move, how well the move is known at best.
-_KNOWN_AT_BEST = 0.1
+# Of what a part, and friction alone, move, how well the move is known at best.
+_MOVED_BY_PART, _MOVED_BY_FRICTION = 0.1, 0.05
 # How well share, frequency, damping ratio and F_c are known at best: as far off they were in simulated cells, the path
 # between the samples and the law of friction not being those of the fit.
 _SHARE_KNOWN, _FREQUENCY_KNOWN, _RATIO_KNOWN, _FRICTION_KNOWN = 0.25, 0.03, 0.02, 0.2
@@ -84,8 +84,9 @@ def extend_payload(
     What explains less than a quarter of the misfit beyond `quiet_rms_n` is no part. Where no command `is_held`, that,
     and what explains no more than the path within a sample may do, leaves the deviations, too: it is another misfit.
     Where no part is reported, the deviations hold one that the log cannot show (`unseen_by_log`). Of what both explain,
-    the deviations hold as much as they leave of it, a tenth at least. Beside friction the wrench's latency is settled
-    anew from `force_n` (n,), the force as it was read, with `shifted_s` taken off its stamps.
+    the deviations hold as much as they leave of it, a tenth, or of friction alone a twentieth, at least. Beside
+    friction the wrench's latency is settled anew from `force_n` (n,), the force as it was read, with `shifted_s` taken
+    off its stamps.
     """
     of = _widened_problem(problem, point, latency, quiet_rms_n, is_held)
     begun = beginning(of)
@@ -104,7 +105,8 @@ def extend_payload(
     noise = quiet_rms_n**2
     unexplained_share = max(left - noise, 0.0) / max(left_before - noise, 1e-300)
     if here.kind != PayloadKind():
-        share = float(np.clip(np.sqrt(unexplained_share), _KNOWN_AT_BEST, 1.0))
+        known_at_best = _MOVED_BY_PART if here.kind.part else _MOVED_BY_FRICTION
+        share = float(np.clip(np.sqrt(unexplained_share), known_at_best, 1.0))
         moves.append(share * _moved(of, here, begun))
         lags_s += [share * _later_s(of, here, begun)] if is_as_before else []
     open_s = float(np.linalg.norm(lags_s)) if latency.is_filter else 0.0

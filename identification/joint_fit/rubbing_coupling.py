@@ -127,7 +127,7 @@ def run_rubbing(motion: _Rubbing, driven: FloatArray, ends: FloatArray, start: F
     """
     phi, rubbed, (count, size) = motion.phi, motion.rubbed, driven.shape
     force, now, following = np.empty(count), start.copy(), start.copy()
-    friction = 0.0
+    friction = origin = 0.0
     for k in range(count):
         for i in range(size):
             total = driven[k, i]
@@ -139,8 +139,8 @@ def run_rubbing(motion: _Rubbing, driven: FloatArray, ends: FloatArray, start: F
         stopping = (motion.keep * slip + motion.gain * (free - slip) - free) / rubbed[SPEED]
         acting = min(max(stopping, -motion.limit), motion.limit)
         if k == 0:
-            friction = acting
-        force[k] = motion.k_s * (now[PAYLOAD] - ends[k, X] + ends[0, X]) + motion.b_s * slip + friction
+            friction, origin = acting, ends[k, X]
+        force[k] = motion.k_s * (now[PAYLOAD] - ends[k, X] + origin) + motion.b_s * slip + friction
         friction = acting
         for i in range(size):
             now[i] = following[i] + rubbed[i] * friction

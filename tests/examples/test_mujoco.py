@@ -216,11 +216,17 @@ def test_the_page_counts_what_the_intervals_hold_and_what_was_refused(tmp_path: 
     others = [{**row, "name": each.name, "fault": "SPEED"} for each in contacts(draw(0))[1:]]
     pressed = {"eased": "", "certified": 52.0, "contacts": [{**row, "fault": ""}, *others]}
     (folders[0] / "contacts.json").write_text(json.dumps(pressed), encoding="utf-8")
-    text = page(folders)
+    guided = tmp_path / "guided.csv"
+    guided.write_text(
+        "cell,pauses [s],K_s,within\ntarget,,4.00%,\n0,0 and 1,-2.00%,yes\n8,0 and 1,nan%,no\n", encoding="utf-8"
+    )
+    text = page(folders, guided)
+    assert "1 of 2 logs of 2 cells" in text
+    assert "| target | 4.00% |" in text
     assert "## Parameters: 3 cells, 1 logs refused" in text
     assert "| K_s | 2 | 0 | 1 | 2.5 | 4 | **1 of 2** | -4.0 (cell 1) |" in text
     assert "K_s, B_s, B_p, T_d and bandwidth have a value in 2 cells; in 1 of them" in text
-    assert "Of 2 cells, 0 of which have a filter that delays the wrench, 1 have a finding" in text
+    assert "Of 3 cells, 1 of which have a filter that delays the wrench, 1 have a finding" in text
     assert "Cell 2 (B_p 38, joints 39 N) refused: no sweep" in text
     assert "| wall of the log | 1 | +10.0 | +10.0 | +10.0 | 1 | 0 |" in text
     assert "| half as stiff | 1 | – | – | – | 0 | 1 |" in text
