@@ -31,6 +31,18 @@ def test_a_log_without_spikes_stays_as_it_is(demo_recording: Recording) -> None:
     assert findings == ()
 
 
+def test_a_corner_where_dry_friction_turns_is_no_spike(demo_recording: Recording) -> None:
+    """A spring's force turns smoothly; friction of 3 N, which turns with it, makes a peak of one sample of that."""
+    force = demo_recording.wrench.force_n.copy()
+    ticks = np.arange(400)
+    swing = 40.0 * np.cos(2.0 * np.pi * ticks / 20.0)
+    corner = np.where(ticks % 20 == 0, 3.0, np.where(ticks % 20 == 10, -3.0, 0.0))
+    force[20000:20400, 0] = swing + corner
+    cornered = dataclasses.replace(demo_recording, wrench=dataclasses.replace(demo_recording.wrench, force_n=force))
+    clean, _ = without_spikes(cornered)
+    np.testing.assert_array_equal(clean.wrench.force_n[20000:20400, 0], force[20000:20400, 0])
+
+
 @pytest.mark.parametrize("samples_per_period", [4.3, 6.0, 9.7])
 def test_a_vibration_near_the_sampling_rate_is_no_row_of_spikes(
     demo_recording: Recording, samples_per_period: float
