@@ -71,7 +71,7 @@ def prove_coupled(
                 progress(part)
             continue
         varying = np.flatnonzero(cell[:, 0] < cell[:, 1])
-        side = int(varying[_widest(system)]) if len(varying) else 0
+        side = int(varying[_widest(system, gamma, scales)]) if len(varying) else 0
         low, high = cell[side]
         if high - low <= _NARROWEST * high:
             waiting.append((cell, part))
@@ -91,9 +91,18 @@ def _gain(system: AffineLoop) -> float:
     return largest_gain(a, b, system.middle[n:, :n], system.middle[n:, n:])[0]
 
 
-def _widest(system: AffineLoop) -> int:
-    """Return which of the coordinates that vary changes the loop most, by its slope in the balanced states."""
-    return int(np.argmax([np.linalg.norm(each) for each in system.slopes]))
+def _widest(system: AffineLoop, gamma: float, scales: FloatArray) -> int:
+    """Return which of the coordinates that vary stands in the way: without its width the scaled gain is least."""
+    count, parts = len(system.slopes), _influences(system)
+
+    def gain_without(place: int) -> float:
+        others = [each for each in range(count) if each != place]
+        try:
+            return largest_gain(*_augmented(system, gamma, [parts[each] for each in others], scales[others]))[0]
+        except np.linalg.LinAlgError:
+            return np.inf
+
+    return 0 if count < 2 else int(np.argmin([gain_without(place) for place in range(count)]))
 
 
 def _is_proved(system: AffineLoop, gamma: float, scales: FloatArray) -> bool:
