@@ -3,7 +3,6 @@
 import csv
 import io
 import json
-import math
 import statistics
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
@@ -151,15 +150,18 @@ def _guided(table: Path | None) -> Iterator[str]:
     )
     yield "| |" + "".join(f" {name} |" for name in names[2:-1])
     yield "|---" * (len(names) - 2) + "|"
-    sizes = [max((row[i].lstrip("-") for row in logs), key=_size) for i in range(2, len(names) - 1)]
+    columns = range(2, len(names) - 1)
+    sizes = [max((row[i].lstrip("-") for row in logs if "nan" not in row[i]), key=_size, default="–") for i in columns]
     for title, cells in (("largest", sizes), ("target", targets[2:-1])):
         yield f"| {title} | " + " | ".join(cells) + " |"
+    for row in logs:
+        missing = [names[i] for i in columns if "nan" in row[i]]
+        if missing:
+            yield f"\nCell {row[0]}, {row[1]} s: no value of {', '.join(missing)}."
 
 
 def _size(shown: str) -> float:
-    """Return the number in a cell of the table, and more than any for one that is missing."""
-    number = float(shown.split(maxsplit=1)[0].rstrip("%"))
-    return math.inf if math.isnan(number) else number
+    return float(shown.split(maxsplit=1)[0].rstrip("%"))
 
 
 def _codes(held: dict[str, Any]) -> set[str]:

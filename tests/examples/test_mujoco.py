@@ -222,7 +222,8 @@ def test_the_page_counts_what_the_intervals_hold_and_what_was_refused(tmp_path: 
     )
     text = page(folders, guided)
     assert "1 of 2 logs of 2 cells" in text
-    assert "| target | 4.00% |" in text
+    assert "| largest | 2.00% |\n| target | 4.00% |" in text
+    assert "Cell 8, 0 and 1 s: no value of K_s." in text
     assert "## Parameters: 3 cells, 1 logs refused" in text
     assert "| K_s | 2 | 0 | 1 | 2.5 | 4 | **1 of 2** | -4.0 (cell 1) |" in text
     assert "K_s, B_s, B_p, T_d and bandwidth have a value in 2 cells; in 1 of them" in text
