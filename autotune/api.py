@@ -136,8 +136,9 @@ def optimize(
         `x.mass`, where there are several axes), "log" for those with which the log was recorded, a design, or the path
         of a `controller.yaml` or `cell.yaml`; the search starts from it too. Those in the log unless they are said.
     structure
-        Of the law: "gains" are the four gains, with "biquad" the force passes a second-order section where that lowers
-        the peak at the same noise of the command; as the problem says unless it is said.
+        Of the law: "gains" are four gains in their bounds, with "noise" the noise of the command that those make is
+        limited in the place of these bounds, with "biquad" the force passes a second-order section too. What does not
+        lower the peak is not taken. As the problem says unless it is said.
     progress
         True for a bar, or a callable that takes the share of the work done since its last call.
 

@@ -131,9 +131,10 @@ def _stiffness(_context: click.Context, _option: click.Parameter, text: str | No
 )
 @click.option(
     "--structure",
-    type=click.Choice(["gains", "biquad"]),
+    type=click.Choice(["gains", "noise", "biquad"]),
     show_default="as problem.yaml says, or gains",
-    help="The law: four gains, or a biquad in the path of the force beside them where that lowers the peak.",
+    help="The law: four gains in their bounds (gains), limited by the noise of the command that those make instead "
+    "(noise), or with a biquad in the path of the force too (biquad).",
 )
 @pareto_options
 @report_option

@@ -36,7 +36,7 @@ def specs_for(target: ExportTarget | None, spec: ProblemSpec) -> tuple[ProblemSp
     the bounds of a gain that the target lacks leave out 0.
     """
     if target is not None and spec.structure != "gains":
-        raise UsageError(f"{target.name} runs another law, without a biquad; leave --structure out.")
+        raise UsageError(f"{target.name} runs another law; leave --structure out.")
     lacking = [] if target is None else [name for name in _PINNED if name not in target.expresses]
     for name in lacking:
         for bounds in (spec.bounds, spec.rotational.bounds):

@@ -30,7 +30,7 @@ from .yaml12 import Document, load_document
 
 Interval = tuple[float, float]
 Origin = Literal["identified", "nominal"]
-Structure = Literal["gains", "biquad"]
+Structure = Literal["gains", "noise", "biquad"]
 Uncertain = Mapping[str, Interval | Origin]
 
 _RANGES = frozenset({*UNCERTAIN, *(ROTATIONAL_KEYS[name] for name in UNCERTAIN if name in ROTATIONAL_KEYS)})
@@ -93,7 +93,7 @@ class ProblemSpec:
     `contact_points_m` are where the payload may touch, in the sensor frame; () those of the cell.
     `least_modulus_together` is asked of min σ(I + L) of axes that act on each other, None nothing but stability.
     `contact_points_m` are where the payload may touch, in the sensor frame; () those of the cell. `structure` of the
-    law are the four gains, or with a biquad beside them where it is worth it.
+    law: four gains in their bounds, limited by their noise of the command instead, or with a biquad too.
     `options` holds those ranges that were said outside of the file (`with_options`), `with_unit` names those whose unit
     was typed.
     """

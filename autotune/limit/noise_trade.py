@@ -61,7 +61,8 @@ def trade_noise(
 ) -> tuple[NoisePoint, ...]:
     """Search four gains for each of `factors` times the noise that `law` makes over `scenarios`.
 
-    Everything else is asked as in `problem`; M_a may be a fifth of its lower bound and K_l three times its upper one.
+    Everything else is asked as in `problem`; M_a may be a fifth of its lower bound, K_l five times and
+    B_fb twice the upper ones.
     """
     report, h = progress or no_progress, problem.sample_time_s
     plants = [problem.plant(each) for each in scenarios]

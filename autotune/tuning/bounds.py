@@ -13,8 +13,9 @@ from problems.model.controller import SMALLEST_FEEDBACK_DAMPING_S
 
 LINEAR_VARIABLES = frozenset({"lead_s", "feedback_damping_s", "compensation_mass_kg"})
 """Variables that may be zero: counted by the width of their bounds, the others by their logarithm."""
-# The bounds that stand for the sensor's noise where nothing else limits it: the mass from below, the lead from above.
-_LIGHTER, _LONGER = 5.0, 3.0
+# The bounds that stand for the sensor's noise where nothing else limits it: the mass from below, lead and feedback
+# damping from above.
+_LIGHTER, _LONGER, _MORE = 5.0, 5.0, 2.0
 # Beside its bounds a value this small is none.
 _NOTHING = 1e-7
 # How much further a bound that holds a design is proposed.
@@ -56,13 +57,19 @@ def presentable(problem: DesignProblem, design: FloatArray) -> FloatArray:
 
 
 def loosened_bounds(problem: DesignProblem) -> dict[str, tuple[float, float]]:
-    """Return the bounds with a lighter mass and a longer lead, for where the noise is limited; what is fixed stays."""
+    """Return the bounds with a lighter mass, more lead and feedback damping, for where the noise is limited.
+
+    What is fixed stays.
+    """
     bounds = dict(problem.bounds)
     (light, heavy), (short, long) = bounds["mass"], bounds["lead_s"]
     if light < heavy:
         bounds["mass"] = light / _LIGHTER, heavy
     if short < long:
         bounds["lead_s"] = short, long * _LONGER
+    least, most = bounds["feedback_damping_s"]
+    if least < most:
+        bounds["feedback_damping_s"] = least, most * _MORE
     return bounds
 
 

@@ -69,7 +69,8 @@ def build_problems(identified: Identified, spec: ProblemSpec) -> dict[str, Desig
         )
     if spec.structure != "gains":
         raise UsageError(
-            "structure: biquad is searched by optimize for one controller that runs autotune's own law; leave it out."
+            f"structure: {spec.structure} is searched by optimize for one controller that runs autotune's own law; "
+            "leave it out."
         )
     if not identified.axes:
         raise EstimateError("The plant holds no axis, so there is nothing to tune.")

@@ -1,7 +1,7 @@
-"""Search a biquad in the path of the force beside the four gains, at the noise of the command that these make."""
+"""Search laws with more freedom than four gains in their bounds, at the noise of the command that these make."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,26 +12,21 @@ from autotune.formats.units import axis_units
 from problems.arrays import FloatArray
 from problems.design.evaluation import build_scenarios
 from problems.design.hand import HandImpedance
-from problems.design.problem import (
-    BIQUAD_VARIABLES,
-    DesignProblem,
-    NoiseLimit,
-    biquad_bounds,
-)
+from problems.design.problem import BIQUAD_VARIABLES, DesignProblem, NoiseLimit, biquad_bounds
 from problems.design.requirements import HeldByHand
 from problems.design.requirements.held_by_hand import HeldByHandRequirement
 from problems.model.plant import FREE_SPACE
 from problems.model.sampled import build_sampled_plant
-from problems.progress import no_progress
 from problems.stability.noise import command_speed_gain
 
 from .bounds import loosened_bounds
 from .record import certified_hand
 from .search import SearchResult, solve_design
 
-_HELD = "held_by_hand"
 PRICE = 0.01
-"""The share of the objective that the four further numbers must save, or the plain law is kept."""
+"""The share of the objective that a structure must save beside the simpler one, or the simpler one is kept."""
+_ORDER: tuple[Structure, ...] = ("gains", "noise", "biquad")
+_HELD = "held_by_hand"
 # Of the modulus that the four gains keep in a hand.
 _KEPT_IN_A_HAND = 0.9
 # Where the admittance has no band, the slowest corner.
@@ -44,39 +39,33 @@ _ROUNDED = 1e-6
 
 @dataclass(frozen=True, kw_only=True)
 class StructureChoice:
-    """What a biquad saves: the objective's cost of the four gains and with it, None where no design was found.
+    """The objective's cost of each structure that was searched, None where no design was found, and the one taken.
 
-    Both make the commanded speed's noise at most `noise_m_s_per_n` per newton of the force's.
+    All make the commanded speed's noise at most `noise_m_s_per_n` per newton of the force's.
     """
 
-    plain: float
-    with_biquad: float | None
+    costs: Mapping[Structure, float | None]
+    taken: Structure
     noise_m_s_per_n: float
 
-    @property
-    def is_worth_it(self) -> bool:
-        """Whether the biquad is taken."""
-        return self.with_biquad is not None and self.with_biquad < (1.0 - PRICE) * self.plain
-
     def message(self, name: str, problem: DesignProblem) -> str:
-        """Return a sentence on what the biquad does for an axis."""
+        """Return a sentence on what the structures do for an axis."""
         units, objective = axis_units(name), problem.objective
         unit = objective.unit_on(turning=units.force != "N")
-        title, plain = objective.title, f"{objective.value(self.plain):.4g} {unit}".rstrip()
-        noise = f"{1e3 * self.noise_m_s_per_n:.3g} m{units.speed} of command per {units.force}"
-        if self.with_biquad is None:
-            return (
-                f"Axis {name}: no design with a biquad was found, so the four gains are kept; the {title} is {plain}."
-            )
-        found = f"{objective.value(self.with_biquad):.4g} {unit}".rstrip()
-        change = 100.0 * (self.with_biquad / self.plain - 1.0)
-        same = f"at the same noise ({noise}), margins and admittance"
-        if self.is_worth_it:
-            return f"Axis {name}: the biquad takes the {title} from {plain} to {found} ({change:+.0f} %) {same}."
-        return (
-            f"Axis {name}: a biquad does not help here ({plain} with four gains, {found} with it, {same}), so the four "
-            "gains are kept."
-        )
+
+        def shown(structure: Structure) -> str:
+            cost = self.costs[structure]
+            return "no design" if cost is None else f"{objective.value(cost):.4g} {unit}".rstrip()
+
+        noise = f"{1e3 * self.noise_m_s_per_n:.3g} m{units.speed} per {units.force}"
+        said = f"Axis {name}: {objective.title} {shown('gains')} with four gains in their bounds"
+        said += f", {shown('noise')} with their noise of the command ({noise}) in the place of these bounds"
+        if "biquad" in self.costs:
+            said += f", {shown('biquad')} with a biquad too"
+        words = {"gains": "the four gains in their bounds", "noise": "the four gains", "biquad": "the biquad"}
+        is_last = self.taken == list(self.costs)[-1]
+        kept = "" if is_last else f", since more saves less than {100.0 * PRICE:g} %"
+        return f"{said}. Taken: {words[self.taken]}{kept}; margins, admittance and a hand are asked for alike."
 
 
 class StructureSearch:
@@ -92,7 +81,8 @@ class StructureSearch:
             return dict(plain)
         found = {}
         for name, each in plain.items():
-            found[name], self._choices[name] = with_biquad(each, certified_hand(name, each.problem), seed=self._seed)
+            hand = certified_hand(name, each.problem)
+            found[name], self._choices[name] = choose_structure(each, self._structure, hand, seed=self._seed)
         return found
 
     def notes(self, searches: Mapping[str, SearchResult]) -> list[str]:
@@ -100,53 +90,64 @@ class StructureSearch:
         return [each.message(name, searches[name].problem) for name, each in self._choices.items()]
 
 
-def with_biquad(
-    plain: SearchResult, hand: HandImpedance, *, seed: int, progress: Callable[[float], None] = no_progress
+def choose_structure(
+    plain: SearchResult, structure: Structure, hand: HandImpedance, *, seed: int
 ) -> tuple[SearchResult, StructureChoice]:
-    """Return the better of the four gains and a law with a biquad, and what was compared.
+    """Return the best law up to a structure, and what was compared; `plain` are four gains in their bounds.
 
-    The law with a biquad must meet all that is asked of the four gains, make no more noise of the command, and keep
-    nine tenths of their modulus in a hand, over the same plants. M_a and K_l, whose bounds stand for that noise, may
-    then be lighter and longer.
+    A law with more freedom must meet all that is asked of the four gains, make no more noise of the command, and keep
+    nine tenths of their modulus in a hand, over the same plants. The bounds of M_a, K_l and B_fb, which stand for that
+    noise, are then wider. One that saves less than `PRICE` beside a simpler one is not taken.
     """
     noise = _noise(plain)
-    problem = biquad_problem(plain.problem, noise)
-    starts = [_neutral(problem, plain.design, corner) for corner in _CORNERS]
-    try:
-        found = solve_design(problem, seed=seed, start=starts[2], others=starts, progress=progress)
-        held = _held_as_well(plain, found, hand)
-        if held is not None:
-            found = solve_design(held, seed=seed, start=starts[2], others=[*starts, found.design])
-    except InfeasibleError:
-        return plain, StructureChoice(plain=plain.evaluation.cost, with_biquad=None, noise_m_s_per_n=noise)
-    choice = StructureChoice(plain=plain.evaluation.cost, with_biquad=found.evaluation.cost, noise_m_s_per_n=noise)
-    return (found if choice.is_worth_it else plain), choice
+    found: dict[Structure, SearchResult | None] = {"gains": plain}
+    for each in _ORDER[1 : _ORDER.index(structure) + 1]:
+        problem = limited_problem(plain.problem, noise, has_biquad=each == "biquad")
+        known = [at.design for at in found.values() if at is not None]
+        starts = known if each == "noise" else [_neutral(problem, at, corner) for at in known for corner in _CORNERS]
+        found[each] = _held_as_well(plain, _solved(problem, starts, seed), hand, starts, seed)
+    taken, best = "gains", plain
+    for name, result in found.items():
+        if result is not None and result.evaluation.cost < (1.0 - PRICE) * best.evaluation.cost:
+            taken, best = name, result
+    costs = {name: None if result is None else result.evaluation.cost for name, result in found.items()}
+    return best, StructureChoice(costs=costs, taken=taken, noise_m_s_per_n=noise)
 
 
-def biquad_problem(plain: DesignProblem, noise_m_s_per_n: float) -> DesignProblem:
-    """Return the problem with a biquad free and the noise of the command limited, unless that is limited already."""
+def limited_problem(plain: DesignProblem, noise_m_s_per_n: float, *, has_biquad: bool) -> DesignProblem:
+    """Return the problem with the noise of the command limited, unless it is already, in the place of bounds."""
     asked = plain.requirements
     if asked.command_noise is None:
         asked = replace(asked, command_noise=NoiseLimit(max_speed_rms_m_s=noise_m_s_per_n, force_noise_rms_n=1.0))
     target = asked.free_space_admittance
     slowest = 2.0 * math.pi * (_SLOWEST_HZ if target is None else target.band_hz[1])
-    bounds = {**loosened_bounds(plain), **biquad_bounds(plain.sample_time_s, slowest)}
-    return replace(plain, bounds=bounds, requirements=asked)
+    biquad = biquad_bounds(plain.sample_time_s, slowest) if has_biquad else {}
+    return replace(plain, bounds={**loosened_bounds(plain), **biquad}, requirements=asked)
 
 
-def _held_as_well(plain: SearchResult, found: SearchResult, hand: HandImpedance) -> DesignProblem | None:
-    """Return the problem that asks for the modulus in a hand that the plain law has, where `found` has much less."""
-    asked = found.problem.requirements
-    if _HELD in asked.asked():
+def _solved(problem: DesignProblem, starts: Sequence[FloatArray], seed: int) -> SearchResult | None:
+    try:
+        return solve_design(problem, seed=seed, others=starts)
+    except InfeasibleError:
         return None
+
+
+def _held_as_well(
+    plain: SearchResult, found: SearchResult | None, hand: HandImpedance, starts: Sequence[FloatArray], seed: int
+) -> SearchResult | None:
+    """Return the search again with the plain law's modulus in a hand, where what was found has much less."""
+    if found is None or _HELD in found.problem.requirements.asked():
+        return found
     # Any modulus does for looking.
     held = HeldByHand(**vars(hand), min_modulus=0.5)
     keeps, has = (_least_held(each, held) for each in (plain, found))
     least = float(f"{_KEPT_IN_A_HAND * keeps:.3g}")
     if has >= least:
-        return None
+        return found
+    asked = found.problem.requirements
     further = {**asked.further, _HELD: replace(held, min_modulus=least)}
-    return replace(found.problem, requirements=replace(asked, further=further))
+    problem = replace(found.problem, requirements=replace(asked, further=further))
+    return _solved(problem, [*starts, found.design], seed)
 
 
 def _least_held(found: SearchResult, hand: HeldByHand) -> float:
@@ -167,7 +168,7 @@ def _noise(found: SearchResult) -> float:
 
 
 def _neutral(problem: DesignProblem, plain: FloatArray, corner: float) -> FloatArray:
-    """Return the plain design with a biquad whose zero and pole are the same, as a design of the problem."""
+    """Return a design of four gains with a biquad whose zero and pole are the same, as a design of the problem."""
     low, high = problem.bounds[BIQUAD_VARIABLES[0]]
     time = min(max(1.0 / corner, low), high)
-    return np.concatenate([plain[: len(problem.variables) - len(BIQUAD_VARIABLES)], [time, _DAMPING, time, _DAMPING]])
+    return np.concatenate([plain, [time, _DAMPING, time, _DAMPING]])

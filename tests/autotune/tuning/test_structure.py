@@ -1,0 +1,166 @@
+"""Laws with more freedom at equal noise: what they save, by other simulations than the search's, and what is kept."""
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from autotune.errors import InfeasibleError, UsageError
+from autotune.export.designing import specs_for
+from autotune.export.targets import TARGETS
+from autotune.formats.controller import read_controller, write_controller
+from autotune.formats.controller_record import admittance_controller
+from autotune.formats.identified import IdentifiedFile
+from autotune.formats.problem import ProblemSpec
+from autotune.runtime.load import read_law
+from autotune.tuning import structure as structure_module
+from autotune.tuning.optimize import optimize
+from autotune.tuning.problems import build_problems
+from autotune.tuning.search import SearchResult, solve_design
+from autotune.tuning.structure import PRICE, StructureChoice, choose_structure
+from autotune.validation.axis_proof import ProofOptions
+from autotune.validation.requirements import speed_rms
+from problems.contact.nonlinear_simulation import simulate_nonlinear
+from problems.design.hand import HandImpedance
+from problems.design.problem import DesignProblem
+from problems.design.uncertainty import PlantSet
+from problems.model.controller import AdmittanceController
+from problems.model.plant import FREE_SPACE
+from problems.model.response import free_space_admittance, loop_response
+from problems.model.robot import RobotModel
+from problems.model.sampled import build_sampled_plant
+from tests.autotune.tuning.cases import FAST_SPEC, fast_optimized, identified_plant
+
+H = 8e-4
+HAND = HandImpedance()
+
+
+def papers_cell() -> DesignProblem:
+    """The paper's nominal cell."""
+    return DesignProblem(
+        plants=PlantSet.of(
+            RobotModel.from_bandwidth(bandwidth_rad_per_s=20.0, delay_s=2.4e-3),
+            coupling_stiffness_n_per_m=3e5,
+            coupling_damping_n_s_per_m=0.0,
+            drag_n_s_per_m=630.0,
+            environment_stiffness_n_per_m=(5e5, 5e5),
+            payload_mass_kg=(16.0, 16.0),
+        ),
+        sample_time_s=H,
+    )
+
+
+@cache
+def plain() -> SearchResult:
+    return solve_design(papers_cell())
+
+
+@cache
+def chosen() -> tuple[SearchResult, StructureChoice]:
+    return choose_structure(plain(), "biquad", HAND, seed=0)
+
+
+def law_of(found: SearchResult) -> AdmittanceController:
+    return found.problem.controller(found.design)
+
+
+def test_on_the_papers_cell_equal_noise_takes_a_fifth_of_the_peak_and_a_biquad_more() -> None:
+    found, choice = chosen()
+    gains, noise, biquad = (choice.costs[each] for each in ("gains", "noise", "biquad"))
+    assert gains is not None
+    assert noise is not None
+    assert biquad is not None
+    assert gains == pytest.approx(72.56, abs=0.05)
+    assert noise < 0.80 * gains
+    assert biquad < 0.98 * noise
+    assert choice.taken == "biquad"
+    assert law_of(found).has_biquad
+    # A simulation that knows no matrix exponential.
+    plant = found.problem.plant(found.problem.scenarios(2, 2)[0])
+    run = simulate_nonlinear(plant, law_of(found), found.problem.approach, sample_time_s=H, duration_s=0.5)
+    assert run.peak_contact_force_n == pytest.approx(biquad, rel=2e-3)
+
+
+def test_noise_modulus_and_admittance_are_those_of_the_four_gains_by_a_second_method() -> None:
+    found, choice = chosen()
+    plant = found.problem.plant(found.problem.scenarios(2, 2)[0])
+    # The answer to one tick of force, squared and summed.
+    both = [plant, plant.in_contact_with(FREE_SPACE)]
+    before, after = (float(np.max(speed_rms(both, law_of(each), H))) for each in (plain(), found))
+    assert after <= before * (1.0 + 1e-4)
+    assert before == pytest.approx(choice.noise_m_s_per_n, rel=1e-2)
+    sampled = build_sampled_plant(plant, H)
+    response = loop_response(sampled, law_of(found), np.geomspace(0.5, 3900.0, 20_000))
+    assert min(np.min(np.abs(1.0 + each)) for each in (response.at_force, response.at_command)) > 0.4999
+    band = 2.0 * np.pi * np.geomspace(0.1, 2.0, 50)
+    assert np.min(np.abs(free_space_admittance(sampled, law_of(found), band))) > 6.999e-4
+
+
+def test_a_hand_is_held_as_well_as_by_the_four_gains() -> None:
+    found, _ = chosen()
+    held = [
+        structure_module._least_held(each, structure_module.HeldByHand(min_modulus=0.5)) for each in (plain(), found)
+    ]
+    assert held[1] >= 0.895 * held[0]
+
+
+def test_where_nothing_is_found_the_four_gains_stay(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_args: object, **_options: object) -> SearchResult:
+        raise InfeasibleError("nothing")
+
+    monkeypatch.setattr(structure_module, "solve_design", refuse)
+    found, choice = choose_structure(plain(), "biquad", HAND, seed=0)
+    assert found is plain()
+    assert choice.taken == "gains"
+    message = choice.message("x", plain().problem)
+    assert (
+        "no design with a biquad too. Taken: the four gains in their bounds, since more saves less than 1 %" in message
+    )
+
+
+def test_what_saves_less_than_its_price_is_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = SimpleNamespace(asked=lambda: {"held_by_hand": None})
+    hardly = SimpleNamespace(
+        evaluation=SimpleNamespace(cost=plain().evaluation.cost * (1.0 - 0.5 * PRICE)),
+        problem=SimpleNamespace(requirements=asked),
+    )
+    monkeypatch.setattr(structure_module, "solve_design", lambda *_args, **_options: hardly)
+    found, choice = choose_structure(plain(), "noise", HAND, seed=0)
+    assert found is plain()
+    assert choice.taken == "gains"
+
+
+def test_elsewhere_a_structure_is_refused() -> None:
+    spec = ProblemSpec(structure="biquad")
+    with pytest.raises(UsageError, match="structure: biquad is searched by optimize"):
+        build_problems(identified_plant(), spec)
+    with pytest.raises(UsageError, match="crisp runs another law"):
+        specs_for(TARGETS["crisp"], spec)
+
+
+def test_a_design_with_a_biquad_is_proved_written_loaded_and_read_again(tmp_path: Path) -> None:
+    plant = IdentifiedFile(result=identified_plant(), provenance={}, path=Path("identified.yaml"), sha256="0" * 64)
+    proof = ProofOptions(further_s=0.0)
+    found = optimize(plant, replace(FAST_SPEC, structure="biquad"), seed=1, proof=proof, replays=False)
+    today = fast_optimized().searches["x"].evaluation.cost
+    assert found.searches["x"].evaluation.cost < 0.97 * today
+    path = tmp_path / "controller.yaml"
+    write_controller(path, found.controller)
+    controller = read_controller(path).controller
+    law = admittance_controller(controller, "x")
+    assert law.has_biquad
+    assert any("Taken: the biquad" in note for note in controller.provenance["notes"])
+    # The runtime's difference equation is that of the file.
+    blocks = read_law(path).axes[0].blocks
+    assert blocks[6, 0] == pytest.approx(_acting_at_once(law), rel=1e-12)
+
+
+def _acting_at_once(law: AdmittanceController) -> float:
+    """Return N at s = 2/h: what of the force passes the biquad at once."""
+    s = 2.0 / H
+    above = 1.0 + 2.0 * law.biquad_zero_damping_ratio * law.biquad_zero_s * s + (law.biquad_zero_s * s) ** 2
+    below = 1.0 + 2.0 * law.biquad_pole_damping_ratio * law.biquad_pole_s * s + (law.biquad_pole_s * s) ** 2
+    return above / below
