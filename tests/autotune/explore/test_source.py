@@ -191,7 +191,7 @@ def test_a_design_that_does_not_hold_is_not_written(tmp_path: Path, factors: tup
 
 
 def test_a_design_that_validation_refuses_is_not_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def doubt(*_arguments: object) -> tuple[Controller, object]:
+    def doubt(*_arguments: object, **_options: object) -> tuple[Controller, object]:
         raise CertificateError("Axis x, margins: not so.")
 
     monkeypatch.setattr(save_module, "certify", doubt)
