@@ -1,32 +1,77 @@
-"""How long `autotune --help` takes, beside an empty interpreter.
+"""How long `autotune --help` takes, and what `identify` and `optimize` take before they begin to work.
 
 Usage: python benchmarks/bench_startup.py
+
+An empty interpreter is beside the first, numba alone beside the others; these end where the work would begin, and
+their processor time counts.
 """
 
+import os
 import statistics
 import subprocess
 import sys
+import tempfile
 import time
+from collections.abc import Callable
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 RUNS = 15
+_ENDED = """
+import importlib, os
+from autotune.cli.main import main
+importlib.import_module({module!r}).{name} = lambda *_, **__: os._exit(0)
+main({words!r})
+"""
+_PLANT = """format: autotune/plant
+version: 1
+mass: 16
+coupling_stiffness: 3.0e5
+drag: 630
+robot: {bandwidth: 3.2, delay: 0.0024}
+environment_stiffness: [2.0e4, 5.0e5]
+sample_time: 0.0008
+"""
 
 
 def main() -> int:
-    empty = _median([sys.executable, "-c", "pass"])
-    help_s = _median([sys.executable, "-m", "autotune", "--help"])
+    empty = _median([sys.executable, "-c", "pass"], time.perf_counter)
+    help_s = _median([sys.executable, "-m", "autotune", "--help"], time.perf_counter)
     print(f"python -c pass        {empty * 1e3:7.1f} ms")
     print(f"autotune --help       {help_s * 1e3:7.1f} ms   ({help_s / empty:.1f} times the empty interpreter)")
+    with tempfile.TemporaryDirectory() as made:
+        log, plant = Path(made) / "run.mcap", Path(made) / "plant.yaml"
+        log.write_bytes(b"\x89MCAP0\r\n")
+        plant.write_text(_PLANT, encoding="utf-8")
+        identify = ["identify", str(log), "-o", f"{made}/identified.yaml"]
+        optimize = ["optimize", str(plant), "-o", f"{made}/controller.yaml"]
+        for name, code in (
+            ("import numba", "import numba"),
+            ("autotune identify", _ended("autotune.pipeline", "identify_log", identify)),
+            ("autotune optimize", _ended("autotune.tuning.optimize", "optimize", optimize)),
+        ):
+            print(f"{name:21} {_median([sys.executable, '-c', code], _children_s) * 1e3:7.1f} ms of processor")
     return 0
 
 
-def _median(command: list[str]) -> float:
-    return statistics.median(_once(command) for _ in range(RUNS))
+def _ended(module: str, name: str, words: list[str]) -> str:
+    return _ENDED.format(module=module, name=name, words=words)
 
 
-def _once(command: list[str]) -> float:
-    begin = time.perf_counter()
+def _median(command: list[str], clock: Callable[[], float]) -> float:
+    return statistics.median(_once(command, clock) for _ in range(RUNS))
+
+
+def _once(command: list[str], clock: Callable[[], float]) -> float:
+    begin = clock()
     subprocess.run(command, check=True, capture_output=True)
-    return time.perf_counter() - begin
+    return clock() - begin
+
+
+def _children_s() -> float:
+    times = os.times()
+    return times.children_user + times.children_system
 
 
 if __name__ == "__main__":

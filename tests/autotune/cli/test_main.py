@@ -414,3 +414,10 @@ def test_a_log_that_says_too_little_is_named_in_the_command_that_helps(
     table.write_text("a,b,c\n0,1,2\n0.01,2,3\n0.02,2,4\n", encoding="utf-8")
     assert main(["identify", str(table)]) == ExitCode.LOG
     assert f"`autotune inspect '{table}' --write-cell cell.yaml`" in capsys.readouterr().err
+
+
+def test_a_search_starts_without_libraries_that_it_rarely_needs() -> None:
+    """Half a second of the start of `optimize`: axes that share a payload and biquads take them, and nothing else."""
+    done = _python("import sys, autotune.tuning.optimize, autotune.export.designing; print(*sys.modules)")
+    assert "scipy.optimize" in done.stdout.split()
+    assert not {"scipy.signal", "scipy.stats", "scipy.ndimage", "matplotlib", "casadi"} & set(done.stdout.split())
