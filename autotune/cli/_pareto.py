@@ -7,10 +7,13 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
+from autotune.errors import UsageError
+
 from ._common import Output
 from ._terminal import print_message, print_table
 
 if TYPE_CHECKING:
+    from autotune.formats.problem import ProblemSpec
     from autotune.studies.front import FrontRequest
     from autotune.studies.points import Front, Judgement, StudyRecord
     from autotune.tuning.optimize import Optimized
@@ -153,6 +156,13 @@ class FrontWriter:
 
             check_target(self.path, [])
             self._prepared = prepare_fronts(request, _beside(out, ".db"))
+
+    def check(self, spec: "ProblemSpec") -> None:
+        """Refuse a front of another structure than four gains, which pareto.yaml does not hold."""
+        if self._prepared is not None and spec.structure != "gains":
+            raise UsageError(
+                f"A Pareto front is of four gains in their bounds; leave --structure {spec.structure} out."
+            )
 
     def trace(self, output: Output, found: "Optimized") -> None:
         """Trace the front of every axis."""

@@ -183,6 +183,7 @@ def command(
         plant = plant_for(wanted, seen[0])
         present = present_gains(old, plant, asked.axes)
         spec = asked.with_options(**asked_here, with_unit=fields_with_unit())
+        fronts.check(spec)
         search = partial(optimize, plant, seed=seed, problem_path=problem, present=present, proof=proof)
         search = partial(search, replays=wanted is None)
         found = _searched(output, specs_for(wanted, spec), search)

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from autotune.cli._pareto import FrontWriter
 from autotune.errors import InfeasibleError, UsageError
 from autotune.export.designing import specs_for
 from autotune.export.targets import TARGETS
@@ -16,6 +17,7 @@ from autotune.formats.controller_record import admittance_controller
 from autotune.formats.identified import IdentifiedFile
 from autotune.formats.problem import ProblemSpec
 from autotune.runtime.load import read_law
+from autotune.studies.front import FrontRequest
 from autotune.tuning import structure as structure_module
 from autotune.tuning.optimize import optimize
 from autotune.tuning.problems import build_problems
@@ -133,10 +135,13 @@ def test_what_saves_less_than_its_price_is_not_taken(monkeypatch: pytest.MonkeyP
     assert choice.taken == "gains"
 
 
-def test_elsewhere_a_structure_is_refused() -> None:
+def test_elsewhere_a_structure_is_refused(tmp_path: Path) -> None:
     spec = ProblemSpec(structure="biquad")
     with pytest.raises(UsageError, match="structure: biquad is searched by optimize"):
         build_problems(identified_plant(), spec)
+    request = FrontRequest()
+    with pytest.raises(UsageError, match="leave --structure biquad out"):
+        FrontWriter(request, tmp_path / "controller.yaml").check(spec)
     with pytest.raises(UsageError, match="crisp runs another law"):
         specs_for(TARGETS["crisp"], spec)
 
