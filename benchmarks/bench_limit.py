@@ -17,6 +17,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from autotune.errors import InfeasibleError
+from autotune.formats.problem import Structure
 from autotune.limit.limit import LimitResult, find_limit, hardest
 from autotune.tuning.search import solve_design
 from autotune.tuning.structure import choose_structure
@@ -42,7 +43,7 @@ def _row(name: str, problem: DesignProblem, noise: float) -> tuple[str, LimitRes
     except InfeasibleError:
         return f"| {name} | no design | | | | | | | | |", None, (1.0, 1.0)
     law, searched = problem.controller(found.design), time.process_time()
-    structures = {"noise": math.nan, "biquad": math.nan}
+    structures: dict[Structure, float] = {"noise": math.nan, "biquad": math.nan}
     if noise == 1.0:
         _, choice = choose_structure(found, "biquad", HandImpedance(), seed=0)
         structures = {each: choice.costs[each] or math.nan for each in structures}

@@ -106,7 +106,8 @@ def choose_structure(
         known = [at.design for at in found.values() if at is not None]
         starts = known if each == "noise" else [_neutral(problem, at, corner) for at in known for corner in _CORNERS]
         found[each] = _held_as_well(plain, _solved(problem, starts, seed), hand, starts, seed)
-    taken, best = "gains", plain
+    taken: Structure = "gains"
+    best = plain
     for name, result in found.items():
         if result is not None and result.evaluation.cost < (1.0 - PRICE) * best.evaluation.cost:
             taken, best = name, result

@@ -93,7 +93,7 @@ def _eased(r: FloatArray, easing: float) -> FloatArray:
     if easing == 0.0:
         return np.asarray(np.linalg.pinv(r))
     square = r.T @ r
-    return np.linalg.solve(square + np.diag(easing * np.diag(square) + 1e-9 * np.trace(square)), r.T)
+    return np.asarray(np.linalg.solve(square + np.diag(easing * np.diag(square) + 1e-9 * np.trace(square)), r.T))
 
 
 def with_own_noise(of: ExtendedProblem, candidate: PayloadFit) -> PayloadFit:

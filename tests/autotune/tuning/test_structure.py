@@ -28,6 +28,7 @@ from autotune.validation.requirements import speed_rms
 from problems.contact.nonlinear_simulation import simulate_nonlinear
 from problems.design.hand import HandImpedance
 from problems.design.problem import DesignProblem
+from problems.design.requirements import HeldByHand
 from problems.design.uncertainty import PlantSet
 from problems.model.controller import AdmittanceController
 from problems.model.plant import FREE_SPACE
@@ -103,9 +104,8 @@ def test_noise_modulus_and_admittance_are_those_of_the_four_gains_by_a_second_me
 
 def test_a_hand_is_held_as_well_as_by_the_four_gains() -> None:
     found, _ = chosen()
-    held = [
-        structure_module._least_held(each, structure_module.HeldByHand(min_modulus=0.5)) for each in (plain(), found)
-    ]
+    hand = HeldByHand(min_modulus=0.5)
+    held = [structure_module._least_held(each, hand) for each in (plain(), found)]
     assert held[1] >= 0.895 * held[0]
 
 
