@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from autotune.errors import InfeasibleError
 from autotune.tuning.bounds import loosened_bounds
 from autotune.tuning.search import solve_design
+from problems.arrays import FloatArray
 from problems.design.problem import DesignProblem, NoiseLimit
 from problems.design.uncertainty import Scenario
 from problems.model.controller import AdmittanceController
@@ -68,16 +69,18 @@ def trade_noise(
     plants = [problem.plant(each) for each in scenarios]
     plants += [each.in_contact_with(FREE_SPACE) for each in plants]
     present = max(command_speed_gain(build_sampled_plant(each, h), law) for each in plants)
-    bounds, points = loosened_bounds(problem), list[NoisePoint]()
+    bounds, points, known = loosened_bounds(problem), list[NoisePoint](), list[FloatArray]()
     for factor in factors:
         limit = NoiseLimit(max_speed_rms_m_s=factor * present, force_noise_rms_n=1.0)
         asked = replace(problem, bounds=bounds, requirements=replace(problem.requirements, command_noise=limit))
         try:
-            found = solve_design(asked)
+            # A law that is quiet enough for less noise is one for more.
+            found = solve_design(asked, others=known)
         except InfeasibleError:
             peak, best = None, None
         else:
             peak, best = found.evaluation.objective_cost, asked.controller(found.design)
+            known.append(found.design)
         points.append(NoisePoint(factor=factor, noise_m_s_per_n=limit.max_speed_rms_m_s, peak_force_n=peak, law=best))
         report(1.0 / len(factors))
     return tuple(points)

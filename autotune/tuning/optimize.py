@@ -19,6 +19,7 @@ from autotune.validation.bouncing_proof import prove_bouncing
 from autotune.validation.held import prove_held
 from autotune.validation.peak_proof import prove_peaks
 from autotune.validation.report import ValidationReport
+from autotune.validation.requirements import MARGINS_CHECK
 from autotune.validation.validate import validate_controller
 from identification.result import Identified
 from problems.arrays import FloatArray
@@ -36,7 +37,7 @@ from .optimality_report import OptimalityReport, report_optimality
 from .problems import build_problems, certified_mass_kg, runtime_mass_kg, within_domain
 from .provenance import design_notes, make_provenance, result_trees, with_notes
 from .record import build_controller, build_domain, certified_hand, runtime_payload
-from .scenario_exchange import NOTHING, Counterexamples, ImpactTest
+from .scenario_exchange import NOTHING, Counterexamples, ImpactTest, WholeSet
 from .search import SearchResult, solve_design
 from .strategies import StrategySettings, choose_strategies, strategy_settings
 from .structure import StructureSearch
@@ -213,12 +214,14 @@ def certify(
     proved: Mapping[str, AxisProof] | None = None,
     limits: LimitsSettings | None = None,
     together: Callable[[Controller, Prover], Controller] | None = None,
+    restated: bool = False,
 ) -> tuple[Controller, ValidationReport]:
     """Prove what can be proved of the designs, write them down, and return the controller once validation passed it.
 
     `strategies` asks for what is chosen for these designs beside gains, `limits` says what is known of the cell for
     those of the runtime; `together` adds what is certified of all axes on their payload. `progress` gets the share of
-    the work done since the last call; `proved` is what has been proved already. Raises CertificateError when a claim
+    the work done since the last call; `proved` is what has been proved already. Where validation finds smaller margins
+    than the search did, they are sought everywhere, and stated anew (`restated`). Raises CertificateError when a claim
     cannot be proved or verified, RefutedError among them (`prove_search`), and what `choose_strategies` and `together`
     raise.
     """
@@ -240,8 +243,21 @@ def certify(
     if together is not None:
         controller = together(controller, prover)
     checked = validate_controller(controller, lambda done: progress((1.0 - _PROOF_SHARE) * done), proved=prover.answers)
+    doubted = {each.axis for each in checked.checks if each.name == MARGINS_CHECK and not each.passed}
+    if doubted and not restated:
+        searches = {name: _with_every_margin(each) if name in doubted else each for name, each in searches.items()}
+        return certify(
+            searches, payload, provenance, proof, progress, strategies, found, limits, together, restated=True
+        )
     checked.require()
     return controller, checked
+
+
+def _with_every_margin(found: SearchResult) -> SearchResult:
+    """Return a result with margins that were sought everywhere in the set, also those far from their limits."""
+    law = found.problem.controller(found.design)
+    exact = WholeSet(found.problem).evaluate(law, climbs_objective=False, every_margin=True)
+    return replace(found, margins=(*found.margins, *exact.margins))
 
 
 def check_within_bounds(search: SearchResult, name: str) -> None:

@@ -29,8 +29,11 @@ DENSE_STIFFNESS, DENSE_MASS = 33, 3
 SAMPLES = 128
 # A margin this far from its limit on every plant that was looked at does not get there between them.
 _NEAR = 0.9
+# In free space a margin may fall from here to its limit between two samples of a lightly damped payload.
+_NOT_FAR = 0.7
 _STARTS = 2
-_LOOKS = 60
+# Looks for each direction of a climb.
+_LOOKS = 12
 _FIRST_STEP, _LAST_STEP = 0.08, 0.002
 _GAIN = 1e-4
 _UNSTABLE = 8
@@ -61,14 +64,16 @@ class WholeSet:
         """The scenarios that every design is held against."""
         return self.prepared.scenarios
 
-    def evaluate(self, controller: AdmittanceController, *, climbs_objective: bool = True) -> ExactEvaluation:
+    def evaluate(
+        self, controller: AdmittanceController, *, climbs_objective: bool = True, every_margin: bool = False
+    ) -> ExactEvaluation:
         """Evaluate exactly over the scenarios, and at the worst plants that a local search finds from them.
 
-        Without `climbs_objective` that search looks for the worst of the requirements alone. Raises UnstableLoopError
-        when any of them is unstable.
+        Without `climbs_objective` that search looks for the worst of the requirements alone, with `every_margin` also
+        of margins that are far from their limits. Raises UnstableLoopError when any of them is unstable.
         """
         exact = self.prepared.evaluate_exactly(controller)
-        found = self._search(controller, exact, climbs_objective=climbs_objective)
+        found = self._search(controller, exact, climbs_objective=climbs_objective, every_margin=every_margin)
         if not found:
             return exact
         return exact.together_with(build_scenarios(self.problem, found).evaluate_exactly(controller))
@@ -88,16 +93,18 @@ class WholeSet:
         return tuple(each.worst_scenario(value, design) for each, value in asked)
 
     def _search(
-        self, controller: AdmittanceController, exact: ExactEvaluation, *, climbs_objective: bool
+        self, controller: AdmittanceController, exact: ExactEvaluation, *, climbs_objective: bool, every_margin: bool
     ) -> tuple[Scenario, ...]:
         if not self.plants.varying:
             return ()
         found: list[Scenario] = []
         for name, value in (*exact.evaluation.requirements.items(), *exact.evaluation.soft.items()):
-            values = [each.ratios.get(name) for each in exact.margins]
-            if value < _NEAR or any(each is None for each in values):
+            if any(each.ratios.get(name) is None for each in exact.margins):
                 continue
-            starts = _worst([m.scenario for m in exact.margins], [each or 0.0 for each in values])
+            starts = _worst_plants(exact.margins, name) if value >= _NEAR or every_margin else []
+            free = [each for each in exact.margins if each.free_space]
+            starts += _worst_plants(free, name, 0.0 if every_margin else _NOT_FAR)[:1]
+            starts = list(dict.fromkeys(starts))
             found += [self._climb(start, lambda s, n=name: self._missed(s, controller, n)) for start in starts]  # type: ignore[misc]
         # The objective, and the force at the contact, which may be limited whatever the objective is.
         costs: dict[Objective, list[tuple[Scenario, float]]] = {}
@@ -131,7 +138,7 @@ class WholeSet:
         """Return a scenario that is at least as bad: a pattern search in the unit cube, pulled into the set."""
         unit, best = self.plants.to_unit(start), start
         worst, step, looks = value(start), _FIRST_STEP, 0
-        while step >= _LAST_STEP and looks < _LOOKS and np.isfinite(worst):
+        while step >= _LAST_STEP and looks < _LOOKS * len(unit) and np.isfinite(worst):
             moved = False
             for direction in (*np.eye(len(unit)), *-np.eye(len(unit))):
                 there = np.clip(unit + step * direction, 0.0, 1.0)
@@ -145,6 +152,12 @@ class WholeSet:
             if not moved:
                 step *= 0.25
         return best
+
+
+def _worst_plants(margins: Sequence[PlantMargins], name: str, least: float = 0.0) -> list[Scenario]:
+    """Return the scenarios of the plants that miss a requirement most, of those that use up more than `least` of it."""
+    known = [each for each in margins if each.ratios[name] >= least]
+    return _worst([each.scenario for each in known], [each.ratios[name] for each in known])
 
 
 def _worst(scenarios: Sequence[Scenario], values: Sequence[float]) -> list[Scenario]:

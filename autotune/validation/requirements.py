@@ -39,6 +39,7 @@ from .replay_kernel import difference_step, follow_forces, rest_at
 from .report import Check
 from .validation_samples import ValidationSamples
 
+MARGINS_CHECK = "margins"
 _FREQUENCIES = 5
 _SETTLE_S = 2.0
 _PERIODS = 2.0
@@ -59,7 +60,7 @@ def check_margins(name: str, claimed: AxisMargins, swept: SweptMargins) -> Check
             wrong.append(f"{key} is claimed as {said:.6g}, found {found:.6g}")
     return Check(
         axis=name,
-        name="margins",
+        name=MARGINS_CHECK,
         passed=not wrong and swept.largest_radius < 1.0,
         message="; ".join(wrong) or f"confirmed on {swept.plants} plants: {margins_text(swept.values)}",
     )

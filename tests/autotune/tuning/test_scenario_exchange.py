@@ -7,8 +7,12 @@ import pytest
 
 from autotune.tuning.scenario_exchange import WholeSet
 from autotune.tuning.search import solve_design
-from problems.design.evaluation import build_scenarios
-from problems.design.uncertainty import Scenario
+from problems.design.evaluation import ExactEvaluation, build_scenarios
+from problems.design.problem import DesignProblem, Requirements
+from problems.design.uncertainty import Ellipsoid, PlantSet, Scenario
+from problems.model.controller import AdmittanceController
+from problems.model.plant import WrenchFilter
+from problems.model.robot import RobotModel
 from tests.autotune.tuning.cases import FURTHER, fast_optimized, uncertain_optimized
 
 # Requirements are held on many plants; between them a margin dips by less than this.
@@ -41,6 +45,62 @@ def test_the_local_search_finds_what_lies_between_the_scenarios() -> None:
     for name in ("modulus_margin", "free_space_admittance"):
         assert found.requirements[name] >= others.requirements[name] * (1.0 - 1e-3)
     assert found.cost >= others.cost * (1.0 - 1e-3)
+
+
+def _confidence_set(**known: tuple[float, float]) -> Ellipsoid:
+    """Return the set of independent values with their deviations."""
+    covariance = np.diag([std**2 for _, std in known.values()])
+    centre = tuple(value for value, _ in known.values())
+    return Ellipsoid(names=tuple(known), centre=centre, covariance=tuple(map(tuple, covariance.tolist())))
+
+
+def lightly_damped() -> DesignProblem:
+    """A cell of little drag, whose plants are those of a confidence set: none of them is a corner of its box."""
+    return DesignProblem(
+        plants=PlantSet.of(
+            RobotModel(numerator=np.array([959.8]), denominator=np.array([1.0, 51.89, 959.8]), delay_s=4.66e-3),
+            coupling_stiffness_n_per_m=4.354e5,
+            coupling_damping_n_s_per_m=93.0,
+            drag_n_s_per_m=38.5,
+            environment_stiffness_n_per_m=(7.4e4, 1.16e5),
+            payload_mass_kg=(10.9, 11.4),
+            wrench_filter=WrenchFilter(time_constant_s=1e-3),
+            further={
+                "coupling_stiffness_n_per_m": (3.65e5, 5.06e5),
+                "coupling_damping_n_s_per_m": (30.7, 157.0),
+                "drag_n_s_per_m": (30.4, 46.7),
+                "delay_s": (4.54e-3, 4.77e-3),
+                "wrench_time_constant_s": (6.6e-4, 1.34e-3),
+            },
+            ellipsoid=_confidence_set(
+                coupling_stiffness_n_per_m=(4.354e5, 2.2e4),
+                coupling_damping_n_s_per_m=(93.0, 20.0),
+                drag_n_s_per_m=(38.5, 2.6),
+                delay_s=(4.66e-3, 3.8e-5),
+            ),
+        ),
+        sample_time_s=2e-3,
+        requirements=Requirements(
+            modulus_margin=0.45, gain_margin_db=6.0, phase_margin_deg=30.0, free_space_admittance=None
+        ),
+    )
+
+
+def test_a_margin_in_free_space_is_sought_between_the_samples_and_every_one_where_that_is_asked() -> None:
+    problem, law = lightly_damped(), AdmittanceController(mass_kg=72.0, damping_n_s_per_m=6000.0, lead_s=0.03)
+    whole = WholeSet(problem)
+    drawn = build_scenarios(problem, problem.plants.samples(1024, seed=7)).evaluate_exactly(law)
+    for every_margin in (False, True):
+        found = whole.evaluate(law, climbs_objective=False, every_margin=every_margin)
+        assert _least_free(found) <= 1.002 * _least_free(drawn)
+    # Without a climb the samples are what is known, and they flatter.
+    assert _least_free(whole.prepared.evaluate_exactly(law)) > 1.01 * _least_free(found)
+    gains = [min(each.margins.gain_db for each in seen.margins) for seen in (found, drawn)]
+    assert gains[0] <= gains[1] * 1.002
+
+
+def _least_free(exact: ExactEvaluation) -> float:
+    return min(each.margins.modulus for each in exact.margins if each.free_space)
 
 
 def test_the_whole_set_is_the_grid_alone_where_nothing_else_is_uncertain() -> None:
