@@ -30,9 +30,13 @@ _GAINS = {
     "velocity_filter_rad_per_s": ("ω_v", "velocity filter"),
     "acceleration_filter_rad_per_s": ("ω_a", "acceleration filter"),
     "compensation_mass_kg": ("P̂", "compensated mass"),
+    "biquad_zero_s": ("τ_z", "biquad zero"),
+    "biquad_zero_damping_ratio": ("ζ_z", "damping of the zero"),
+    "biquad_pole_s": ("τ_p", "biquad pole"),
+    "biquad_pole_damping_ratio": ("ζ_p", "damping of the pole"),
 }
 # As on the terminal and in reports, in ms.
-_TIMES = ("lead_s", "feedback_damping_s")
+_TIMES = ("lead_s", "feedback_damping_s", "biquad_zero_s", "biquad_pole_s")
 _LABELS = {STIFFNESS: "surface stiffness", MASS: "payload"}
 _PLANT = (
     *(STIFFNESS, MASS, "coupling_stiffness_n_per_m", "coupling_damping_n_s_per_m", "drag_n_s_per_m"),
@@ -82,7 +86,7 @@ def build_gain_sliders(problem: DesignProblem, axis: str) -> tuple[SliderRange, 
             name=name,
             symbol=_GAINS[name][0],
             label=_GAINS[name][1],
-            unit=of_axis.get(name, "ms" if name in _TIMES else "rad/s"),
+            unit=of_axis.get(name, "ms" if name in _TIMES else "" if name.endswith("_ratio") else "rad/s"),
             low=low,
             high=high,
             logarithmic=not linear,

@@ -32,12 +32,12 @@ from problems.arrays import FloatArray
 from problems.design.evaluation import build_scenarios
 from problems.design.objectives import force_of
 from problems.design.problem import (
-    BIQUAD_VARIABLES,
     CONTROLLER_VARIABLES,
     DEFAULT_BOUNDS,
     FURTHER_VARIABLES,
     VARIABLES,
     DesignProblem,
+    biquad_bounds,
 )
 from problems.design.requirements import Requirements
 from problems.design.uncertainty import Scenario
@@ -48,6 +48,8 @@ from problems.progress import Progress, no_progress
 _GRID = (3, 2)
 _MOST_TIGHT, _MOST_HARD = 3, 1
 # Bounds of the gains about a rotational axis, as a factor on those of the file.
+# The slowest corner of a biquad that a slider reaches.
+_SLOWEST_RAD_PER_S = 12.0
 _GAIN_FACTOR = 10.0
 ASKED_BY_HAND = "asked_by_hand"
 """The option of a provenance that says which requirements were set in the page, as lines of `problem.yaml`."""
@@ -232,7 +234,7 @@ def problem_of(controller: Controller, name: str) -> DesignProblem:
         plants=domain.plants,
         sample_time_s=controller.sample_time_s,
         approach=domain.approach,
-        bounds=_bounds(law, name, reads_position=not is_late(domain)),
+        bounds=_bounds(law, name, controller.sample_time_s, reads_position=not is_late(domain)),
         requirements=certified_problem_requirements(controller, name),
         velocity_filter_rad_per_s=law.velocity_filter_rad_per_s,
     )
@@ -243,7 +245,9 @@ def is_late(domain: AxisDomain) -> bool:
     return domain.plants.range_of("wrench_delay_s")[1] > 0.0
 
 
-def _bounds(law: AdmittanceController, name: str, *, reads_position: bool) -> dict[str, tuple[float, float]]:
+def _bounds(
+    law: AdmittanceController, name: str, sample_time_s: float, *, reads_position: bool
+) -> dict[str, tuple[float, float]]:
     values = dict(zip(CONTROLLER_VARIABLES, law.numbers(), strict=False))
     bounds = {}
     for key in VARIABLES:
@@ -256,7 +260,8 @@ def _bounds(law: AdmittanceController, name: str, *, reads_position: bool) -> di
     if law.compensates:
         bounds |= {key: (values[key], values[key]) for key in FURTHER_VARIABLES}
     if law.has_biquad:
-        bounds |= {key: (values[key], values[key]) for key in BIQUAD_VARIABLES}
+        usual = biquad_bounds(sample_time_s, _SLOWEST_RAD_PER_S)
+        bounds |= {key: (min(low, values[key]), max(high, values[key])) for key, (low, high) in usual.items()}
     return bounds
 
 

@@ -10,6 +10,7 @@ import pytest
 
 from autotune.cli._pareto import FrontWriter
 from autotune.errors import InfeasibleError, UsageError
+from autotune.explore.sliders import build_gain_sliders
 from autotune.export.designing import specs_for
 from autotune.export.targets import TARGETS
 from autotune.formats.controller import read_controller, write_controller
@@ -22,7 +23,7 @@ from autotune.tuning import structure as structure_module
 from autotune.tuning.optimize import optimize
 from autotune.tuning.problems import build_problems
 from autotune.tuning.search import SearchResult, solve_design
-from autotune.tuning.structure import PRICE, StructureChoice, choose_structure
+from autotune.tuning.structure import PRICE, StructureChoice, choose_structure, limited_problem
 from autotune.validation.axis_proof import ProofOptions
 from autotune.validation.requirements import speed_rms
 from problems.contact.nonlinear_simulation import simulate_nonlinear
@@ -144,6 +145,13 @@ def test_elsewhere_a_structure_is_refused(tmp_path: Path) -> None:
         FrontWriter(request, tmp_path / "controller.yaml").check(spec)
     with pytest.raises(UsageError, match="crisp runs another law"):
         specs_for(TARGETS["crisp"], spec)
+
+
+def test_the_explorers_sliders_move_a_biquad() -> None:
+    problem = limited_problem(papers_cell(), 3e-3, has_biquad=True)
+    titles = [each.title for each in build_gain_sliders(problem, "x")][-4:]
+    zero, damping, pole, _ = titles
+    assert (zero, damping, pole) == ("τ_z biquad zero [ms]", "ζ_z damping of the zero", "τ_p biquad pole [ms]")
 
 
 def test_a_design_with_a_biquad_is_proved_written_loaded_and_read_again(tmp_path: Path) -> None:
