@@ -30,7 +30,7 @@ from ._optimized import (
 )
 from ._options import SETTINGS, FilePath, GroupedCommand, PresentType, fields_with_unit, typed_range
 from ._pareto import FrontWriter, pareto_options, proof_options
-from ._proved import coupled_lines, held_lines, law_lines, led_lines, peak_lines, rest_lines
+from ._proved import coupled_lines, held_lines, law_lines, led_lines, noise_lines, peak_lines, rest_lines
 from ._report import check_report, print_report_path, report_option, report_refusal, write_report
 from ._schedule import schedule_options
 from ._terminal import detect_terminal, echo, print_message, print_table
@@ -378,7 +378,12 @@ def print_optimized(
         print_message(f"  predicted contacts, approached {drive}:")
         _print_peaks(controller.predicted[name].scenarios, units)
         _print_spark(found, name, units)
-        for line in (*default_lines(found, name), *active_lines(found, name), *how_far_lines(limits or {}, name)):
+        said = (
+            *default_lines(found, name),
+            *active_lines(found, name),
+            *([] if rendered else noise_lines(found, name)),
+        )
+        for line in (*said, *how_far_lines(limits or {}, name)):
             print_message(f"  {line}")
     for line in (
         *damping_lines(controller),
