@@ -133,10 +133,9 @@ def print_worst_plants(simulated: "Sequence[AxisMonteCarlo]") -> None:
 
 
 def noise_lines(found: "Optimized", name: str) -> Iterator[str]:
-    """Yield how to have the noise of the command in the place of bounds that hold the design, where nothing limits it."""
-    held = {
-        entry.name.partition(" bound of ")[2] for entry in found.optimality_reports[name].active if entry.price > 0.0
-    }
+    """Yield how to have the noise of the command in the place of bounds that hold the design."""
+    active = found.optimality_reports[name].active
+    held = {entry.name.partition(" bound of ")[2] for entry in active if entry.price > 0.0}
     problem = found.searches[name].problem
     if held & {"mass", "lead_s", "feedback_damping_s"} and problem.requirements.command_noise is None:
         yield "or limit the noise of the command in the place of these bounds: --structure noise (docs/limit.md)"

@@ -378,11 +378,8 @@ def print_optimized(
         print_message(f"  predicted contacts, approached {drive}:")
         _print_peaks(controller.predicted[name].scenarios, units)
         _print_spark(found, name, units)
-        said = (
-            *default_lines(found, name),
-            *active_lines(found, name),
-            *([] if rendered else noise_lines(found, name)),
-        )
+        said = [*default_lines(found, name), *active_lines(found, name)]
+        said += [] if rendered else noise_lines(found, name)
         for line in (*said, *how_far_lines(limits or {}, name)):
             print_message(f"  {line}")
     for line in (

@@ -43,7 +43,9 @@ def test_the_file_shows_proved_from_sampled() -> None:
     certificate = uncertain_optimized().controller.certificate
     assert dict(certificate.domain["x"].uncertain or {}) == FURTHER
     assert all("everything else at its nominal value" in str(proof.over) for proof in certificate.proved)
-    (claim,) = certificate.sampled
+    claim, led = certificate.sampled
+    assert "led by hand" in str(led.claim)
+    assert "no proof" in str(led.method)
     for reported in ("K_s in [285000, 315000] N/m", "T_d in [0.00235, 0.0026] s", "f_b in [3.1, 3.27] Hz"):
         assert reported in str(claim.over)
     assert (claim.numbers or {})["plants"] >= 64.0
