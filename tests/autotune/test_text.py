@@ -53,15 +53,15 @@ def test_a_truth_is_written_as_far_as_the_estimate_beside_it() -> None:
     assert rounded_to(0.0, 16.2) == "16.2000"
 
 
-_NUMBERS = (1.2e5, 16.0, 3.102e5, 150.2, 329.8, 2.0, 2.403e-3, 3.182, 0.7, 3.2e-3, 8e-4)
+_NUMBERS = (1.2e5, 16.0, 3.102e5, 150.2, 329.8, 2.0, 1.5, 2.403e-3, 3.182, 0.7, 3.2e-3, 8e-4)
 VALUES = dict(zip(UNCERTAIN, _NUMBERS, strict=True))
 
 
 def test_every_value_has_its_symbol_and_the_unit_of_its_axis() -> None:
     message = scenario_text(Scenario(**VALUES), axis_units("x"))
     assert message == (
-        "K_e 120 N/mm, M_p 16 kg, K_s 310.2 N/mm, B_s 150.2 N·s/m, B_p 329.8 N·s/m, B_e 2 N·s/m, T_d 2.403 ms, "
-        "f_b 3.182 Hz, ζ_b 0.7, τ_w 3.2 ms, T_w 0.8 ms"
+        "K_e 120 N/mm, M_p 16 kg, K_s 310.2 N/mm, B_s 150.2 N·s/m, B_p 329.8 N·s/m, B_e 2 N·s/m, M_e 1.5 kg, "
+        "T_d 2.403 ms, f_b 3.182 Hz, ζ_b 0.7, τ_w 3.2 ms, T_w 0.8 ms"
     )
     turned = scenario_text(Scenario(**{**VALUES, "payload_mass_kg": 0.52}), axis_units("ry"))
     assert turned.startswith("K_e 1.2e+05 N·m/rad, M_p 0.52 kg·m², K_s 3.102e+05 N·m/rad, B_s 150.2 N·m·s/rad")
