@@ -120,11 +120,12 @@ class WholeSet:
 
     def _missed(self, scenario: Scenario, controller: AdmittanceController, name: str) -> float:
         """Return required/achieved of one requirement in one scenario; infinite where the loop is unstable."""
+        asked = self.problem.requirements
         try:
-            found = build_scenarios(self.problem, [scenario])
-            return max(each.ratios[name] for each in found.margins(controller))
+            design = build_scenarios(self.problem, [scenario]).stable(controller)
         except UnstableLoopError:
             return np.inf
+        return float(np.max(asked.kind(name).ratios(asked.asked()[name], design)))
 
     def _cost(self, scenario: Scenario, controller: AdmittanceController, objective: Objective) -> float:
         """Return the largest cost of an objective in one scenario; infinite where the loop is unstable."""
