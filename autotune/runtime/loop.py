@@ -117,7 +117,7 @@ class _Sampled:
 
 
 def _continuous(plant: LoopPlant, h: float) -> tuple[Matrix, list[float], list[float], list[float], float]:
-    """Return A, B, rows of x and F, and F's share of the input, over τ = t/h, of the state (robot, x_p, h v_p, F_m).
+    """Return A, B, rows of x and F, and F's share of the input, over τ = t/h, of the state (robot, x_p, h v_p, F_m/K_s).
 
     x = r(s) x^d; F = K_s (x_p − x) + B_s (v_p − v); M_p dv_p/dt = −F − B_p v_p − F_e (docs/method.md, "The loop").
     """
@@ -143,11 +143,12 @@ def _continuous(plant: LoopPlant, h: float) -> tuple[Matrix, list[float], list[f
     a[n + 1][n + 1] -= scale * (plant.drag + plant.damping) / h
     b[n + 1] = -scale * direct
     if plant.filter_s > 0.0:
+        # F_m over K_s, a length as the other states: in newtons the exponential would lose its digits.
         rate = h / plant.filter_s
-        a[n + 2] = [rate * value for value in force]
+        a[n + 2] = [rate / k_s * value for value in force]
         a[n + 2][n + 2] = -rate
-        b[n + 2] = rate * direct
-        force, direct = [0.0] * (size - 1) + [1.0], 0.0
+        b[n + 2] = rate / k_s * direct
+        force, direct = [0.0] * (size - 1) + [k_s], 0.0
     return a, b, position, force, direct
 
 

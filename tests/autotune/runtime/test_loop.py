@@ -86,6 +86,29 @@ def test_a_filter_of_the_wrench_makes_a_loop_unstable_that_was_not() -> None:
     assert not is_stable(axis, dataclasses.replace(PLANT, filter_s=0.05))
 
 
+@pytest.mark.parametrize("filter_s", [2e-4, 8e-4, 1.1e-3, 3e-3])
+@pytest.mark.parametrize("stiffness", [0.0, 1e5])
+def test_a_loop_behind_a_filter_keeps_its_digits_on_a_stiff_coupling(filter_s: float, stiffness: float) -> None:
+    """Slow periods behind a filter: its state is a length, or the motion that stays would be lost in rounding."""
+    plant = LoopPlant(
+        numerator=[959.8],
+        denominator=[1.0, 51.89, 959.8],
+        delay_s=4.66e-3,
+        coupling_stiffness=5.6e5,
+        coupling_damping=93.0,
+        mass=9.36,
+        drag=38.5,
+        stiffness=stiffness,
+        damping=0.0,
+        environment_mass=0.0,
+        filter_s=filter_s,
+    )
+    axis = dataclasses.replace(
+        make_axis("z"), sample_time_s=2e-3, mass=97.0, damping=9949.0, lead_s=0.03, feedback_damping_s=0.0
+    )
+    assert is_stable(axis, plant)
+
+
 @pytest.mark.parametrize(
     "change",
     [
