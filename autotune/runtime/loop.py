@@ -117,7 +117,7 @@ class _Sampled:
 
 
 def _continuous(plant: LoopPlant, h: float) -> tuple[Matrix, list[float], list[float], list[float], float]:
-    """Return A, B, rows of x and F, and F's share of the input, over τ = t/h, of the state (robot, x_p, h v_p, F_m/K_s).
+    """Return A, B, rows of x and F, and F's share of the input, over τ = t/h, of (robot, x_p, h v_p, F_m/K_s).
 
     x = r(s) x^d; F = K_s (x_p − x) + B_s (v_p − v); M_p dv_p/dt = −F − B_p v_p − F_e (docs/method.md, "The loop").
     """
