@@ -25,6 +25,7 @@ STEPS_FIRST, STEPS_LATER = 8, 4
 _LIGHTEST_SHARE = 0.2
 _LIGHT_KG = 0.1
 _LARGEST_MISFIT, _LARGEST_RING_MISFIT, _LARGEST_WINDOW_MISFIT = 0.4, 0.2, 0.2
+_HAND_SHARE = 0.5
 _PIECE_STARTS, _ROUNDS = 4, 3
 _OUTLYING, _OUTLYING_SHARE, _OUTLYING_END = 8.0, 0.3, 1.3
 _POSE_EDGE_S = 0.3
@@ -184,7 +185,9 @@ def fit_free_motion(data: JointData, base: Problem, values: FloatArray) -> tuple
         for ring in _strongest(data, rings)[:_RING_STARTS]:
             start = start_coupling(base, best, ring, float(best[3]))[0]
             more = _explained(base, start, whole, rings)
-            if len(more) > len(used) and _misfit(base, start, span) < _AS_WELL * _misfit(base, best, span):
+            # What has been explained stays so: a few moves to and fro are also explained by a spring that is none.
+            keeps = len(more) > len(used) and all(each in more for each in used)
+            if keeps and _misfit(base, start, span) < _AS_WELL * _misfit(base, best, span):
                 best, used = start, more
     used += _clean(data, base, best, [*mixed, *(s for s in whole if s not in used)], used)
     if not used:
@@ -241,7 +244,9 @@ def _left(problem: Problem, segment: Segment, block: Block, windows: Sequence[Se
             shown.append((0.0, 0.0))
             continue
         residual, own = block.residual[first:last], np.column_stack([white, np.gradient(white)])[first:last]
-        left = residual - own @ np.linalg.lstsq(own, residual, rcond=None)[0]
+        shares = np.linalg.lstsq(own, residual, rcond=None)[0]
+        # Half of the force is no lag any more: it is a hand's.
+        left = residual - own @ shares if abs(shares[0]) < _HAND_SHARE else residual
         shown.append((np.mean(left**2), np.mean(own[:, 0] ** 2)))
     return np.array(shown)
 
@@ -272,14 +277,15 @@ def _start(
     """Return shared parameters that explain the span with most force, or else most of the windows of the others."""
     by_force = _strongest(data, whole)
     explained = [s for s in by_force if _misfit(base, values, s) < _LARGEST_MISFIT]
+    pieces = informative_pieces([*whole, *mixed], data.position_m, data.force_n, data.period_s)[:_PIECE_STARTS]
+    informative = [s for s in whole if pieces and s.start <= pieces[0].start < s.stop]
     best, least = values, np.inf
-    for span in dict.fromkeys(by_force[:1] + explained[:1]):
+    for span in dict.fromkeys(by_force[:1] + explained[:1] + informative):
         start = start_coupling(base, values, span, data.mass_kg)[0]
         left = _misfit(base, start, span)
         if left < least:
             best, least = start, left
-    pieces = informative_pieces([*whole, *mixed], data.position_m, data.force_n, data.period_s)[:_PIECE_STARTS]
-    if least < _LARGEST_MISFIT and (not pieces or any(s.start <= pieces[0].start < s.stop for s in whole)):
+    if least < _LARGEST_MISFIT and (not pieces or informative):
         return best
     # Moves to and fro show drag and hardly a spring: a motion with a hand or a contact in it may show more.
     values = best if least < _LARGEST_MISFIT else values
