@@ -247,7 +247,7 @@ def _left(problem: Problem, segment: Segment, block: Block, windows: Sequence[Se
         shares = np.linalg.lstsq(own, residual, rcond=None)[0]
         # Half of the force is no lag any more: it is a hand's.
         left = residual - own @ shares if abs(shares[0]) < _HAND_SHARE else residual
-        shown.append((np.mean(left**2), np.mean(own[:, 0] ** 2)))
+        shown.append((float(np.mean(left**2)), float(np.mean(own[:, 0] ** 2))))
     return np.array(shown)
 
 
