@@ -22,7 +22,7 @@ from .extended_latency import SettledLatency, settle_latency
 from .extended_problem import ExtendedProblem, PayloadFit, PayloadKind
 from .latency import WrenchLatency
 from .model import COUPLING_NAMES, robot_model
-from .payload_search import TOLD, find_friction, find_part, is_at_bound, look_for_part, unseen_by_log
+from .payload_search import REPORTED, find_friction, find_part, is_at_bound, look_for_part, unseen_by_log
 from .result import JointFit, JointSurface, PayloadPart, secant_of
 from .solve import Block, Point, Problem
 
@@ -149,14 +149,14 @@ def _with_part(
     # A shifted force is not exact between its samples, which looks like a part.
     is_clear = of.is_held and latency.applied_s == 0.0 and gain >= _CLEAR and beyond_noise(of, here) == 0.0
     is_needed = is_clear or explains_misfit(of, swinging, here)
-    is_told = gain >= TOLD and not is_at_bound(of, swinging) and is_needed
-    return (swinging, []) if is_told else (here, [swinging])
+    is_reported = gain >= REPORTED and not is_at_bound(of, swinging) and is_needed
+    return (swinging, []) if is_reported else (here, [swinging])
 
 
 def _tells_apart(of: ExtendedProblem, both: PayloadFit) -> bool:
     """Whether friction explains what a part does not, and nothing is left of the force but its noise."""
     alone = without(of, both, PayloadKind(part=True))
-    return mean_square(of, both) ** 0.5 < _NOTHING_LEFT * of.quiet_rms_n and gained(of, both, alone) >= TOLD
+    return mean_square(of, both) ** 0.5 < _NOTHING_LEFT * of.quiet_rms_n and gained(of, both, alone) >= REPORTED
 
 
 def _moved_by_yielding(of: ExtendedProblem, begun: PayloadFit) -> list[FloatArray]:

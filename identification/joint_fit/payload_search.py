@@ -30,7 +30,7 @@ _STEPS, _TRIED = 15, 2
 # Every start goes a few steps down, and the lowest of them all the way.
 _FIRST_STEPS, _FOLLOWED = 3, 2
 # −2 log L: a first look, what is kept open, and what is reported.
-_WORTH_A_LOOK, OPEN, TOLD = 8.0, 30.0, 60.0
+_WORTH_A_LOOK, OPEN, REPORTED = 8.0, 30.0, 60.0
 _LEAST_SHARE, _AT_BOUND = 0.005, 0.98
 
 
@@ -57,7 +57,7 @@ def find_friction(of: ExtendedProblem, at: PayloadFit) -> PayloadFit | None:
     found = with_own_noise(of, min(ends, key=lambda end: end.cost))
     # Less than the noise does not show in any one motion: it is what the path leaves.
     is_seen = found.theta[-3] > of.quiet_rms_n and (of.is_held or explains_misfit(of, found, at))
-    return found if is_seen and gained(of, found, at) >= TOLD else None
+    return found if is_seen and gained(of, found, at) >= REPORTED else None
 
 
 def look_for_part(of: ExtendedProblem, at: PayloadFit) -> list[tuple[Score, float]]:
@@ -117,7 +117,7 @@ def find_part(
             found.append((gained(of, best, at), best))
     if not found:
         return None, 0.0
-    inside = [each for each in found if each[0] >= TOLD and not is_at_bound(of, each[1])]
+    inside = [each for each in found if each[0] >= REPORTED and not is_at_bound(of, each[1])]
     gain, best = max(inside or found, key=lambda each: each[0])
     return (best, gain) if gain >= OPEN else (None, gain)
 

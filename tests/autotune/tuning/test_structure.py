@@ -26,15 +26,14 @@ from autotune.tuning.search import SearchResult, solve_design
 from autotune.tuning.structure import PRICE, StructureChoice, choose_structure, limited_problem
 from autotune.validation.axis_proof import ProofOptions
 from autotune.validation.requirements import speed_rms
+from benchmarks.tuning_problems import paper_cell
 from problems.contact.nonlinear_simulation import simulate_nonlinear
 from problems.design.hand import HandImpedance
 from problems.design.problem import DesignProblem
 from problems.design.requirements import HeldByHand
-from problems.design.uncertainty import PlantSet
 from problems.model.controller import AdmittanceController
 from problems.model.plant import FREE_SPACE
 from problems.model.response import free_space_admittance, loop_response
-from problems.model.robot import RobotModel
 from problems.model.sampled import build_sampled_plant
 from tests.autotune.tuning.cases import FAST_SPEC, fast_optimized, identified_plant
 
@@ -44,17 +43,7 @@ HAND = HandImpedance()
 
 def papers_cell() -> DesignProblem:
     """The paper's nominal cell."""
-    return DesignProblem(
-        plants=PlantSet.of(
-            RobotModel.from_bandwidth(bandwidth_rad_per_s=20.0, delay_s=2.4e-3),
-            coupling_stiffness_n_per_m=3e5,
-            coupling_damping_n_s_per_m=0.0,
-            drag_n_s_per_m=630.0,
-            environment_stiffness_n_per_m=(5e5, 5e5),
-            payload_mass_kg=(16.0, 16.0),
-        ),
-        sample_time_s=H,
-    )
+    return paper_cell((5e5, 5e5), (16.0, 16.0))
 
 
 @cache
