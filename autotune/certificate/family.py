@@ -50,6 +50,7 @@ class Family:
                 raise ParameterError("ranges", name, f"one of {', '.join(PROVABLE)}")
             if not 0.0 <= low <= high < math.inf:
                 raise ParameterError(name, (low, high), "[lowest, highest] with 0 ≤ lowest ≤ highest")
+        self.nominal.require_one_piece()
         environment = self.nominal.environment
         if environment.mass_kg != 0.0:
             raise ParameterError("environment.mass_kg", environment.mass_kg, "0, to be proved over")

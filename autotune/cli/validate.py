@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from autotune.validation.disturbances import Disturbances
     from autotune.validation.monte_carlo import AxisMonteCarlo
     from autotune.validation.report import ValidationReport
+    from problems.model.plant import Bumper
 
 _EPILOG = """\b
 Examples:
@@ -41,7 +42,7 @@ Examples:
 _KEY = FilePath(*KEYS)
 _GROUPS = {
     "Comparison with a log": ("logs", "cell_path", "command_topic", "urdf", "tip", "start", "stop"),
-    "Simulation of the certified set": ("samples", "seed", "noise", "sensor_range", "speed_limit", "late"),
+    "Simulation of the certified set": ("samples", "seed", "noise", "sensor_range", "speed_limit", "late", "bumper"),
     "Signature": ("public_key", "sign"),
 }
 
@@ -76,6 +77,16 @@ def _force_limit(ctx: click.Context, param: click.Parameter, value: str | None) 
     if not 0.0 < force < math.inf:
         raise click.BadParameter(f"{value!r} must be greater than 0.", ctx, param)
     return force, "--force-limit"
+
+
+def _bumper(ctx: click.Context, param: click.Parameter, value: str | None) -> "Bumper | None":
+    """Read mass, stiffness and perhaps damping of a bumper."""
+    from autotune.validation.bumper import parse_bumper
+
+    try:
+        return None if value is None else parse_bumper(value)
+    except ValueError as error:
+        raise click.BadParameter(str(error), ctx, param) from None
 
 
 @click.command("validate", cls=GroupedCommand, groups=_GROUPS, epilog=_EPILOG)
@@ -117,6 +128,13 @@ def _force_limit(ctx: click.Context, param: click.Parameter, value: str | None) 
     help="Say up to which speed of a led payload no contact exceeds this force, or that of ISO/TS 15066 for a part of "
     "the body: 140, chest, face.  [default: contact_at_speed of the file, else hand]",
 )
+@click.option(
+    "--bumper",
+    callback=_bumper,
+    metavar="KG,N/m[,N·s/m]",
+    help="Hold the file against a payload that touches with this part of its mass, behind a spring and a damper: "
+    "0.5kg,100N/mm,50Ns/m.",
+)
 @click.option("--public-key", type=_KEY, help="Require the signature CONTROLLER.sig by this public key.")
 @click.option("--sign", type=_KEY, help="Write CONTROLLER.sig with this private key, if every check passes.")
 @report_option
@@ -147,6 +165,7 @@ def command(output: Output, /, controller: Path, identified: Path | None, **opti
 def _validate(output: Output, path: Path, identified_path: Path | None, options: dict[str, Any]) -> None:
     from autotune.formats.canonical import short
     from autotune.formats.identified import read_identified
+    from autotune.validation.bumper import check_bumper
     from autotune.validation.domain import check_domain
     from autotune.validation.law import of_own_law
     from autotune.validation.measured_loop import measured_checks
@@ -167,7 +186,7 @@ def _validate(output: Output, path: Path, identified_path: Path | None, options:
             found = verify(
                 read.controller, samples=samples, seed=options["seed"], disturbances=settings, progress=advance
             )
-        checks = [*found.checks]
+        checks = [*found.checks, *check_bumper(read.controller, options["bumper"])]
         measured: dict[str, Any] = {}
         if identified is not None:
             of_measured, measured = measured_checks(read.controller, identified.result)

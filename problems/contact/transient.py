@@ -139,17 +139,17 @@ def contact_wall(contact: SampledPlant) -> Wall:
 
 
 def _ramp(free: SampledPlant) -> FloatArray:
-    matrices = free.phi, free.gamma, free.gamma_old, free.gamma_push
-    ramp: FloatArray = steady_ramp(matrices, (free.whole_delay, free.chain_length), free.c_force, free.d_force)
+    matrices, delay = (free.phi, free.gamma, free.gamma_old, free.gamma_push), (free.whole_delay, free.chain_length)
+    ramp: FloatArray = steady_ramp(matrices, delay, free.c_force, free.d_force, -2 if free.plant.bumper is None else -4)
     return ramp
 
 
 @equation
-def steady_ramp(matrices: Any, delay: tuple[int, int], c_force: Any, d_force: float) -> Any:
+def steady_ramp(matrices: Any, delay: tuple[int, int], c_force: Any, d_force: float, carried: int = -2) -> Any:
     """Solve for the plant state that repeats itself one step further on (or at rest), with x_p = 0.
 
     Return what `SampledContact.ramp` is, of (phi, gamma, gamma_old, gamma_push) and the whole samples of delay and
-    length of the chain in free space.
+    length of the chain in free space. The state `carried`, from the end, is the place of what the coupling carries.
     """
     (phi, gamma, gamma_old, gamma_push), (whole, chain) = matrices, delay
     n = len(gamma)
@@ -157,7 +157,7 @@ def steady_ramp(matrices: Any, delay: tuple[int, int], c_force: Any, d_force: fl
     system[:n, :n] = phi - np.eye(n)
     system[:n, n] = gamma + gamma_old
     system[n, n - 2] = 1.0
-    right[_FIRST, MOVING] = right[n - 2, MOVING] = 1.0
+    right[_FIRST, MOVING] = right[n - 2, MOVING] = right[n + carried, MOVING] = 1.0
     right[:n, MOVING] += gamma * whole + gamma_old * (whole + 1)
     right[:n, PUSHED] = -gamma_push
     found = np.linalg.solve(system, right)
@@ -176,7 +176,8 @@ def _inside(contact: SampledPlant) -> FloatArray:
     poles = np.linalg.eigvals(contact.rate)
     fastest = float(np.max(np.abs(poles.imag)))
     if not (fastest <= _FASTEST_SWING and np.max(np.abs(poles)) <= _FASTEST_DECAY):
-        stiffness, mass = contact.plant.environment.stiffness_n_per_m, contact.plant.payload.mass_kg
+        touching = contact.plant.bumper or contact.plant.payload
+        stiffness, mass = contact.plant.environment.stiffness_n_per_m, touching.mass_kg
         raise ParameterError(
             "stiffness and payload",
             f"{stiffness:g} N/m on {mass:g} kg",

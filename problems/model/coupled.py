@@ -94,6 +94,8 @@ class CoupledPlant:
             raise ParameterError("mass_matrix", matrix.tolist(), must)
         if self.surface is not None and len(self.surface.direction) != k:
             raise ParameterError("surface.direction", len(self.surface.direction), f"{k} numbers")
+        for plant in self.plants:
+            plant.require_one_piece()
         if any(not plant.environment.is_free_space for plant in self.plants):
             raise ParameterError("plants", "an axis in contact", "in free space; the surface is the payload's")
         matrix.flags.writeable = False

@@ -12,6 +12,7 @@ import numpy as np
 from .._checks import non_negative, positive
 from ..arrays import ComplexArray, FloatArray
 from ..compiled import equation
+from ..errors import ParameterError
 from .robot import RobotModel
 
 
@@ -25,6 +26,23 @@ class PayloadDynamics:
     def __post_init__(self) -> None:
         object.__setattr__(self, "mass_kg", positive("mass_kg", self.mass_kg))
         object.__setattr__(self, "drag_n_s_per_m", non_negative("drag_n_s_per_m", self.drag_n_s_per_m))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bumper:
+    """The part of a payload that touches, behind a spring and a damper inside the payload: a bumper, a soft structure.
+
+    `mass_kg` M_t is a part of M_p; `stiffness_n_per_m` K_t and `damping_n_s_per_m` B_t lie between it and the rest.
+    """
+
+    mass_kg: float
+    stiffness_n_per_m: float
+    damping_n_s_per_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "mass_kg", positive("bumper.mass_kg", self.mass_kg))
+        object.__setattr__(self, "stiffness_n_per_m", positive("bumper.stiffness_n_per_m", self.stiffness_n_per_m))
+        object.__setattr__(self, "damping_n_s_per_m", non_negative("bumper.damping_n_s_per_m", self.damping_n_s_per_m))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,13 +132,28 @@ NO_FILTER = WrenchFilter()
 
 @dataclass(frozen=True, kw_only=True)
 class Plant:
-    """Everything between the position command and the force signal on one axis."""
+    """Everything between the position command and the force signal on one axis.
+
+    With a `bumper` the payload is two masses, M_p together: what the coupling carries, and what touches. The compiled
+    kernels of many plants and the proofs know no bumper and refuse one. Raises ParameterError for a bumper that is not
+    lighter than the payload, and for one on an environment with mass.
+    """
 
     robot: RobotModel
     coupling: Coupling
     payload: PayloadDynamics
     environment: Environment = FREE_SPACE
     wrench_filter: WrenchFilter = field(default=NO_FILTER)
+    bumper: Bumper | None = None
+
+    def __post_init__(self) -> None:
+        if self.bumper is None:
+            return
+        if not self.bumper.mass_kg < self.payload.mass_kg:
+            must = f"below the payload's {self.payload.mass_kg:g} kg"
+            raise ParameterError("bumper.mass_kg", self.bumper.mass_kg, must)
+        if self.environment.mass_kg > 0.0:
+            raise ParameterError("environment.mass_kg", self.environment.mass_kg, "0 beside a bumper of the payload")
 
     def in_contact_with(self, environment: Environment) -> "Plant":
         """Return the same plant with another environment."""
@@ -136,8 +169,17 @@ class Plant:
         """What the rendered admittance depends on besides the controller."""
         return self.robot, self.wrench_filter
 
+    def require_one_piece(self) -> None:
+        """Raise ParameterError for a payload with a bumper, which most of what is computed does not know."""
+        if self.bumper is not None:
+            raise ParameterError("bumper", self.bumper, "none where a payload is one mass")
+
     def parameters(self) -> FloatArray:
-        """Return (K_s, B_s, M_p, B_p, K_e, B_e, M_e), then τ if the wrench is filtered: what the equations take."""
+        """Return (K_s, B_s, M_p, B_p, K_e, B_e, M_e), then τ if the wrench is filtered: what the equations take.
+
+        Raises ParameterError for a payload with a bumper.
+        """
+        self.require_one_piece()
         time_constant = self.wrench_filter.time_constant_s
         return np.array(
             [
@@ -157,8 +199,9 @@ class PlantMatrices:
 
     The state is (robot chain, x_p, `time_scale_s`·v_p): one size for every entry, so that exponentials are exact to
     rounding; before x_p comes F_m in metres of the coupling where the wrench is filtered (x_p is always the last but
-    one). f is an outside force on the payload (a hand), positive towards +x. x = c_x s; the force that is measured,
-    F (or F_m), = c_F s + d_F x^d; F_e = c_e s + d_e x^d + p_e f while the payload stays on the environment.
+    one). Of a payload with a bumper x_p is what touches; place and speed of the rest come before it. f is an outside
+    force on the payload (a hand), positive towards +x. x = c_x s; the force that is measured, F (or F_m), = c_F s +
+    d_F x^d; F_e = c_e s + d_e x^d + p_e f while the payload stays on the environment.
     """
 
     a: FloatArray
@@ -258,6 +301,8 @@ def write_plant(
 
 def build_plant_matrices(plant: Plant, time_scale_s: float) -> PlantMatrices:
     """Build the equations of motion of one axis as first-order equations, see `write_plant`."""
+    if plant.bumper is not None:
+        return _with_bumper(plant, plant.bumper, time_scale_s)
     t, parameters = positive("time_scale_s", time_scale_s), plant.parameters()
     n = plant.robot.order + 2 + len(parameters) - PLANT_PARAMETERS
     numerator, denominator = plant.robot.ascending()
@@ -276,4 +321,34 @@ def build_plant_matrices(plant: Plant, time_scale_s: float) -> PlantMatrices:
         d_contact=float(direct[OF_CONTACT]),
         push_contact=float(direct[OF_PUSH]),
         time_scale_s=t,
+    )
+
+
+def _with_bumper(plant: Plant, bumper: Bumper, time_scale_s: float) -> PlantMatrices:
+    """Build the equations of a payload in two parts: (M_p − M_t) dv/dt = −F − B_p v − N + f, M_t dv_p/dt = N − F_e.
+
+    N = K_t (x − x_p) + B_t (v − v_p) is what the rest of the payload, at x, puts on the bumper.
+    """
+    t, environment = positive("time_scale_s", time_scale_s), plant.environment
+    rest = replace(plant.payload, mass_kg=plant.payload.mass_kg - bumper.mass_kg)
+    of = build_plant_matrices(replace(plant, payload=rest, environment=FREE_SPACE, bumper=None), t)
+    n = len(of.b)
+    place, speed = n, n + 1
+    pushed = np.zeros(n + 2)
+    pushed[[n - 2, place]] = bumper.stiffness_n_per_m, -bumper.stiffness_n_per_m
+    pushed[[n - 1, speed]] = bumper.damping_n_s_per_m / t, -bumper.damping_n_s_per_m / t
+    pressed = np.zeros(n + 2)
+    pressed[[place, speed]] = environment.stiffness_n_per_m, environment.damping_n_s_per_m / t
+    a = np.pad(of.a, (0, 2))
+    a[n - 1] -= t * t / rest.mass_kg * pushed
+    a[place, speed] = 1.0
+    a[speed] = t * t / bumper.mass_kg * (pushed - pressed)
+    return replace(
+        of,
+        a=a,
+        b=np.pad(of.b, (0, 2)),
+        push=np.pad(of.push, (0, 2)),
+        c_position=np.pad(of.c_position, (0, 2)),
+        c_force=np.pad(of.c_force, (0, 2)),
+        c_contact=pressed,
     )

@@ -75,6 +75,7 @@ def _built(plant: Plant, sample_time_s: float, controller: AdmittanceController)
 def to_control(sampled: SampledPlant, controller: AdmittanceController) -> ControlObjects:
     """Return the blocks and the sampled loop of one axis as python-control objects with named signals."""
     plant, cut, h = sampled.plant, build_cut_loop(sampled, controller), sampled.sample_time_s
+    plant.require_one_piece()
     feedback, acceleration = filters_in_s(controller.numbers(), controller.compensation == "ideal")
     return ControlObjects(
         plant=plant,

@@ -65,6 +65,15 @@ class SampledPlant:
         return len(self.gamma)
 
     @property
+    def places(self) -> tuple[int, ...]:
+        """Which states are one metre more when everything rests one metre further on.
+
+        The robot chain's first state has unit gain at rest (r(0) = 1); then x_p, and the place of what bears a bumper.
+        """
+        n = self.state_count
+        return (0, n - 2) if self.plant.bumper is None else (0, n - 4, n - 2)
+
+    @property
     def chain_length(self) -> int:
         """Past commands that the plant still has to see."""
         return self.whole_delay + (1 if self.fraction > 0.0 else 0)
@@ -389,10 +398,8 @@ def build_loop(sampled: SampledPlant, controller: Controller) -> SampledLoop:
 
 def translation_state(sampled: SampledPlant, controller: Controller) -> FloatArray:
     """Return the loop state in which flange, payload and command all rest at one metre and F = 0."""
-    n = sampled.state_count
-    # The robot chain's first state has unit gain at rest (r(0) = 1); then x_p.
-    plant = np.zeros(n)
-    plant[0] = plant[n - 2] = 1.0
+    plant = np.zeros(sampled.state_count)
+    plant[list(sampled.places)] = 1.0
     if isinstance(controller, LinearController):
         rest = controller.rest
     else:

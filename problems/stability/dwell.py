@@ -88,8 +88,7 @@ def without_translation(loop: FloatArray, sampled: SampledPlant) -> FloatArray:
     """
     n, commands = sampled.state_count, max(2, sampled.chain_length)
     places = np.zeros(len(loop))
-    # The robot's first state has unit gain at rest, then comes x_p; the last two states of the plant are x_p and v_p.
-    places[0] = places[n - 2] = 1.0
+    places[list(sampled.places)] = 1.0
     places[n : n + commands] = 1.0
     places[n + commands + 2 : n + commands + 4] = 1.0
     kept = np.delete(np.eye(len(loop)), n, axis=0)
