@@ -45,9 +45,10 @@ class CoupledOutcome:
 def prove_coupled(
     family: CoupledFamily, modulus: float, *, work: int, progress: Callable[[float], None] | None = None
 ) -> CoupledOutcome:
-    """Prove that every loop of a family is stable with σ_min(I + L) > `modulus` at the forces, or how far that goes.
+    """Prove that every loop of a family is stable with σ_min(I + L) > `modulus` where it is cut, or how far that goes.
 
-    Raises ParameterError for a command that acts at once through a coupling with damping.
+    Raises ParameterError for a command that acts at once through a coupling with damping, and at the commands for one
+    without a sample of delay.
     """
     gamma = float(np.nextafter(1.0 / modulus, 0.0))
     start: FloatArray | None = None

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from scipy.linalg import matrix_balance
@@ -19,6 +19,8 @@ from .balls import Balls, DualBall, as_series, ball, derivative_of, enclose, exp
 from .law import blocks_in_balls, controller_rows
 
 Interval = tuple[float, float]
+BreakPoint = Literal["force", "command"]
+BREAK_POINTS: tuple[BreakPoint, ...] = ("force", "command")
 Objects = Any  # arrays of flint numbers and series
 
 
@@ -27,7 +29,7 @@ class CoupledFamily:
     """Axes in free space, or on a surface in one direction with every K_e of a range, and a payload of every mass.
 
     `plant` has the nominal mass matrix, `mass_factors` multiply all of it. `scale` (k,) is 1 along an axis and the
-    lever about one.
+    lever about one. Σ is from what is added `at` the forces, or the commands, to what goes on from there.
     """
 
     plant: CoupledPlant
@@ -36,6 +38,7 @@ class CoupledFamily:
     sample_time_s: float
     stiffness_n_per_m: Interval
     mass_factors: Interval
+    at: BreakPoint = "force"
 
     def box(self) -> FloatArray:
         """Return the ends of K_e and of 1/mass factor (2, 2), rounded outwards."""
@@ -197,10 +200,14 @@ class _Frame:
             if chains[i]:
                 measured[chain + chains[i] - 1] = direct
             if law is not None:
-                output, read = self.outputs.index(i), measured.copy()
-                read[size + output] = number(float(family.scale[i]))
+                output, read, scale = self.outputs.index(i), measured.copy(), number(float(family.scale[i]))
+                if family.at == "force":
+                    read[size + output] = scale
                 command = self._answer(rows[i], read, where, own)
-                self.fixed[size - self.n + output] = read / number(float(family.scale[i]))
+                self.fixed[size - self.n + output] = read / scale
+                if family.at == "command":
+                    last = _unit(width, chain) if chains[i] else None
+                    self.fixed[size - self.n + output] = self._shift(command, last, (own, size + output), scale)
                 self._move(moved[:, output], (first, place), (chain, chains[i]), (own, law, h))
             acting = [command, *(_unit(width, chain + j) for j in range(chains[i]))]
             self.select[self.n + 2 * i] = acting[delays[i][0]]
@@ -220,6 +227,19 @@ class _Frame:
             if j < states:
                 self.fixed[own - self.n + j] = answer
         return answers[-1]
+
+    def _shift(self, command: Objects, last: Objects | None, at: tuple[int, int], scale: Objects) -> Objects:
+        """Let an input δ shift the command from now on, and return the row of what the command changes by.
+
+        Both are those of the sensitivity at the command times (z − 1), which leaves it as it is and makes it one of
+        what moves alone: a shift that stays is one of the law's integrator, its first state, whose gain is 1.
+        """
+        if last is None:
+            raise ParameterError("robot.delay_s", 0.0, "a sample or more, to be proved at the command")
+        state, column = at
+        command[column] = 1 / scale
+        self.fixed[state - self.n, column] = 1 / scale
+        return (command - last) * scale
 
     @staticmethod
     def _move(

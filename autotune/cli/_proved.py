@@ -108,7 +108,7 @@ def coupled_lines(controller: "Controller", unchecked: str = "") -> Iterator[str
         return
     yield from found.sentences()
     for each in found.proofs:
-        claim = f"stable, smallest singular value of I + L at the forces above {each.modulus:.3g}"
+        claim = f"stable, smallest singular value of I + L at the {each.at}s above {each.modulus:.3g}"
         yield f"{each.of_what()}: {_proved(claim, each.share)}"
 
 

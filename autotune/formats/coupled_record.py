@@ -92,9 +92,9 @@ class PointContact:
 class CoupledProof:
     """How far stability, and the smallest singular value of I + L above `modulus`, is proved of axes together.
 
-    Of `axes`, in free space and touching along each of them, or with `points` of the payload by the axis along which
-    they touch; over K_e and the payload's mass, all else is nominal. `share` of the set is proved; `cells` of plants
-    were looked at, in work counted as for `ProvenRegion`.
+    The loops are cut `at` the forces or at the commands. Of `axes`, in free space and touching along each of them, or
+    with `points` of the payload by the axis along which they touch; over K_e and the payload's mass, all else is
+    nominal. `share` of the set is proved; `cells` of plants were looked at, in work counted as for `ProvenRegion`.
     """
 
     axes: tuple[Axis, ...]
@@ -105,6 +105,7 @@ class CoupledProof:
     budget_s: AboveZero
     run_time_s: NotNegative
     points: Mapping[_Straight, tuple[_Place, ...]] = field(default_factory=FrozenDict)
+    at: Annotated[str, Rule(enum=["force", "command"])] = "force"
 
     def __post_init__(self) -> None:
         freeze(self, "points")
@@ -122,7 +123,8 @@ class CoupledCertificate:
 
     `groups` are the axes that the payload couples by more than `uncoupled` (largest |M_ij|/√(M_ii M_jj) between
     groups), each checked whole; `neglected` is the share of its modulus that one loses to the axes outside of it.
-    `modulus` is the smallest singular value of I + L at `modulus_hz`, torques divided by the lever of 0.2 m;
+    `modulus` is the smallest singular value of I + L at `modulus_hz`, torques divided by the lever of 0.2 m, the loops
+    cut at the forces or at the commands, whichever is less;
     `modulus_apart` that of the axes one by one, `disk` the disk margin of all loops at a time, `mode_hz` the frequency
     of the slowest decaying mode that swings. `points` are contacts by axis, `method` says how they were found;
     `min_modulus` is what was asked of `modulus`.

@@ -15,7 +15,7 @@ from problems.contact.transient import build_sampled_contact, simulate_contact
 from problems.model.controller import AdmittanceController
 from problems.model.coupled import CoupledLoop, CoupledSampledPlant, build_coupled_loop, build_coupled_sampled_plant
 from problems.model.sampled import build_sampled_plant
-from problems.stability.coupled_margins import largest_sensitivity
+from problems.stability.coupled_margins import find_coupled_margins
 
 from .coupled_cell import CoupledCell
 from .coupled_failure import CoupledCase, CoupledFailure, TouchedPoint, find_failure, slowest_mode
@@ -139,14 +139,13 @@ def first_bounce(cell: CoupledCell, touched: Iterable[TouchedPoint]) -> CoupledF
 
 
 def swept_at_points(cell: CoupledCell, points: Mapping[str, Sequence[Vector]]) -> float:
-    """Return the least σ_min(I + L) at the forces of all axes, over points and the ends and middle of K_e and M_p."""
+    """Return the least σ_min(I + L) at forces and commands of all axes, over points, K_e (ends and middle) and M_p."""
     names, found = cell.names, []
-    driven = [i for i, name in enumerate(names) if name in cell.laws]
     for name, mass in itertools.product(points, cell.masses_kg):
         for point, stiffness in itertools.product(points[name], cell.stiffnesses(name)):
             plant = cell.plant(names, mass, cell.surface_at(names, name, point, stiffness))
-            loop = build_coupled_loop(build_coupled_sampled_plant(plant, cell.sample_time_s), cell.law(names))
-            found.append(1.0 / largest_sensitivity(loop, driven, cell.scale(names))[0])
+            sampled = build_coupled_sampled_plant(plant, cell.sample_time_s)
+            found.append(find_coupled_margins(sampled, cell.law(names), cell.scale(names)).modulus)
     return min(found)
 
 

@@ -6,7 +6,7 @@ from functools import partial
 
 from autotune.certificate.certify import WORK_PER_SECOND
 from autotune.certificate.coupled import METHOD, CoupledOutcome, prove_coupled
-from autotune.certificate.coupled_system import CoupledFamily
+from autotune.certificate.coupled_system import BREAK_POINTS, CoupledFamily
 from autotune.formats.certificate_record import AxisDomain
 from autotune.formats.controller_record import AxisGains, Controller
 from autotune.formats.coupled_record import CoupledBody, CoupledCertificate, CoupledProof, Vector
@@ -29,6 +29,7 @@ class _CoupledClaim:
     body: CoupledBody
     group: tuple[str, ...]
     points: Mapping[str, tuple[Vector, ...]]
+    at: str
     modulus: float
     work: int
 
@@ -41,6 +42,7 @@ class _CoupledClaim:
             body=stated.body,
             group=proof.axes,
             points=proof.points,
+            at=proof.at,
             modulus=proof.modulus,
             work=int(proof.budget_s * WORK_PER_SECOND),
         )
@@ -50,7 +52,7 @@ def prove_together(controller: Controller, prover: Prover, options: ProofOptions
     """Return the controller with what can be proved: the swept modulus less the slack.
 
     Of each group in free space and on surfaces square to its axes, and of all axes touching with the points that were
-    simulated.
+    simulated, the loops cut at the forces and at the commands.
     """
     stated = controller.certificate.coupled
     if stated is None:
@@ -81,14 +83,17 @@ def _wanted(controller: Controller, stated: CoupledCertificate, options: ProofOp
         budget_s=options.budget_s,
         run_time_s=0.0,
     )
+    # The change of a command is proved from the one before it, which a loop without delay does not keep.
+    is_late = all(controller.certificate.domain[name].delay_s > 0.0 for name in controller.axes)
+    cuts = BREAK_POINTS if is_late else BREAK_POINTS[:1]
     for group in stated.groups:
         if len(group) > 1 and any(name in controller.axes for name in group):
-            yield replace(nothing, axes=group)
+            yield from (replace(nothing, axes=group, at=at) for at in cuts)
     points = {name: tuple(each.point_m for each in contacts) for name, contacts in stated.points.items()}
     if any(points.values()):
         cell = CoupledCell.of(controller, stated.body)
         modulus = (1.0 - options.slack) * min(swept_at_points(cell, points), 1.0)
-        yield replace(nothing, axes=cell.names, modulus=modulus, points=points)
+        yield from (replace(nothing, axes=cell.names, modulus=modulus, points=points, at=at) for at in cuts)
 
 
 def check_proofs(controller: Controller, prover: Prover) -> Iterator[Check]:
@@ -100,7 +105,7 @@ def check_proofs(controller: Controller, prover: Prover) -> Iterator[Check]:
             continue
         claim = _CoupledClaim.of(controller, stated, proof)
         origin, found = prover.origin(claim), _prove(controller, prover, claim)
-        bound = f"{proof.of_what()}: stable with σ_min(I + L) > {proof.modulus:.4g}"
+        bound = f"{proof.of_what()}: stable with σ_min(I + L) > {proof.modulus:.4g} at the {proof.at}s"
         if found.refuted is not None or proof.share > found.share + _SAME_NUMBER:
             message = f"{bound}: claimed for the share {proof.share:.4g}, proved for {found.share:.4g}"
             yield check(passed=False, message=message)
@@ -126,6 +131,7 @@ def _families_proved(cell: CoupledCell, claim: _CoupledClaim) -> CoupledOutcome:
             sample_time_s=cell.sample_time_s,
             stiffness_n_per_m=stiffness,
             mass_factors=factors,
+            at="command" if claim.at == "command" else "force",
         )
         found = prove_coupled(family, claim.modulus, work=max(claim.work - work, 0))
         share, cells, work = min(share, found.share), cells + found.cells, work + found.work

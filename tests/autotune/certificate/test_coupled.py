@@ -10,7 +10,12 @@ from autotune.certificate.coupled_system import AffineLoop, CoupledFamily, coupl
 from problems.errors import ParameterError
 from problems.model.coupled import CoupledPlant, PointSurface, build_coupled_loop, build_coupled_sampled_plant
 from problems.model.plant import WrenchFilter
-from problems.stability.coupled_margins import largest_gain, largest_sensitivity
+from problems.stability.coupled_margins import (
+    coupled_sensitivities,
+    find_coupled_margins,
+    largest_gain,
+    largest_sensitivity,
+)
 from tests.problems.axes import PERIOD_S
 from tests.problems.coupled_cases import LAWS, SCALE, cell, wall
 
@@ -34,6 +39,17 @@ def gain_of(plant: CoupledPlant) -> float:
     return largest_sensitivity(build_coupled_loop(build_coupled_sampled_plant(plant, PERIOD_S), LAWS), (0, 1), SCALE)[0]
 
 
+def command_gain(plant: CoupledPlant) -> float:
+    """Return max σ(S) at the commands from frequency responses, another road than the enclosed matrices."""
+    found = find_coupled_margins(build_coupled_sampled_plant(plant, PERIOD_S), LAWS, SCALE)
+    at_command = [
+        coupled_sensitivities(build_coupled_sampled_plant(plant, PERIOD_S), LAWS, SCALE, grid)[0]
+        for grid in np.split(np.geomspace(0.1, 0.999999 * np.pi / PERIOD_S, 80_000), 20)
+    ]
+    assert found.spectral_radius < 1.0
+    return max(float(np.max(np.linalg.norm(each, ord=2, axis=(1, 2)))) for each in at_command)
+
+
 def middle_gain(system: AffineLoop) -> float:
     n, m = system.states, system.middle
     return largest_gain(m[:n, :n], m[:n, n:], m[n:, :n], m[n:, n:])[0]
@@ -53,6 +69,22 @@ def test_the_enclosed_loop_is_the_sampled_one(surface: PointSurface | None, has_
     assert middle_gain(system) == pytest.approx(gain_of(plant), rel=1e-8)  # both to 1e-9
     # Forces in N per displacement in m make entries of 3e5, which doubles hold to 1e-10.
     assert float(np.max(system.rest)) < 1e-8
+
+
+@pytest.mark.parametrize("surface", [None, wall(), wall(direction=np.array([1.0, 0.3]))])
+def test_the_loop_that_is_cut_at_the_commands_is_the_sampled_one(surface: PointSurface | None) -> None:
+    """The change of the command by the change of what is added: S to the grid's 1e-4, larger between its points."""
+    plant = cell(surface=surface)
+    stiffness = 0.0 if surface is None else surface.environment.stiffness_n_per_m
+    of = replace(family(plant, (stiffness, stiffness)), at="command")
+    gain, grid = middle_gain(coupled_system(of, of.box())), command_gain(plant)
+    assert grid <= gain * (1.0 + 1e-9)
+    assert gain == pytest.approx(grid, rel=1e-4)
+    # The two cuts are different loops.
+    assert gain != pytest.approx(gain_of(plant), rel=1e-2)
+    true, false = (prove_coupled(of, share / gain, work=200_000) for share in (0.97, 1.001))
+    assert (true.share, true.refuted) == (1.0, None)
+    assert false.refuted == (stiffness, 1.0)
 
 
 def test_a_range_is_proved_down_to_the_slack() -> None:
@@ -111,3 +143,7 @@ def test_a_command_that_acts_at_once_is_refused() -> None:
     plant = replace(cell(), plants=plants)
     with pytest.raises(ParameterError, match="damping in the coupling"):
         coupled_system(family(plant), family(plant).box())
+    undamped = tuple(replace(each, coupling=replace(each.coupling, damping_n_s_per_m=0.0)) for each in plants)
+    at_once = replace(family(replace(cell(), plants=undamped)), at="command")
+    with pytest.raises(ParameterError, match="a sample or more"):
+        coupled_system(at_once, at_once.box())

@@ -139,8 +139,11 @@ def test_the_dense_step_matrix_has_the_same_poles(surface: PointSurface | None, 
 
 def test_what_is_proved_together_is_proved_again_from_the_file(tmp_path: Path) -> None:
     made = prove_together(tuned(), Prover(), ProofOptions(axes="together", budget_s=30.0))
-    proof, at_points = certificate(made).proofs
-    assert (proof.axes, proof.share, proof.points) == (("x", "ry"), 1.0, {})
+    proof, at_commands, at_points, commands_at_points = certificate(made).proofs
+    assert (proof.axes, proof.share, proof.points, proof.at) == (("x", "ry"), 1.0, {}, "force")
+    assert at_commands == replace(proof, at="command", cells=at_commands.cells, run_time_s=at_commands.run_time_s)
+    assert (commands_at_points.share, commands_at_points.at) == (1.0, "command")
+    assert any("I + L at the commands above" in line for line in coupled_lines(made))
     assert proof.modulus == pytest.approx(0.95 * certificate(made).modulus)
     assert any("x–ry together:" in line and line.endswith("proved") for line in coupled_lines(made))
     assert (at_points.axes, at_points.share) == (("x", "ry"), 1.0)
@@ -148,18 +151,19 @@ def test_what_is_proved_together_is_proved_again_from_the_file(tmp_path: Path) -
     assert any("touching with 5 points" in line and line.endswith("proved") for line in coupled_lines(made))
     write_controller(tmp_path / "controller.yaml", made)
     read = read_controller(tmp_path / "controller.yaml").controller
-    assert [check.passed for check in check_proofs(read, Prover())] == [True, True]
-    for place, each in enumerate((proof, at_points)):
-        claims = [replace(each, modulus=0.9) if i == place else one for i, one in enumerate((proof, at_points))]
+    assert [check.passed for check in check_proofs(read, Prover())] == [True] * 4
+    for place, each in enumerate((at_commands, at_points)):
+        claims = [replace(each, modulus=0.9) if i == place else one for i, one in enumerate((at_commands, at_points))]
         higher = replace(certificate(made), proofs=tuple(claims))
         checks = check_proofs(replace(read, certificate=replace(read.certificate, coupled=higher)), Prover())
         assert [check.passed for check in checks] == [i != place for i in range(2)]
 
 
 def test_what_is_proved_at_points_holds_on_drawn_surfaces_and_nothing_false_is_proved() -> None:
-    """The modulus at the forces on a grid of frequencies, and the poles of scipy's matrices, on drawn K_e."""
+    """The modulus at both cuts on a grid of frequencies, and the poles of scipy's matrices, on drawn K_e."""
     made = prove_together(tuned(), Prover(), ProofOptions(axes="together", budget_s=30.0))
-    _, proof = certificate(made).proofs
+    *_, proof, at_commands = certificate(made).proofs
+    assert (proof.at, at_commands.at, at_commands.modulus) == ("force", "command", proof.modulus)
     of = CoupledCell.of(made, certificate(made).body)
     names, rng, least = of.names, np.random.default_rng(11), np.inf
     grid = np.geomspace(0.2, 0.99 * np.pi / of.sample_time_s, 1500)
@@ -169,12 +173,13 @@ def test_what_is_proved_at_points_holds_on_drawn_surfaces_and_nothing_false_is_p
             plant = of.plant(names, 16.0, of.surface_at(names, "x", point, stiffness))
             assert build_dense_loop(plant, of.law(names), of.sample_time_s).radius() < 1.0
             sampled = build_coupled_sampled_plant(plant, of.sample_time_s)
-            found = coupled_sensitivities(sampled, of.law(names), of.scale(names), grid)[1]
-            least = min(least, 1.0 / float(np.max(np.linalg.norm(found, ord=2, axis=(-2, -1)))))
-    assert proof.modulus < least < 1.06 * proof.modulus
-    claimed = replace(certificate(made), proofs=(replace(proof, modulus=1.005 * least),))
-    (check,) = check_proofs(replace(made, certificate=replace(made.certificate, coupled=claimed)), Prover())
-    assert not check.passed
+            found = coupled_sensitivities(sampled, of.law(names), of.scale(names), grid)
+            least = np.minimum(least, 1.0 / np.max(np.linalg.norm(found, ord=2, axis=(-2, -1)), axis=1))
+    assert proof.modulus < np.min(least) < 1.06 * proof.modulus
+    for each, at in zip(least.tolist(), (at_commands, proof), strict=True):
+        claimed = replace(certificate(made), proofs=(replace(at, modulus=1.005 * each),))
+        (check,) = check_proofs(replace(made, certificate=replace(made.certificate, coupled=claimed)), Prover())
+        assert not check.passed
 
 
 def test_axes_that_are_unstable_together_are_refused_with_what_eases_it() -> None:
