@@ -18,6 +18,7 @@ from autotune.validation.false_triggers import (
     correlation_of,
     count_false_triggers,
     needed_deviations,
+    noise_in_free_space,
 )
 from autotune.validation.variable_damping import METHOD as VARIED
 from identification.result import Identified, NoiseSpectrum
@@ -183,7 +184,8 @@ def _lowest(controller: Controller, straight: Sequence[str], settings: Threshold
     """Return what the threshold must be above; refuse bounds that hold nothing of it."""
     deadband = max(controller.axes[name].deadband for name in straight)
     h = controller.sample_time_s
-    deviations = needed_deviations(correlation_of(settings.noise, h), h, len(straight))
+    felt = [noise_in_free_space(controller, name, correlation_of(settings.noise, h)) for name in straight]
+    deviations = max(each.gain * needed_deviations(each.correlation, h, len(straight)) for each in felt)
     lowest = max(free_n + deviations * settings.noise_rms_n, deadband)
     low, high = settings.bounds_n
     if high <= lowest:

@@ -3,7 +3,8 @@
 The response is spent once it began, so what counts is how often noise on top of what opposes the motion anyway crosses
 the threshold from below. Of stationary Gaussian noise with the correlation r between two ticks, above a level of u
 deviations, one tick is below and the next one above with P = ∫_u^∞ φ(x) Φ((u − r x)/√(1 − r²)) dx: Q(u)(1 − Q(u)) for
-white noise, and Rice's rate (1944) for noise that is slow against the ticks.
+white noise, and Rice's rate (1944) for noise that is slow against the ticks. The noise is that of the closed loop in
+free space: the robot moves by it, and the payload answers.
 """
 
 import math
@@ -20,6 +21,8 @@ from identification.result import NoiseSpectrum
 from problems.arrays import FloatArray
 from problems.contact.nonlinear_simulation import Operator, needed_substeps, simulate_operator
 from problems.contact.nonlinearities import Nonlinearities
+from problems.model.sampled import build_sampled_plant
+from problems.stability.noise import FeltNoise, felt_noise
 
 from .disturbances import file_strategy
 
@@ -87,20 +90,29 @@ def count_false_triggers(
 ) -> FalseTriggers:
     """Return how often a controller's response is expected to begin in free motion."""
     straight, threshold = [name for name in controller.axes if name not in ROTATIONAL_AXES], _threshold(controller)
+    h, felt = controller.sample_time_s, {name: noise_in_free_space(controller, name, correlation) for name in straight}
     opposing = [each for name in straight for each in braked(controller, name)]
-    share = braking_share(opposing, threshold, noise_rms_n)
+    share = braking_share(opposing, threshold, noise_rms_n * max(each.gain for each in felt.values()))
     return FalseTriggers(
         free_motion_n=free_motion_n,
         noise_rms_n=noise_rms_n,
         noise_correlation=correlation,
-        noise_per_hour=noise_per_hour(
-            threshold, free_motion_n, noise_rms_n, correlation, controller.sample_time_s, len(straight)
+        noise_per_hour=sum(
+            noise_per_hour(threshold, free_motion_n, noise_rms_n * each.gain, each.correlation, h, 1)
+            for each in felt.values()
         ),
         movements_per_hour=MOVEMENTS_PER_HOUR,
         braking_n=max(float(np.max(each, initial=0.0)) for each in opposing),
         braking_share=share,
         braking_per_hour=1.0 - (1.0 - share) ** MOVEMENTS_PER_HOUR,
     )
+
+
+def noise_in_free_space(controller: Controller, name: str, correlation: float) -> FeltNoise:
+    """Return the sensor's noise as the law of an axis reads it in free space, the largest over the ends of M_p."""
+    plants, law = controller.certificate.domain[name].plants, admittance_controller(controller, name)
+    loops = [build_sampled_plant(plants.at(mass, 0.0), controller.sample_time_s) for mass in plants.payload_mass_kg]
+    return max((felt_noise(each, law, correlation) for each in loops), key=lambda each: each.gain)
 
 
 def _threshold(controller: Controller) -> float:

@@ -1,6 +1,7 @@
-"""How much of the force sensor's noise reaches the position command."""
+"""How much of the force sensor's noise reaches the position command, and what of it comes back to the sensor."""
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -27,16 +28,47 @@ def command_speed_gain(sampled: SampledPlant, controller: Controller) -> float:
     return math.sqrt(_variance(loop, row, direct)) / loop.sample_time_s
 
 
+@dataclass(frozen=True, kw_only=True)
+class FeltNoise:
+    """Noise as the controller reads it: its RMS per RMS of the sensor's own, and its correlation between two ticks."""
+
+    gain: float
+    correlation: float
+
+
+def felt_noise(sampled: SampledPlant, controller: Controller, correlation: float) -> FeltNoise:
+    """Return what the sensor's noise n is in the closed loop: F + n, since the robot moves by n and F answers.
+
+    n has this correlation from one tick to the next (of the first order); the loop must be stable.
+    """
+    loop = build_loop(sampled, controller)
+    a, b, c = _relative(loop, loop.c_force)
+    n = len(a)
+    # n_{k+1} = ρ n_k + w_k beside the loop.
+    whole, drive = np.zeros((n + 1, n + 1)), np.zeros(n + 1)
+    whole[:n, :n], whole[:n, n], whole[n, n] = a, b, correlation
+    drive[n] = math.sqrt(1.0 - correlation**2)
+    row = np.append(c, 1.0 + loop.d_force)
+    covariance = _covariance(np.ascontiguousarray(whole), drive)
+    variance = float(row @ covariance @ row)
+    return FeltNoise(gain=math.sqrt(variance), correlation=float(row @ whole @ covariance @ row) / variance)
+
+
+def _relative(loop: SampledLoop, row: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return a, b and the row of an output that does not see the translation, in coordinates without it."""
+    if loop.is_anchored:
+        return loop.a, loop.b, row
+    pivot = int(np.argmax(np.abs(loop.translation)))
+    shift = loop.translation / loop.translation[pivot]
+    keep = np.arange(len(loop.a)) != pivot
+    # Of such an output row·shift is zero, and dropping the pivot loses nothing.
+    a = (loop.a - np.outer(shift, loop.a[pivot]))[np.ix_(keep, keep)]
+    return a, (loop.b - shift * loop.b[pivot])[keep], row[keep]
+
+
 def _variance(loop: SampledLoop, row: FloatArray, direct: FloatArray) -> float:
     """Return the variance of an output under white noise of variance 1, in coordinates without translation."""
-    a, b, c = loop.a, loop.b, row
-    if not loop.is_anchored:
-        pivot = int(np.argmax(np.abs(loop.translation)))
-        shift = loop.translation / loop.translation[pivot]
-        keep = np.arange(len(a)) != pivot
-        # A difference does not see the translation, so c·shift is zero and dropping the pivot loses nothing.
-        a = (a - np.outer(shift, a[pivot]))[np.ix_(keep, keep)]
-        b, c = (b - shift * b[pivot])[keep], c[keep]
+    a, b, c = _relative(loop, row)
     covariance = _covariance(np.ascontiguousarray(a), np.ascontiguousarray(b))
     return max(0.0, float(c @ covariance @ c)) + float(direct @ direct)
 

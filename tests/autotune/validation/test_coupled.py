@@ -165,7 +165,7 @@ def test_what_is_proved_at_points_holds_on_drawn_surfaces_and_nothing_false_is_p
     *_, proof, at_commands = certificate(made).proofs
     assert (proof.at, at_commands.at, at_commands.modulus) == ("force", "command", proof.modulus)
     of = CoupledCell.of(made, certificate(made).body)
-    names, rng, least = of.names, np.random.default_rng(11), np.inf
+    names, rng, least = of.names, np.random.default_rng(11), np.full(2, np.inf)
     grid = np.geomspace(0.2, 0.99 * np.pi / of.sample_time_s, 1500)
     low, high = of.domains["x"].environment_stiffness_n_per_m
     for point in proof.points["x"]:

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from autotune.formats.controller_record import admittance_controller
 from autotune.validation.false_triggers import (
     MOST_PER_HOUR,
     MOVEMENTS_PER_HOUR,
@@ -15,10 +16,12 @@ from autotune.validation.false_triggers import (
     crossings,
     describe_false_triggers,
     needed_deviations,
+    noise_in_free_space,
     noise_per_hour,
     wrong_false_triggers,
 )
 from identification.result import NoiseSpectrum
+from problems.model.sampled import build_loop, build_sampled_plant
 from tests.autotune.tuning.responding import responding, varied
 from tests.problems.axes import PERIOD_S
 
@@ -53,6 +56,32 @@ def test_the_rate_is_what_a_long_simulation_counts(correlation: float) -> None:
     expected = count * crossings(level, correlation)
     # Four deviations of a count, more where crossings come in groups.
     assert abs(crossed - expected) < 6.0 * math.sqrt(expected)
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.6])
+def test_the_rate_is_what_the_closed_loop_counts(correlation: float) -> None:
+    """Noise that the robot moves by and the payload answers, tick by tick; the sensor's alone passes less often."""
+    controller = responding().controller
+    law, plants, h = admittance_controller(controller, "x"), controller.certificate.domain["x"].plants, PERIOD_S
+    felt = noise_in_free_space(controller, "x", correlation)
+    loop = build_loop(build_sampled_plant(plants.at(plants.payload_mass_kg[0], 0.0), h), law)
+    rng, runs, ticks, begin = np.random.default_rng(5), 3000, 4000, 1000
+    state, noise = np.zeros((len(loop.a), runs)), rng.standard_normal(runs)
+    level, before, crossed, squares = 3.5, np.zeros(runs), 0, 0.0
+    for tick in range(ticks + begin):
+        read = loop.c_force @ state + (1.0 + loop.d_force) * noise
+        if tick >= begin:
+            crossed += int(np.sum((before <= level) & (read > level)) + np.sum((-before <= level) & (-read > level)))
+            squares += float(read @ read)
+        before, state = read, loop.a @ state + np.outer(loop.b, noise)
+        noise = correlation * noise + math.sqrt(1.0 - correlation**2) * rng.standard_normal(runs)
+    assert math.sqrt(squares / (runs * ticks)) == pytest.approx(felt.gain, rel=2e-3)
+    hours = runs * ticks * h / 3600.0
+    expected = hours * noise_per_hour(level, 0.0, felt.gain, felt.correlation, h, 1)
+    alone = hours * noise_per_hour(level, 0.0, 1.0, correlation, h, 1)
+    # Four deviations of a count; the sensor's own noise passes less often by more than that.
+    assert abs(crossed - expected) < 4.0 * math.sqrt(expected)
+    assert crossed - alone > 4.0 * math.sqrt(expected)
 
 
 def test_the_least_threshold_is_passed_as_rarely_as_it_says_on_all_axes_together() -> None:
