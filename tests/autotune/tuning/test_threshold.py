@@ -173,7 +173,7 @@ def test_bounds_below_free_motion_and_axes_that_only_turn_are_refused() -> None:
     found = responding()
     with pytest.raises(InfeasibleError, match=r"asks for 2 to 9 N, and a threshold must be above 10\.02 N: .*9\.13 N"):
         choose_threshold(found.controller, found.searches, replace(WIDE, bounds_n=(2.0, 9.0)))
-    with pytest.raises(InfeasibleError, match=r"above 12\.3 N: .* noise is 0\.5 N RMS"):
+    with pytest.raises(InfeasibleError, match=r"above 12\.32 N: .* noise is 0\.5 N RMS"):
         choose_threshold(found.controller, found.searches, ThresholdSettings(bounds_n=(5.0, 5.0), noise_rms_n=0.5))
     with pytest.raises(UsageError, match="only axes that turn are tuned"):
         choose_threshold(on_axes("ry"), {"ry": found.searches["x"]}, WIDE)
