@@ -2,11 +2,13 @@
 
 import os
 import signal
+import threading
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
-from multiprocessing import active_children, get_context
+from multiprocessing import active_children, get_context, parent_process
+from multiprocessing.process import BaseProcess
 from typing import TypeVar
 
 _Task = TypeVar("_Task")
@@ -102,7 +104,17 @@ def worker_environment() -> Iterator[None]:
 
 
 def prepare_worker() -> None:
-    """Leave an interrupt to the process that waits, and the other processors to the other processes."""
+    """Leave an interrupt to the process that waits, and the other processors to the other processes.
+
+    It ends with the process that waits, however that ends: a pool's workers would wait for ever after a kill.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if (waiting := parent_process()) is not None:
+        threading.Thread(target=_end_with, args=(waiting,), daemon=True).start()
     for name in _THREADS:
         os.environ.setdefault(name, "1")
+
+
+def _end_with(other: BaseProcess) -> None:
+    other.join()
+    os._exit(1)

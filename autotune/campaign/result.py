@@ -83,6 +83,7 @@ def run_campaign(
     jobs: int | None = None,
     executor: Executor | None = None,
     scheduler: str | None = None,
+    storage: str | None = None,
     progress: Progress = None,
 ) -> Campaign:
     """Identify many logs of many cells, search their controllers, and compare the cells; what is there is not redone.
@@ -106,6 +107,9 @@ def run_campaign(
         Any executor of `concurrent.futures` whose workers see the same files.
     scheduler
         "dask" for a cluster on this machine, or the address of one, as in tcp://head:8786 (extra `dask`).
+    storage
+        URL of the database that keeps the state, by which several hosts share the runs, as in
+        postgresql+psycopg://autotune@db/plant (extra `postgresql`); `campaign.sqlite` in the folder unless it is said.
     progress
         True for a bar, or a callable that takes the share of the work done since its last call.
 
@@ -117,7 +121,7 @@ def run_campaign(
     Raises
     ------
     UsageError
-        The manifest names what cannot be read, or a result cannot be written.
+        The manifest names what cannot be read, a result cannot be written, or the state cannot be kept.
 
     """
     runs, target, count = read_manifest(file_path("manifest", manifest)), Path(folder), jobs or count_processors()
@@ -131,6 +135,7 @@ def run_campaign(
             RunOptions(optimize=optimize, seed=seed, allow_partial=allow_partial, salvage=salvage),
             jobs=count,
             executor=executor,
+            storage=storage,
             each=lambda _: report(1.0 / len(runs)),
         )
     write_tables(target, outcomes)

@@ -1,5 +1,6 @@
 """Work on the runs of a campaign side by side, by any executor of `concurrent.futures`, and on none twice."""
 
+import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ProcessPoolExecutor, wait
@@ -7,16 +8,17 @@ from contextlib import contextmanager
 from multiprocessing import get_context
 from pathlib import Path
 
-from autotune.errors import UsageError
 from autotune.processes import prepare_worker, worker_environment
 from problems.errors import AutotuneError
 
 from .dask_pool import MOST_DEATHS, DaskPool
 from .manifest import LoggedRun
 from .options import RunOptions
-from .work import RunOutcome, RunTask, build_task, read_outcome, work_on
+from .state import CampaignState, Sight, open_state
+from .text import counted
+from .work import RunOutcome, RunTask, build_task, work_on
 
-_LOOK_S = 5.0
+_LOOK_S, _WAIT_S = 5.0, 1.0
 _KILLED = (
     f"The process that worked on it alone ended {MOST_DEATHS} times without an answer: killed, or out of memory. It "
     "is tried again by the next campaign."
@@ -30,98 +32,144 @@ def work_on_runs(
     *,
     jobs: int = 1,
     executor: Executor | None = None,
+    storage: str | None = None,
     each: Callable[[RunOutcome], None] | None = None,
+    note: Callable[[str], None] | None = None,
 ) -> tuple[RunOutcome, ...]:
-    """Return what came of every run, in their order; work only on those of which nothing is there yet.
+    """Return what came of every run, in their order; work only on those of which nothing is known yet.
 
     Each run is one task, which reads its files, works, and writes `folder/cells/CELL/RUN` in one step. Its key is the
-    SHA-256 of the version, the options and the bytes of its files: where a folder bears it, that is the result. So a
-    campaign that was killed goes on where it was, and none is done twice.
+    SHA-256 of the version, the options and the bytes of its files: what the state says of it under that key is the
+    result, as long as the files in the folder are those that it says. So a campaign that was killed goes on where it
+    was, processes with the same state share the runs, and none is done twice.
 
     Parameters
     ----------
     runs
         From `read_manifest`.
     folder
-        Where the results are.
+        Where the files of the results are.
     options
         What holds of every run.
     jobs
         How many processes of this machine, or with an `executor` how many tasks it is given at a time.
     executor
         Any executor whose workers see the same files, such as that of a Dask client (`client.get_executor()`).
+    storage
+        URL of a database for the state, by which several hosts share the work; `campaign.sqlite` in the folder else.
     each
         Is called with every outcome as it is known, those that were there first.
+    note
+        Is called with a sentence about runs that are done again, or that others work on.
 
     Raises
     ------
     UsageError
-        A file cannot be read, or a result cannot be written.
+        A file cannot be read, a result cannot be written, or the state cannot be kept.
     """
-    options = options or RunOptions()
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UsageError(f"{folder} cannot be made: {error.strerror or error}.") from error
-    done: dict[str, RunOutcome] = {}
-
-    def finish(task: RunTask, outcome: RunOutcome) -> None:
-        done[task.run.name] = outcome
-        if each is not None:
-            each(outcome)
-
-    tasks = [build_task(run, folder, options) for run in runs]
-    missing = deque(task for task in tasks if not _is_written(task, finish))
-    suspects: deque[RunTask] = deque()
-    deaths: Counter[str] = Counter()
-    while missing or suspects:
-        # One by one, what had a worker when one died: so only the run that ends its process is counted.
-        queue, most = (suspects, 1) if suspects else (missing, jobs + 1)
-        with _workers(executor, jobs) as workers:
-            for task in _drain(workers, queue, most, finish):
-                deaths[task.run.name] += most == 1
-                if deaths[task.run.name] < MOST_DEATHS:
-                    suspects.append(task)
-                else:
-                    finish(task, task.refused("killed", _KILLED))
-    return tuple(done[task.run.name] for task in tasks)
+    with open_state(storage, folder) as state:
+        tasks = [build_task(run, folder, options or RunOptions()) for run in runs]
+        work = _Work(state, tasks, each or _nothing, note or _nothing)
+        work.look()
+        while work.left:
+            work.do_what_is_free(executor, jobs)
+            work.look()
+            if work.left and not work.free:
+                time.sleep(_WAIT_S)
+    return tuple(work.done[task.run.name] for task in tasks)
 
 
-def _drain(
-    workers: Executor, queue: deque[RunTask], most: int, finish: Callable[[RunTask, RunOutcome], None]
-) -> list[RunTask]:
-    """Work on at most so many tasks at a time until the workers are gone; return what they then had in work."""
-    running: dict[Future[RunOutcome], RunTask] = {}
-    lost: list[RunTask] = []
-    try:
-        while queue or running:
-            while queue and len(running) < most:
-                running[workers.submit(work_on, queue[0])] = queue[0]
-                queue.popleft()
-            for future in wait(running, _LOOK_S, return_when=FIRST_COMPLETED).done or _look_after(workers):
-                task = running[future]
-                try:
-                    finish(task, future.result())
-                except (AutotuneError, BrokenExecutor):
-                    raise
-                except Exception:  # noqa: BLE001 - what is no answer of the work is a worker's end, as Dask says it
-                    lost.append(task)
-                del running[future]
-    except BrokenExecutor:
-        if not running:
-            lost.append(queue.popleft())  # what workers that had nothing to do do not take
-        # A worker may have written its folder and died before it answered.
-        lost += [task for task in running.values() if not _is_written(task, finish)]
-    return lost
+def _nothing(_: object) -> None:
+    return None
 
 
-def _is_written(task: RunTask, finish: Callable[[RunTask, RunOutcome], None]) -> bool:
-    """Return whether the task's folder holds its result, which is then known."""
-    known = read_outcome(task.folder)
-    if known is None or known.key != task.key:
-        return False
-    finish(task, known)
-    return True
+class _Work:
+    """The runs that are left, and what came of the others."""
+
+    def __init__(
+        self,
+        state: CampaignState,
+        tasks: Sequence[RunTask],
+        each: Callable[[RunOutcome], None],
+        note: Callable[[str], None],
+    ) -> None:
+        self._state, self._each, self._note = state, each, note
+        self.left = {task.run.name: task for task in tasks}
+        self.free: deque[RunTask] = deque()
+        self.done: dict[str, RunOutcome] = {}
+        self._is_shared = False
+        self._told: set[str] = set()
+
+    def look(self) -> None:
+        """Take what the state knows; `free` are then the tasks that nobody works on."""
+        sight = self._state.look(list(self.left.values())) if self.left else Sight()
+        for task, outcome in sight.known:
+            self._keep(task, outcome)
+        self.free.clear()
+        self.free.extend(sight.free)
+        if sight.lost:
+            self._tell(f"Done again, since files of their results are missing or altered: {', '.join(sight.lost)}.")
+        if sight.hosts and not sight.free:
+            hosts = ", ".join(sorted(sight.hosts))
+            self._tell(f"What is left is worked on by {hosts}; waiting for it ({counted(len(self.left), 'run')}).")
+
+    def do_what_is_free(self, executor: Executor | None, jobs: int) -> None:
+        """Work on the tasks that are free, as far as they can be claimed."""
+        suspects: deque[RunTask] = deque()
+        deaths: Counter[str] = Counter()
+        while self.free or suspects:
+            # One by one, what had a worker when one died: so only the run that ends its process is counted.
+            queue, most = (suspects, 1) if suspects else (self.free, jobs + 1)
+            with _workers(executor, jobs) as workers:
+                for task in self._drain(workers, queue, most):
+                    deaths[task.run.name] += most == 1
+                    if deaths[task.run.name] < MOST_DEATHS:
+                        suspects.append(task)
+                    else:
+                        self._finish(task, task.refused("killed", _KILLED))
+
+    def _drain(self, workers: Executor, queue: deque[RunTask], most: int) -> list[RunTask]:
+        """Work on at most so many tasks at a time until the workers are gone; return what they then had in work."""
+        running: dict[Future[RunOutcome], RunTask] = {}
+        lost: list[RunTask] = []
+        try:
+            while queue or running:
+                while queue and len(running) < most:
+                    if self._state.claim(queue[0]):
+                        running[workers.submit(work_on, queue[0])] = queue[0]
+                    else:
+                        self._is_shared = True
+                    queue.popleft()
+                for future in wait(running, _LOOK_S, return_when=FIRST_COMPLETED).done or _look_after(workers):
+                    try:
+                        outcome = future.result()
+                    except (AutotuneError, BrokenExecutor):
+                        raise
+                    except Exception:  # noqa: BLE001 - what is no answer of the work is a worker's end, as Dask says it
+                        lost.append(running.pop(future))
+                    else:
+                        self._finish(running.pop(future), outcome)
+                if self._state.renew() and self._is_shared:
+                    self.look()
+        except BrokenExecutor:
+            if not running:
+                lost.append(queue.popleft())  # what workers that had nothing to do do not take
+            lost += running.values()
+        return lost
+
+    def _finish(self, task: RunTask, outcome: RunOutcome) -> None:
+        if self._state.finish(task, outcome):
+            self._keep(task, outcome)
+
+    def _tell(self, what: str) -> None:
+        if what not in self._told:
+            self._told.add(what)
+            self._note(what)
+
+    def _keep(self, task: RunTask, outcome: RunOutcome) -> None:
+        del self.left[task.run.name]
+        self.done[task.run.name] = outcome
+        self._each(outcome)
 
 
 @contextmanager

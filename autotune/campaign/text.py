@@ -12,14 +12,15 @@ def outcome_text(outcomes: Sequence[RunOutcome]) -> str:
     """Say in a sentence what came of a campaign."""
     refused, broken = sum(bool(each.refused) for each in outcomes), sum(bool(each.outside) for each in outcomes)
     cells = len({each.cell for each in outcomes})
-    parts = [f"{_counted(len(outcomes), 'run')} of {_counted(cells, 'cell')}", f"{refused} refused"]
+    parts = [f"{counted(len(outcomes), 'run')} of {counted(cells, 'cell')}", f"{refused} refused"]
     if any(each.outside is not None for each in outcomes):
-        parts.append(f"{_counted(broken, 'certificate')} no longer valid")
+        parts.append(f"{counted(broken, 'certificate')} no longer valid")
     changed, odd = len(changes(outcomes)), len(unusual(outcomes))
-    return f"{', '.join(parts)}; {_counted(changed, 'change')} from run to run, {_counted(odd, 'unusual value')}."
+    return f"{', '.join(parts)}; {counted(changed, 'change')} from run to run, {counted(odd, 'unusual value')}."
 
 
-def _counted(number: int, noun: str) -> str:
+def counted(number: int, noun: str) -> str:
+    """Return a number with its noun."""
     return f"{number} {noun}{'' if number == 1 else 's'}"
 
 

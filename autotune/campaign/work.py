@@ -1,6 +1,7 @@
-"""What is done with one run: identify, and tune; the results are a folder that appears whole."""
+"""What is done with one run: identify, and tune; its files are a folder that appears whole."""
 
 import json
+import shutil
 import warnings
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
@@ -26,7 +27,6 @@ from problems.errors import AutotuneError
 from .manifest import LoggedRun
 from .options import RunOptions
 
-RESULT = "result.json"
 _STEPS = {LogError: "log", EstimateError: "estimate", InfeasibleError: "requirements", CertificateError: "certificate"}
 
 
@@ -38,6 +38,7 @@ class RunOutcome:
     first sample. `peaks_n` are, by axis, the worst predicted peak with the gains of the log (None where they are not
     known) and with the new controller. `refused` says which kind of refusal ended it, "" for none, `reason` why.
     `outside` is what of the plant lies outside of what the controller in the manifest is certified for; None without.
+    `files` are the names of what was written in the run's folder, with the SHA-256 of each.
     """
 
     cell: str
@@ -49,10 +50,18 @@ class RunOutcome:
     refused: str = ""
     reason: str = ""
     outside: tuple[str, ...] | None = None
+    files: Mapping[str, str] = field(default_factory=dict)
 
     def text(self) -> str:
         """Return the outcome as JSON."""
-        return json.dumps(asdict(self), indent=1, allow_nan=False) + "\n"
+        return json.dumps(asdict(self), allow_nan=False)
+
+    def has_files(self, folder: Path) -> bool:
+        """Return whether the folder of the run holds what was written there, to the byte."""
+        try:
+            return all(sha256_of(folder / name) == digest for name, digest in self.files.items())
+        except LogError:
+            return False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,15 +78,15 @@ class RunTask:
         return RunOutcome(cell=self.run.cell, run=self.run.run, key=self.key, refused=kind, reason=reason)
 
 
-def read_outcome(folder: Path) -> RunOutcome | None:
-    """Return what a folder of results says; None where there is none, or one that this release does not know."""
+def parse_outcome(text: str | None) -> RunOutcome | None:
+    """Return what `RunOutcome.text` wrote; None for anything that this release does not know."""
     try:
-        tree = json.loads((folder / RESULT).read_text(encoding="utf-8"))
+        tree = json.loads(text or "")
         values = {name: (float(value), float(std)) for name, (value, std) in tree.pop("values").items()}
         peaks = {name: (before, float(after)) for name, (before, after) in tree.pop("peaks_n").items()}
         outside = tree.pop("outside")
         return RunOutcome(**tree, values=values, peaks_n=peaks, outside=None if outside is None else tuple(outside))
-    except (OSError, ValueError, TypeError, KeyError, AttributeError):
+    except (ValueError, TypeError, KeyError, AttributeError):
         return None
 
 
@@ -110,7 +119,7 @@ def _digest(path: Path) -> str:
 
 
 def work_on(task: RunTask) -> RunOutcome:
-    """Identify a run, search its controller, and write all of it as one folder; a refusal is a result too.
+    """Identify a run, search its controller, and write all that is known as one folder; a refusal is a result too.
 
     What was not foreseen ends the run and not the campaign; nothing is written of it, so that it is tried again.
     """
@@ -122,11 +131,14 @@ def work_on(task: RunTask) -> RunOutcome:
         except Exception as error:  # noqa: BLE001 - one log must not end the work on all others
             return task.refused("unforeseen", f"Unforeseen {type(error).__name__}: {error}")
     try:
-        task.folder.parent.mkdir(parents=True, exist_ok=True)
+        if files:
+            task.folder.parent.mkdir(parents=True, exist_ok=True)
+            write_folder_atomic(task.folder, files)
+        elif task.folder.exists():
+            shutil.rmtree(task.folder)  # of another log, or other options
     except OSError as error:
-        raise UsageError(f"{task.folder.parent} cannot be made: {error.strerror or error}.") from error
-    write_folder_atomic(task.folder, {**files, RESULT: outcome.text()})
-    return outcome
+        raise UsageError(f"{task.folder} cannot be written: {error.strerror or error}.") from error
+    return replace(outcome, files={name: sha256(text.encode()).hexdigest() for name, text in files.items()})
 
 
 def _identify_and_tune(task: RunTask, files: dict[str, str]) -> RunOutcome:

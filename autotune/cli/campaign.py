@@ -24,6 +24,7 @@ Examples:
   autotune campaign logs/ -o fleet --report fleet.html
   autotune campaign manifest.csv -o fleet --jobs 8
   autotune campaign manifest.yaml -o fleet --scheduler tcp://head:8786 --jobs 40
+  autotune campaign logs/ -o fleet --storage postgresql+psycopg://autotune@db/plant
 """
 
 
@@ -45,6 +46,12 @@ Examples:
     metavar="dask|tcp://...",
     help="Work on a Dask cluster: one of this machine, or a running one that sees the same files.",
 )
+@click.option(
+    "--storage",
+    metavar="URL",
+    help="Where the state of the runs is, by which several hosts share them: sqlite:///FILE or "
+    "postgresql+psycopg://...  [default: campaign.sqlite in DIR]",
+)
 @click.option("--optimize/--no-optimize", default=True, show_default=True, help="Search a controller for each run.")
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the searches.")
 @click.option(
@@ -62,6 +69,7 @@ def command(
     out: Path,
     jobs: int | None,
     scheduler: str | None,
+    storage: str | None,
     optimize: bool,
     seed: int,
     allow_partial: bool,
@@ -72,10 +80,11 @@ def command(
     """Identify every run that MANIFEST names, search its controller, and compare the cells.
 
     MANIFEST is a folder (a folder for each cell, its logs the runs), a CSV with the columns cell and log, or a YAML
-    file. What is in DIR already is not done again: a run is known by the SHA-256 of its files, the options and the
+    file. What is done already is not done again: a run is known by the SHA-256 of its files, the options and the
     version. DIR then holds each run's files, campaign.csv and, with pyarrow, campaign.parquet. A run that is refused
-    is a result with its reason. Exit code 4: no run was identified. 6: a controller that the manifest names is no
-    longer certified for what its cell's newest run shows.
+    is a result with its reason. The same command on several hosts, with one --storage, shares the runs. Exit code 4:
+    no run was identified. 6: a controller that the manifest names is no longer certified for what its cell's newest
+    run shows.
     """
     from autotune.campaign.options import RunOptions
     from autotune.campaign.text import outcome_text
@@ -95,7 +104,7 @@ def command(
             executor, dashboard = stack.enter_context(dask_executor(scheduler, count))
             output.note(f"dashboard: {dashboard}")
         while True:
-            outcomes = _once(output, manifest, out, options, count, executor, may_be_empty=watch is not None)
+            outcomes = _once(output, manifest, out, options, count, executor, storage, may_be_empty=watch is not None)
             tree = _tree(output, out, outcomes, report)
             if watch is None:
                 break
@@ -114,6 +123,7 @@ def _once(
     options: "RunOptions",
     jobs: int,
     executor: "Executor | None",
+    storage: str | None,
     *,
     may_be_empty: bool,
 ) -> "tuple[RunOutcome, ...]":
@@ -130,7 +140,9 @@ def _once(
             options,
             jobs=jobs,
             executor=executor,
+            storage=storage,
             each=lambda found: advance(1.0, f"{found.cell}/{found.run}"),
+            note=output.note,
         )
     write_tables(out, outcomes)
     return outcomes
@@ -161,7 +173,7 @@ def _print(out: Path, outcomes: "Sequence[RunOutcome]", report: Path | None) -> 
             print_message(f"{each.cell}/{each.run}: the certificate does not hold: {what}.", verdict="error: ")
     for line in (*map(change_text, changes(outcomes)), *map(unusual_text, unusual(outcomes))):
         print_message(line, verdict="note: ")
-    print_message(f"written: {out / 'campaign.csv'} and a folder for each run in {out / 'cells'}")
+    print_message(f"written: {out / 'campaign.csv'} and a folder for each run that was identified in {out / 'cells'}")
     print_report_path(report)
 
 

@@ -21,14 +21,15 @@ from autotune.errors import UsageError
 
 from .kinds import check_replaced, kind_of
 
-_NAME = re.compile(r"\.autotune-(?P<where>[0-9a-f]{8})-(?P<process>[0-9]+)-(?P<mark>[0-9a-f]{16})\.(?P<end>tmp|old)")
+_PROCESS = re.compile(r"(?P<where>[0-9a-f]{8})-(?P<process>[0-9]+)-(?P<mark>[0-9a-f]{16})")
+_NAME = re.compile(rf"\.autotune-(?P<of>{_PROCESS.pattern})\.(?P<end>tmp|old)")
 # Nothing is written for so long: what is older was left, whichever machine or container it came from.
 _SURELY_LEFT_S = 86400.0
 
 
 def temporary_beside(target: Path) -> tuple[Path, Path]:
     """Return two names beside `target`: for what takes its place, and for where the former one is moved aside."""
-    stem = f".autotune-{_where()}-{os.getpid()}-{secrets.token_hex(8)}"
+    stem = f".autotune-{name_of_process()}"
     return target.parent / f"{stem}.tmp", target.parent / f"{stem}.old"
 
 
@@ -56,7 +57,23 @@ def _is_left(entry: "os.DirEntry[str]") -> bool:
         return False
     if time.time() - about.st_mtime > _SURELY_LEFT_S:
         return True
-    return name["where"] == _where() and not _is_running(int(name["process"]))
+    return has_ended(name["of"])
+
+
+def name_of_process() -> str:
+    """Return a new name of this process, in which `has_ended` finds it."""
+    return f"{_where()}-{os.getpid()}-{secrets.token_hex(8)}"
+
+
+def is_of_this_machine(name: str) -> bool:
+    """Return whether a process that named itself so is of this machine, boot and process namespace."""
+    return name.startswith(f"{_where()}-")
+
+
+def has_ended(name: str) -> bool:
+    """Return whether the process that named itself so has certainly ended; of another machine's nothing is certain."""
+    found = _PROCESS.fullmatch(name)
+    return found is not None and is_of_this_machine(name) and not _is_running(int(found["process"]))
 
 
 def _delete(entry: "os.DirEntry[str]") -> None:

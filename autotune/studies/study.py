@@ -17,6 +17,7 @@ from optuna.search_space import intersection_search_space
 from optuna.storages._heartbeat import get_heartbeat_thread
 from optuna.trial import FrozenTrial, Trial, TrialState
 
+from autotune.database import named_failures
 from autotune.errors import InfeasibleError, UsageError
 from autotune.formats.canonical import checksum
 from autotune.formats.records import record_tree
@@ -42,7 +43,7 @@ from .points import (
     thinned,
     undominated,
 )
-from .storage import Storage, named_failures, quiet_optuna
+from .storage import Storage, quiet_optuna
 
 _FINISHED = (TrialState.COMPLETE, TrialState.PRUNED)
 # Constraints are logarithms of required/achieved: an unstable trial misses more than any stable one.
@@ -88,7 +89,7 @@ def run_study(
     report = progress or no_progress
     judge = Judge(problem, plan.objectives, plan.demands)
     plan = replace(plan, objectives=judge.objectives)
-    with quiet_optuna(), named_failures():
+    with quiet_optuna(), named_failures("study", optuna.exceptions.StorageInternalError):
         study = _open_study(problem, plan, storage, start, name)
         _seed(study, problem, plan, seeds)
         done = len(study.get_trials(deepcopy=False, states=_FINISHED))
