@@ -40,10 +40,10 @@ from .work import RunOutcome, RunTask, parse_outcome
 STATE = "campaign.sqlite"
 TRIED_AGAIN = ("killed", "unforeseen")
 """Refusals that are none of the log: the next campaign tries such a run again."""
-_LEASE = timedelta(seconds=60)
+_LEASE = timedelta(seconds=120)
 _RENEWAL_S = 5.0
-# A server that is started again is away for less.
-_PATIENCE_S, _PAUSE_S = 30.0, 0.5
+# A server that is started again is away for less; claims last longer than that.
+_PATIENCE_S, _PAUSE_S = 60.0, 0.5
 _Found = TypeVar("_Found")
 
 _RUNS = Table(
@@ -189,12 +189,12 @@ class CampaignState:
     def _rows(self, question: Executable) -> Sequence[Row[Any]]:
         return self._done(lambda connection: connection.execute(question).all())
 
-    def _changed(self, change: Executable, rows: Any = None, *, patience_s: float = _PATIENCE_S) -> int:
+    def _changed(self, change: Executable, rows: Any = None, *, patience_s: float | None = None) -> int:
         return self._done(lambda connection: connection.execute(change, rows).rowcount, patience_s)
 
-    def _done(self, work: Callable[[Connection], _Found], patience_s: float = _PATIENCE_S) -> _Found:
+    def _done(self, work: Callable[[Connection], _Found], patience_s: float | None = None) -> _Found:
         """Return what `work` finds in one transaction, all of which may be done twice; a server may come back."""
-        end = time.monotonic() + patience_s
+        end = time.monotonic() + (_PATIENCE_S if patience_s is None else patience_s)
         while True:
             try:
                 with named_failures("campaign"), self._engine.begin() as connection:

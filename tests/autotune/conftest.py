@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 
 from tests.autotune.browser import chromium
+from tests.autotune.postgresql import Server, running_server
 
 
 @pytest.fixture
@@ -24,3 +25,10 @@ def browser() -> Iterator[Any]:
         opened = tools.chromium.launch(executable_path=path, args=["--no-sandbox"])
         yield opened
         opened.close()
+
+
+@pytest.fixture(scope="session")
+def postgresql() -> Iterator[Server]:
+    """A server from Debian's packages; each test makes a database of its own."""
+    with running_server() as server:
+        yield server

@@ -138,6 +138,17 @@ def test_an_interrupt_ends_the_processes(tmp_path: Path, *, to_the_group: bool) 
     assert waited_for(lambda: not any(is_alive(pid) for pid in pids), 5.0)
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="processes are looked up in /proc")
+def test_a_kill_of_the_one_that_waits_ends_the_processes(tmp_path: Path) -> None:
+    script, reported = tmp_path / "linger.py", [tmp_path / "first.pid", tmp_path / "second.pid"]
+    script.write_text(_PIDS, encoding="utf-8")
+    with subprocess.Popen([sys.executable, str(script), *map(str, reported)]) as process:
+        assert waited_for(lambda: all(path.exists() for path in reported))
+        process.kill()
+    pids = [int(path.read_text(encoding="ascii")) for path in reported]
+    assert waited_for(lambda: not any(is_alive(pid) for pid in pids), 5.0)
+
+
 def test_read_only_mappings_pass_both_ways() -> None:
     tasks = [FrozenDict({"a": index}) for index in range(2)]
     assert map_in_processes(same, tasks, 2) == tasks

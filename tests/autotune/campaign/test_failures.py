@@ -4,12 +4,12 @@ import resource
 import shutil
 import signal
 import socket
+import sqlite3
 import subprocess
 import sys
 import threading
-import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Iterator
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 
 import pytest
@@ -17,36 +17,21 @@ import pytest
 from autotune.campaign.dask_pool import dask_executor
 from autotune.campaign.manifest import read_manifest
 from autotune.campaign.run import work_on_runs
-from autotune.campaign.tables import write_tables
-from autotune.campaign.work import RESULT, RunOutcome
+from autotune.campaign.state import STATE
 from autotune.errors import UsageError
+from tests.autotune.campaign.sharing import campaign, identified_at_once, table, until, written_logs
 
 
-def written_logs(folder: Path, count: int) -> Path:
-    """Tables that `identify` refuses at once: what is tried here is the work around it."""
-    for i in range(count):
-        (folder / f"cell{i % 4}").mkdir(parents=True, exist_ok=True)
-        (folder / f"cell{i % 4}" / f"run{i:02}.csv").write_text(f"t,a\n0,{i}\n1,2\n", encoding="utf-8")
-    return folder
-
-
-def table(folder: Path, outcomes: tuple[RunOutcome, ...]) -> str:
-    folder.mkdir()
-    write_tables(folder, outcomes)
-    return (folder / "campaign.csv").read_text(encoding="utf-8")
-
-
-def results(folder: Path) -> dict[Path, tuple[int, str]]:
-    """When each result was written, and what it says."""
-    found = folder.rglob(RESULT)
-    return {path.relative_to(folder): (path.stat().st_mtime_ns, path.read_text(encoding="utf-8")) for path in found}
-
-
-def until(holds: Callable[[], bool], limit_s: float = 45.0) -> None:
-    end = time.monotonic() + limit_s
-    while not holds():
-        assert time.monotonic() < end, "took too long"
-        time.sleep(0.01)
+def results(folder: Path) -> dict[str, tuple[int, str, str]]:
+    """How often each run was tried that has a result, when it ended, and what it says."""
+    path = folder / STATE
+    if not path.exists():
+        return {}
+    with closing(sqlite3.connect(path)) as state:
+        if not state.execute("select 1 from sqlite_master").fetchall():
+            return {}
+        asked = "select cell, run, attempts, ended, result from autotune_runs where result is not null"
+        return {f"{cell}/{run}": (*rest,) for cell, run, *rest in state.execute(asked)}
 
 
 class Cluster:
@@ -146,19 +131,36 @@ def small_disk(folder: Path, kib: int) -> Iterator[None]:
         subprocess.run(["umount", str(folder)], check=True)
 
 
-def test_a_full_disk_ends_the_campaign_whose_results_stay_whole(tmp_path: Path) -> None:
-    """Each file takes a page of the file system, so that some of the results have room."""
+@pytest.mark.parametrize("kib", [64, 128])
+def test_a_full_disk_ends_the_campaign_whose_results_stay_whole(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kib: int
+) -> None:
+    """Files take whole pages of the file system, so that some of the results have room, or the state alone has none."""
+    logs, disk = written_logs(tmp_path / "logs", 24), tmp_path / "disk"
+    monkeypatch.setattr("autotune.campaign.work._identify_and_tune", identified_at_once)
+    with small_disk(disk, kib):
+        with pytest.raises(UsageError, match=r"No space left on device|database or disk is full"):
+            campaign(logs, disk / "out")
+        left = results(disk / "out")
+        assert 0 < len(left) < 24
+        assert list(disk.rglob(".autotune-*")) == []
+        subprocess.run(["mount", "-o", "remount,size=4096k", str(disk)], check=True)
+        outcomes = campaign(logs, disk / "out")
+        assert {path: left[path] for path in left} == {path: results(disk / "out")[path] for path in left}
+        assert len(results(disk / "out")) == 24
+    assert table(tmp_path / "a", outcomes) == table(tmp_path / "b", campaign(logs, tmp_path / "calm"))
+
+
+def test_a_state_that_has_no_room_ends_the_campaign(tmp_path: Path) -> None:
+    """Of these runs nothing but the state is written."""
     runs, disk = read_manifest(written_logs(tmp_path / "logs", 24)), tmp_path / "disk"
-    with small_disk(disk, 64):
-        with pytest.raises(UsageError, match="No space left on device"):
+    with small_disk(disk, 40):
+        with pytest.raises(UsageError, match=r"The campaign's storage failed: database or disk is full\. What is fin"):
             work_on_runs(runs, disk / "out")
         left = results(disk / "out")
-        assert 0 < len(left) < len(runs)
-        assert list(disk.rglob(".autotune-*")) == []
         subprocess.run(["mount", "-o", "remount,size=4096k", str(disk)], check=True)
         outcomes = work_on_runs(runs, disk / "out")
         assert {path: left[path] for path in left} == {path: results(disk / "out")[path] for path in left}
-        assert len(results(disk / "out")) == len(runs)
     assert table(tmp_path / "a", outcomes) == table(tmp_path / "b", work_on_runs(runs, tmp_path / "calm"))
 
 

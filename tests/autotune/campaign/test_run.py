@@ -4,9 +4,11 @@ import json
 import os
 import pickle
 import signal
+import sqlite3
 import threading
 import time
 from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
+from contextlib import closing
 from dataclasses import replace
 from multiprocessing import active_children
 from pathlib import Path
@@ -19,8 +21,9 @@ from autotune.campaign.manifest import LoggedRun, read_manifest
 from autotune.campaign.options import RunOptions
 from autotune.campaign.result import run_campaign
 from autotune.campaign.run import work_on_runs
+from autotune.campaign.state import STATE
 from autotune.campaign.tables import write_tables
-from autotune.campaign.work import RESULT, RunOutcome, build_task, read_outcome, work_on
+from autotune.campaign.work import RunOutcome, build_task, parse_outcome, work_on
 from autotune.errors import UsageError
 from autotune.pipeline import IdentifyOptions
 from autotune.processes import worker_environment
@@ -108,15 +111,19 @@ def test_what_the_manifest_says_of_a_run_goes_before_the_options_of_the_campaign
     assert seen == [IdentifyOptions(stop=30.0, allow_partial=True)]
 
 
-def test_a_result_that_is_half_or_of_another_release_is_none(tmp_path: Path) -> None:
+def test_a_result_that_is_half_or_of_another_release_is_none() -> None:
     outcome = RunOutcome(
-        cell="a", run="b", key="k", values={"x": (1.0, 0.1)}, peaks_n={"x": (None, 50.0)}, outside=("w",)
+        cell="a",
+        run="b",
+        key="k",
+        values={"x": (1.0, 0.1)},
+        peaks_n={"x": (None, 50.0)},
+        outside=("w",),
+        files={"f": "d"},
     )
-    (tmp_path / RESULT).write_text(outcome.text(), encoding="utf-8")
-    assert read_outcome(tmp_path) == outcome
-    for wrong in (outcome.text()[:-9], "[]", json.dumps({**json.loads(outcome.text()), "colour": 1})):
-        (tmp_path / RESULT).write_text(wrong, encoding="utf-8")
-        assert read_outcome(tmp_path) is None
+    assert parse_outcome(outcome.text()) == outcome
+    for wrong in (None, outcome.text()[:-9], "[]", json.dumps({**json.loads(outcome.text()), "colour": 1})):
+        assert parse_outcome(wrong) is None
 
 
 def test_what_was_not_foreseen_ends_the_run_and_not_the_campaign(
@@ -126,9 +133,11 @@ def test_what_was_not_foreseen_ends_the_run_and_not_the_campaign(
         raise ZeroDivisionError("by zero")
 
     monkeypatch.setattr("autotune.campaign.work.identify_log", broken)
-    task = build_task(read_manifest(logs)[0], tmp_path, RunOptions())
-    assert work_on(task).reason == "Unforeseen ZeroDivisionError: by zero"
-    assert read_outcome(task.folder) is None
+    runs, pools = read_manifest(logs)[:2], [Counting(), Counting()]
+    for pool in pools:
+        outcomes = work_on_runs(runs, tmp_path, executor=pool)
+        assert {each.reason for each in outcomes} == {"Unforeseen ZeroDivisionError: by zero"}
+        assert pool.worked == [run.name for run in runs]  # by the next campaign again
 
 
 @pytest.mark.slow
@@ -163,7 +172,9 @@ def test_the_same_tables_come_of_a_campaign_whose_workers_are_killed(logs: Path,
     assert killed == 30
     write_tables(tmp_path / "calm", calm)
     for folder in (tmp_path / "calm", *folders):
-        assert len(list(folder.rglob(RESULT))) == 12
+        with closing(sqlite3.connect(folder / STATE)) as state:
+            kept = state.execute("select count(*) from autotune_runs where state = 'refused' and result is not null")
+            assert kept.fetchone() == (12,)
         assert list(folder.rglob(".autotune-*")) == []
     write_tables(folders[-1], outcomes)
     assert (folders[-1] / "campaign.csv").read_text() == (tmp_path / "calm" / "campaign.csv").read_text()
@@ -193,7 +204,9 @@ def test_only_the_run_that_ends_its_process_is_given_up(logs: Path, tmp_path: Pa
     outcomes = work_on_runs(read_manifest(logs), tmp_path / "out", executor=pool, jobs=3)
     assert [f"{each.cell}/{each.run}" for each in outcomes if each.refused == "killed"] == ["cell1/run4"]
     assert {each.refused for each in outcomes} == {"log", "killed"}
-    assert read_outcome(tmp_path / "out" / "cells" / "cell1" / "run4") is None
+    again = Counting()
+    assert {each.refused for each in work_on_runs(read_manifest(logs), tmp_path / "out", executor=again)} == {"log"}
+    assert again.worked == ["cell1/run4"]
 
 
 def test_a_dask_cluster_gives_the_same(logs: Path, tmp_path: Path) -> None:
