@@ -44,6 +44,7 @@ SHORTER = (
     ("--choose", "--trials 4 --choose"),
     ("validate controller.yaml", "validate controller.yaml --samples 20"),
     ("--scheduler dask --jobs 4", "--jobs 1"),
+    ("--storage postgresql+psycopg://autotune@db/plant", "--storage sqlite:///plant.db"),
     ("campaign logs", "campaign logs --no-optimize"),
 )
 

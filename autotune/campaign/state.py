@@ -44,6 +44,7 @@ _LEASE = timedelta(seconds=120)
 _RENEWAL_S = 5.0
 # A server that is started again is away for less; claims last longer than that.
 _PATIENCE_S, _PAUSE_S = 60.0, 0.5
+_ENDED: set[str] = set()  # owners in this process whose campaign is over
 _Found = TypeVar("_Found")
 
 _RUNS = Table(
@@ -166,7 +167,8 @@ class CampaignState:
         return True
 
     def release(self) -> None:
-        """Let others have what this process had claimed; where that fails, they have it after a while."""
+        """Let others have what this process had claimed; where that fails, other machines have it after a while."""
+        _ENDED.add(self._owner)
         with suppress(UsageError):
             if self._held:
                 self._changed(update(_RUNS).where(*self._mine()).values(state="waiting", lease=None), patience_s=0.0)
@@ -174,7 +176,7 @@ class CampaignState:
 
     def _is_left(self, row: Row[Any]) -> bool:
         """Return whether nobody works on a run that is claimed: its process has ended, or this one has given it up."""
-        return row.owner == self._owner or has_ended(row.owner)
+        return row.owner == self._owner or row.owner in _ENDED or has_ended(row.owner)
 
     def _of(self, task: RunTask) -> tuple[Any, ...]:
         return (_RUNS.c.folder == self._folder, _RUNS.c.cell == task.run.cell, _RUNS.c.run == task.run.run)

@@ -168,6 +168,9 @@ def test_a_table_that_has_no_room_leaves_the_former_one(tmp_path: Path) -> None:
     logs, out = written_logs(tmp_path / "logs", 4), tmp_path / "out"
     first = table_of_command(logs, out)
     written_logs(logs, 12)
+    assert len(table_of_command(logs, out).splitlines()) == 13
+    (out / "campaign.csv").write_text(first, encoding="utf-8")
+    # Nothing is new, so that the table alone is written.
     done = run_campaign_of(logs, out, limit=len(first.encode()) + 100)
     assert done.returncode == 2
     assert "campaign.csv" in done.stderr

@@ -11,7 +11,6 @@ import time
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
@@ -396,7 +395,6 @@ def test_a_server_that_stays_away_ends_the_campaign_and_the_same_again_does_the_
 ) -> None:
     url, runs = postgresql.new_database("gone"), read_manifest(logs)
     monkeypatch.setattr("autotune.campaign.state._PATIENCE_S", 0.5)
-    monkeypatch.setattr("autotune.campaign.state._LEASE", timedelta(seconds=10))  # its process, this one, goes on
 
     def stop() -> None:
         until(lambda: len(worked(tmp_path)) >= 4)
