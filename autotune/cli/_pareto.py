@@ -159,7 +159,7 @@ class FrontWriter:
 
     def check(self, spec: "ProblemSpec") -> None:
         """Refuse a front of another structure than four gains, which pareto.yaml does not hold."""
-        if self._prepared is not None and spec.structure != "gains":
+        if self._prepared is not None and spec.structure not in (None, "gains"):
             raise UsageError(
                 f"A Pareto front is of four gains in their bounds; leave --structure {spec.structure} out."
             )

@@ -132,9 +132,9 @@ def _stiffness(_context: click.Context, _option: click.Parameter, text: str | No
 @click.option(
     "--structure",
     type=click.Choice(["gains", "noise", "biquad"]),
-    show_default="as problem.yaml says, or gains",
+    show_default="as problem.yaml says, or noise",
     help="The law: four gains in their bounds (gains), limited by the noise of the command that those make instead "
-    "(noise), or with a biquad in the path of the force too (biquad).",
+    "where problem.yaml says no bounds (noise), or with a biquad in the path of the force too (biquad).",
 )
 @pareto_options
 @report_option

@@ -35,7 +35,7 @@ def specs_for(target: ExportTarget | None, spec: ProblemSpec) -> tuple[ProblemSp
     The second is for where our own law can do nothing without them, though the target's may. Raises UsageError where
     the bounds of a gain that the target lacks leave out 0.
     """
-    if target is not None and spec.structure != "gains":
+    if target is not None and spec.structure not in (None, "gains"):
         raise UsageError(f"{target.name} runs another law; leave --structure out.")
     lacking = [] if target is None else [name for name in _PINNED if name not in target.expresses]
     for name in lacking:

@@ -93,7 +93,8 @@ class ProblemSpec:
     `contact_points_m` are where the payload may touch, in the sensor frame; () those of the cell.
     `least_modulus_together` is asked of min σ(I + L) of axes that act on each other, None nothing but stability.
     `contact_points_m` are where the payload may touch, in the sensor frame; () those of the cell. `structure` of the
-    law: four gains in their bounds, limited by their noise of the command instead, or with a biquad too.
+    law that `optimize` searches, "noise" unless it is said: four gains in their bounds, limited by the noise of the
+    command in the place of bounds that nobody said, or with a biquad too.
     `options` holds those ranges that were said outside of the file (`with_options`), `with_unit` names those whose unit
     was typed.
     """
@@ -115,7 +116,7 @@ class ProblemSpec:
     limits: LimitsSpec = field(default_factory=LimitsSpec)
     contact_points_m: tuple[tuple[float, float, float], ...] = ()
     least_modulus_together: float | None = None
-    structure: Structure = "gains"
+    structure: Structure | None = None
     options: Mapping[str, Interval] = field(default_factory=dict)
     with_unit: frozenset[str] = frozenset()
 
@@ -154,7 +155,7 @@ class ProblemSpec:
         if axes is not None and not (isinstance(axes, tuple | list) and axes and all(each in AXES for each in axes)):
             raise ParameterError("axes", self.axes, f"names among {', '.join(AXES)}, or left out for all")
         object.__setattr__(self, "axes", None if axes is None else tuple(axes))
-        if self.structure not in get_args(Structure):
+        if self.structure is not None and self.structure not in get_args(Structure):
             raise ParameterError("structure", self.structure, f"one of {', '.join(get_args(Structure))}")
         kinds: dict[str, tuple[type, str]] = {
             "bounds": (Mapping, "{name: (low, high)}"),
@@ -221,7 +222,7 @@ def read_problem(path: Path) -> ProblemSpec:
             limits=_limits(tree.get("limits", {})),
             contact_points_m=tuple(tree.get("payload", {}).get("contact_points_m", ())),
             least_modulus_together=tree.get("axes_together", {}).get("min_modulus"),
-            structure=tree.get("structure", "gains"),
+            structure=tree.get("structure"),
             rotational=_rotational(turned),
         )
     except ParameterError as error:

@@ -1,7 +1,7 @@
 """The bounds of a design problem as a unit cube, and wider ones."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from typing import Any
 
 import numpy as np
@@ -13,9 +13,8 @@ from problems.model.controller import SMALLEST_FEEDBACK_DAMPING_S
 
 LINEAR_VARIABLES = frozenset({"lead_s", "feedback_damping_s", "compensation_mass_kg"})
 """Variables that may be zero: counted by the width of their bounds, the others by their logarithm."""
-# The bounds that stand for the sensor's noise where nothing else limits it: the mass from below, lead and feedback
-# damping from above.
-_LIGHTER, _LONGER, _MORE = 5.0, 5.0, 2.0
+# How much wider below and above those bounds become that stand for the sensor's noise where nothing else limits it.
+_LOOSER = {"mass": (5.0, 1.0), "lead_s": (1.0, 5.0), "feedback_damping_s": (1.0, 2.0)}
 # Beside its bounds a value this small is none.
 _NOTHING = 1e-7
 # How much further a bound that holds a design is proposed.
@@ -56,20 +55,16 @@ def presentable(problem: DesignProblem, design: FloatArray) -> FloatArray:
     return np.asarray(np.clip(rounded, bounds[:, 0], bounds[:, 1]))
 
 
-def loosened_bounds(problem: DesignProblem) -> dict[str, tuple[float, float]]:
+def loosened_bounds(problem: DesignProblem, said: Collection[str] = ()) -> dict[str, tuple[float, float]]:
     """Return the bounds with a lighter mass, more lead and feedback damping, for where the noise is limited.
 
-    What is fixed stays.
+    What is fixed stays, and what somebody `said`.
     """
     bounds = dict(problem.bounds)
-    (light, heavy), (short, long) = bounds["mass"], bounds["lead_s"]
-    if light < heavy:
-        bounds["mass"] = light / _LIGHTER, heavy
-    if short < long:
-        bounds["lead_s"] = short, long * _LONGER
-    least, most = bounds["feedback_damping_s"]
-    if least < most:
-        bounds["feedback_damping_s"] = least, most * _MORE
+    for name, (shorter, longer) in _LOOSER.items():
+        low, high = bounds[name]
+        if low < high and name not in said:
+            bounds[name] = low / shorter, high * longer
     return bounds
 
 

@@ -114,7 +114,7 @@ def optimize(
     asked = proof if proof is not None else ProofOptions()
     spec = within_domain(spec, identified.domain)
     build = build_problems if spec.compliance is None else build_compliance_problems
-    problems = build(identified.result, replace(spec, structure="gains"))
+    problems = build(identified.result, replace(spec, structure=None))
     if present is not None:
         check_comparable(present, problems)
     # Asked before the search, because it may refuse.
@@ -123,7 +123,7 @@ def optimize(
     if chosen:
         report = ProgressSlice(report, 1.0 - _COMPLIANCE_SHARE)
         problems = {name: compliance.on_chosen(problems[name]) for name, compliance in chosen.items()}
-    structures = StructureSearch(spec.structure, seed)
+    structures = StructureSearch(spec, identified.result, seed)
     searches = structures.searched(_search_all(problems, present, chosen, seed, relax, report))
     chosen = {name: settle_compliance(problems[name], each, searches[name], seed) for name, each in chosen.items()}
     points, least = spec.contact_points_m, spec.least_modulus_together

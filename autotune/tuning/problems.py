@@ -67,7 +67,7 @@ def build_problems(identified: Identified, spec: ProblemSpec) -> dict[str, Desig
             "free.environment_stiffness_n_per_m is chosen by optimize for one controller; elsewhere give a range as "
             "environment_stiffness_n_per_m in problem.yaml."
         )
-    if spec.structure != "gains":
+    if spec.structure not in (None, "gains"):
         raise UsageError(
             f"structure: {spec.structure} is searched by optimize for one controller that runs autotune's own law; "
             "leave it out."
@@ -125,21 +125,27 @@ def _check_free(names: list[str], spec: ProblemSpec) -> None:
 
 def _with_noise(asked: Requirements, identified: Identified, name: str) -> Requirements:
     """Return the requirements with the sensor's noise, the identified one unless it is said."""
-    limit, sensor = asked.command_noise, identified.sensor
+    limit, noise = asked.command_noise, find_sensor_noise(identified, name)
     if limit is None or limit.force_noise_rms_n is not None:
         return asked
-    if name in ROTATIONAL_AXES:
-        key, said = "torque_noise_rms_n_m", "rotational.requirements.command_noise"
-        noises = None if sensor.torque_noise_rms_n_m is None else sensor.torque_noise_rms_n_m.value
-        # The sensor's axes need not be those of the control frame: the noisiest is taken for all.
-        noise = None if noises is None else max(noises)
-    else:
-        key, said, noise = "force_noise_rms_n", "requirements.command_noise", sensor.force_noise_rms_n.value
     if noise is None:
+        key, said = "force_noise_rms_n", "requirements.command_noise"
+        if name in ROTATIONAL_AXES:
+            key, said = "torque_noise_rms_n_m", "rotational.requirements.command_noise"
         raise EstimateError(
             f"sensor.{key} is not identified, and the command's noise is limited; say {key} in {said} of problem.yaml."
         )
     return replace(asked, command_noise=replace(limit, force_noise_rms_n=noise))
+
+
+def find_sensor_noise(identified: Identified, name: str) -> float | None:
+    """Return the identified RMS [N or N·m] of the sensor's noise along an axis, None where it is not known."""
+    sensor = identified.sensor
+    if name not in ROTATIONAL_AXES:
+        return sensor.force_noise_rms_n.value
+    noises = None if sensor.torque_noise_rms_n_m is None else sensor.torque_noise_rms_n_m.value
+    # The sensor's axes need not be those of the control frame: the noisiest is taken for all.
+    return None if noises is None else max(noises)
 
 
 def _check_same_payload(identified: Identified, name: str, asked: Interval | None) -> None:

@@ -1,14 +1,15 @@
 """Search laws with more freedom than four gains in their bounds, at the noise of the command that these make."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from autotune.errors import InfeasibleError
-from autotune.formats.problem import Structure
-from autotune.formats.units import axis_units
+from autotune.formats.problem import ProblemSpec, Structure
+from autotune.formats.units import ROTATIONAL_AXES, axis_units
+from identification.result import Identified
 from problems.arrays import FloatArray
 from problems.design.evaluation import build_scenarios
 from problems.design.hand import HandImpedance
@@ -20,12 +21,14 @@ from problems.model.sampled import build_sampled_plant
 from problems.stability.noise import command_speed_gain
 
 from .bounds import loosened_bounds
+from .problems import find_sensor_noise
 from .record import certified_hand
 from .search import SearchResult, solve_design
 
 PRICE = 0.01
 """The share of the objective that a structure must save beside the simpler one, or the simpler one is kept."""
 _ORDER: tuple[Structure, ...] = ("gains", "noise", "biquad")
+DEFAULT: Structure = "noise"
 _HELD = "held_by_hand"
 # Of the modulus that the four gains keep in a hand.
 _KEPT_IN_A_HAND = 0.9
@@ -59,7 +62,8 @@ class StructureChoice:
 
         noise = f"{1e3 * self.noise_m_s_per_n:.3g} m{units.speed} per {units.force}"
         said = f"Axis {name}: {objective.title} {shown('gains')} with four gains in their bounds"
-        said += f", {shown('noise')} with their noise of the command ({noise}) in the place of these bounds"
+        if "noise" in self.costs:
+            said += f", {shown('noise')} with their noise of the command ({noise}) in the place of these bounds"
         if "biquad" in self.costs:
             said += f", {shown('biquad')} with a biquad too"
         words = {"gains": "the four gains in their bounds", "noise": "the four gains", "biquad": "the biquad"}
@@ -69,10 +73,14 @@ class StructureChoice:
 
 
 class StructureSearch:
-    """Searches every axis again with the structure that is asked, and says what it does."""
+    """Searches every axis again with the structure that is asked, and says what it does.
 
-    def __init__(self, structure: Structure, seed: int) -> None:
-        self._structure, self._seed = structure, seed
+    Unless it is said, the noise of the command is limited in the place of bounds.
+    """
+
+    def __init__(self, spec: ProblemSpec, identified: Identified, seed: int) -> None:
+        self._structure, self._identified, self._seed = spec.structure or DEFAULT, identified, seed
+        self._said, self._said_turning = {*spec.bounds}, {*spec.bounds, *spec.rotational.bounds}
         self._choices: dict[str, StructureChoice] = {}
 
     def searched(self, plain: Mapping[str, SearchResult]) -> dict[str, SearchResult]:
@@ -82,7 +90,13 @@ class StructureSearch:
         found = {}
         for name, each in plain.items():
             hand = certified_hand(name, each.problem)
-            found[name], self._choices[name] = choose_structure(each, self._structure, hand, seed=self._seed)
+            said = self._said_turning if name in ROTATIONAL_AXES else self._said
+            noise = find_sensor_noise(self._identified, name)
+            found[name], choice = choose_structure(
+                each, self._structure, hand, seed=self._seed, said=said, sensor_noise=noise
+            )
+            if len(choice.costs) > 1:
+                self._choices[name] = choice
         return found
 
     def notes(self, searches: Mapping[str, SearchResult]) -> list[str]:
@@ -91,18 +105,29 @@ class StructureSearch:
 
 
 def choose_structure(
-    plain: SearchResult, structure: Structure, hand: HandImpedance, *, seed: int
+    plain: SearchResult,
+    structure: Structure,
+    hand: HandImpedance,
+    *,
+    seed: int,
+    said: Collection[str] = (),
+    sensor_noise: float | None = None,
 ) -> tuple[SearchResult, StructureChoice]:
     """Return the best law up to a structure, and what was compared; `plain` are four gains in their bounds.
 
     A law with more freedom must meet all that is asked of the four gains, make no more noise of the command, and keep
     nine tenths of their modulus in a hand, over the same plants. The bounds of M_a, K_l and B_fb, which stand for that
-    noise, are then wider. One that saves less than `PRICE` beside a simpler one is not taken.
+    noise, are then wider, but those that somebody `said`. One that saves less than `PRICE` beside a simpler
+    one is not taken.
     """
     noise = _noise(plain)
     found: dict[Structure, SearchResult | None] = {"gains": plain}
     for each in _ORDER[1 : _ORDER.index(structure) + 1]:
-        problem = limited_problem(plain.problem, noise, has_biquad=each == "biquad")
+        problem = limited_problem(
+            plain.problem, noise, has_biquad=each == "biquad", said=said, sensor_noise=sensor_noise
+        )
+        if problem.bounds == plain.problem.bounds:
+            continue
         known = [at.design for at in found.values() if at is not None]
         starts = known if each == "noise" else [_neutral(problem, at, corner) for at in known for corner in _CORNERS]
         found[each] = _held_as_well(plain, _solved(problem, starts, seed), hand, starts, seed)
@@ -115,15 +140,27 @@ def choose_structure(
     return best, StructureChoice(costs=costs, taken=taken, noise_m_s_per_n=noise)
 
 
-def limited_problem(plain: DesignProblem, noise_m_s_per_n: float, *, has_biquad: bool) -> DesignProblem:
-    """Return the problem with the noise of the command limited, unless it is already, in the place of bounds."""
+def limited_problem(
+    plain: DesignProblem,
+    noise_m_s_per_n: float,
+    *,
+    has_biquad: bool,
+    said: Collection[str] = (),
+    sensor_noise: float | None = None,
+) -> DesignProblem:
+    """Return the problem with the noise of the command limited, unless it is already, in the place of bounds.
+
+    The limit is a speed under the sensor's noise [N or N·m RMS], or under 1 where that is not known.
+    """
     asked = plain.requirements
     if asked.command_noise is None:
-        asked = replace(asked, command_noise=NoiseLimit(max_speed_rms_m_s=noise_m_s_per_n, force_noise_rms_n=1.0))
+        rms = sensor_noise or 1.0
+        limit = NoiseLimit(max_speed_rms_m_s=float(f"{rms * noise_m_s_per_n:.6g}"), force_noise_rms_n=rms)
+        asked = replace(asked, command_noise=limit)
     target = asked.free_space_admittance
     slowest = 2.0 * math.pi * (_SLOWEST_HZ if target is None else target.band_hz[1])
     biquad = biquad_bounds(plain.sample_time_s, slowest) if has_biquad else {}
-    return replace(plain, bounds={**loosened_bounds(plain), **biquad}, requirements=asked)
+    return replace(plain, bounds={**loosened_bounds(plain, said), **biquad}, requirements=asked)
 
 
 def _solved(problem: DesignProblem, starts: Sequence[FloatArray], seed: int) -> SearchResult | None:
