@@ -29,7 +29,7 @@ from autotune.validation.requirements import speed_rms
 from benchmarks.tuning_problems import paper_cell
 from problems.contact.nonlinear_simulation import simulate_nonlinear
 from problems.design.hand import HandImpedance
-from problems.design.problem import DesignProblem
+from problems.design.problem import DEFAULT_BOUNDS, DesignProblem
 from problems.design.requirements import HeldByHand
 from problems.model.controller import AdmittanceController
 from problems.model.plant import FREE_SPACE
@@ -97,6 +97,38 @@ def test_a_hand_is_held_as_well_as_by_the_four_gains() -> None:
     hand = HeldByHand(min_modulus=0.5)
     held = [structure_module._least_held(each, hand) for each in (plain(), found)]
     assert held[1] >= 0.895 * held[0]
+
+
+def test_bounds_that_somebody_said_hold() -> None:
+    said = {"mass", "lead_s"}
+    bounds = limited_problem(papers_cell(), 3e-3, has_biquad=False, said=said).bounds
+    assert {name: bounds[name] for name in said} == {name: DEFAULT_BOUNDS[name] for name in said}
+    assert bounds["feedback_damping_s"][1] > DEFAULT_BOUNDS["feedback_damping_s"][1]
+    every = {"mass", "lead_s", "feedback_damping_s"}
+    found, choice = choose_structure(plain(), "noise", HAND, seed=0, said=every)
+    assert found is plain()
+    assert dict(choice.costs) == {"gains": plain().evaluation.cost}
+
+
+def test_unasked_the_noise_of_the_identified_sensor_is_limited_in_the_place_of_bounds() -> None:
+    plant = IdentifiedFile(result=identified_plant(), provenance={}, path=Path("identified.yaml"), sha256="0" * 64)
+    proof = ProofOptions(further_s=0.0)
+    spec = replace(FAST_SPEC, bounds={})
+    found, bounded = (
+        optimize(plant, replace(spec, structure=each), seed=1, proof=proof, replays=False) for each in (None, "gains")
+    )
+    today, noise = (each.searches["x"] for each in (bounded, found))
+    assert noise.evaluation.cost < 0.99 * today.evaluation.cost
+    limit = noise.problem.requirements.command_noise
+    assert limit is not None
+    assert limit.force_noise_rms_n == identified_plant().sensor.force_noise_rms_n.value
+    # By the answer to one tick of force: the noise is that of the bounded gains.
+    problem = today.problem
+    plants = [problem.plant(each) for each in today.active.scenarios]
+    plants += [each.in_contact_with(FREE_SPACE) for each in plants]
+    before, after = (float(np.max(speed_rms(plants, law_of(each), problem.sample_time_s))) for each in (today, noise))
+    assert after <= before * (1.0 + 1e-3)
+    assert limit.max_speed_rms_m_s == pytest.approx(before * (limit.force_noise_rms_n or 0.0), rel=1e-2)
 
 
 def test_where_nothing_is_found_the_four_gains_stay(monkeypatch: pytest.MonkeyPatch) -> None:
