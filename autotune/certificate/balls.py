@@ -160,6 +160,41 @@ class DualBall:
     __radd__, __rmul__ = __add__, __mul__
 
 
+class Jet:
+    """A flint ball f(t) = c_0 + c_1 t + c_2 t² along one direction, whose higher powers of t are left out."""
+
+    __slots__ = ("c",)
+
+    def __init__(self, c_0: Any, c_1: Any = 0, c_2: Any = 0) -> None:
+        self.c = flint.arb(c_0), flint.arb(c_1), flint.arb(c_2)
+
+    @classmethod
+    def of(cls, value: Any) -> "Jet":
+        """Return a number, or a series without derivative, as a jet."""
+        return value if isinstance(value, Jet) else cls(as_series(value).value)
+
+    def __add__(self, other: Any) -> "Jet":
+        return Jet(*(a + b for a, b in zip(self.c, Jet.of(other).c, strict=True)))
+
+    def __mul__(self, other: Any) -> "Jet":
+        if not isinstance(other, Jet):
+            factor = as_series(other).value
+            return Jet(*(each * factor for each in self.c))
+        (a_0, a_1, a_2), (b_0, b_1, b_2) = self.c, other.c
+        return Jet(a_0 * b_0, a_0 * b_1 + a_1 * b_0, a_0 * b_2 + a_1 * b_1 + a_2 * b_0)
+
+    def __neg__(self) -> "Jet":
+        return Jet(*(-each for each in self.c))
+
+    def __sub__(self, other: Any) -> "Jet":
+        return self + (-Jet.of(other))
+
+    def __rsub__(self, other: Any) -> "Jet":
+        return Jet.of(other) - self
+
+    __radd__, __rmul__ = __add__, __mul__
+
+
 def as_series(value: Any) -> DualBall:
     """Return a number as a series without derivative, and a series as it is."""
     return value if isinstance(value, DualBall) else DualBall(flint.arb(value))
@@ -212,6 +247,23 @@ def exponential(matrix: Any) -> Any:
     for i in range(n):
         for j in range(n):
             out[i, j] = DualBall(found[i, j], found[i, n + j] if has_derivative else None)
+    return out
+
+
+def jet_exponential(matrix: Any) -> Any:
+    """Return exp of an object array (n, n) of jets: exp of a block Toeplitz matrix holds all coefficients."""
+    n = len(matrix)
+    block = flint.arb_mat(3 * n, 3 * n)
+    for i, row in enumerate(matrix):
+        for j, entry in enumerate(row):
+            for power, each in enumerate(Jet.of(entry).c):
+                for k in range(3 - power):
+                    block[k * n + i, (k + power) * n + j] = each
+    found = block.exp()
+    out = np.empty((n, n), dtype=object)
+    for i in range(n):
+        for j in range(n):
+            out[i, j] = Jet(*(found[i, power * n + j] for power in range(3)))
     return out
 
 

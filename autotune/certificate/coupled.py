@@ -3,7 +3,8 @@
 Bounded real lemma: where P > 0 has diag(P, γ² I) − Σᵀ diag(P, I) Σ > 0 for the matrix Σ = (A, B; C, D) of the closed
 loop from what is added to the forces to what the laws read, A is stable and σ(D + C (zI − A)⁻¹ B) < γ on the whole unit
 circle (de Souza and Xie, Systems & Control Letters 18, 1992): σ_min(I + L) > 1/γ at every frequency at once. The
-left side is concave in Σ, so that it holds for a cell of plants if it does at the corners of a box around their Σ.
+left side is concave in Σ, so that it holds for a cell of plants if it does at the corners of a box around their Σ,
+whose sides are what K_e and the mass change to first and to second order.
 """
 
 import itertools
@@ -57,16 +58,18 @@ def prove_coupled(
         cell, part = waiting.pop()
         system = coupled_system(family, cell)
         spent += int(_CELL_WORK * (system.states / _USUAL_STATES) ** 2) + 1
-        gain = _gain(system)
-        if not gain < gamma:
-            middle = np.mean(cell, axis=1)
-            return CoupledOutcome(
-                share=share, cells=cells, work=spent, refuted=(float(middle[0]), float(1.0 / middle[1]))
-            )
         # The scales of one cell are nearly those of the next.
-        scales = _best_scales(system, gamma, start)
-        start = scales
-        if _is_proved(system, gamma, scales):
+        scales = start
+        if scales is None or not _is_proved(system, gamma, scales):
+            if not _gain(system) < gamma:
+                middle = np.mean(cell, axis=1)
+                found = float(middle[0]), float(1.0 / middle[1])
+                return CoupledOutcome(share=share, cells=cells, work=spent, refuted=found)
+            scales = start = _best_scales(system, gamma, start)
+            is_proved = _is_proved(system, gamma, scales)
+        else:
+            is_proved = True
+        if is_proved:
             cells, share = cells + 1, share + part
             if progress is not None:
                 progress(part)
@@ -127,10 +130,9 @@ def _candidates(system: AffineLoop, gamma: float, scales: FloatArray) -> Iterato
         # All of Σ longer by this much: what is left is slack in every direction.
         longer = 1.0 + share * decay
         augmented = tuple(longer * each for each in _augmented(system, gamma, parts, scales))
-        if np.max(np.abs(np.linalg.eigvals(augmented[0]))) < 1.0 and largest_gain(*augmented)[0] < 1.0:
-            found = _riccati(augmented)
-            if found is not None:
-                yield found
+        found = _riccati(augmented) if np.max(np.abs(np.linalg.eigvals(augmented[0]))) < 1.0 else None
+        if found is not None:
+            yield found
 
 
 def _influences(system: AffineLoop) -> list[tuple[FloatArray, FloatArray]]:

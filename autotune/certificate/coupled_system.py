@@ -1,7 +1,8 @@
 """The closed loop of axes on one payload over a cell of K_e and mass: an affine matrix in balls (docs/method.md)."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, Literal
 
 import numpy as np
@@ -15,13 +16,27 @@ from problems.model.difference import rest_states
 from problems.model.plant import PLANT_PARAMETERS, Plant, write_plant
 from problems.model.sampled import split_delay
 
-from .balls import Balls, DualBall, as_series, ball, derivative_of, enclose, exponential, inverse_of, number, precise
+from .balls import (
+    Balls,
+    DualBall,
+    Jet,
+    as_series,
+    ball,
+    derivative_of,
+    enclose,
+    exponential,
+    inverse_of,
+    jet_exponential,
+    number,
+    precise,
+)
 from .law import blocks_in_balls, controller_rows
 
 Interval = tuple[float, float]
 BreakPoint = Literal["force", "command"]
 BREAK_POINTS: tuple[BreakPoint, ...] = ("force", "command")
 Objects = Any  # arrays of flint numbers and series
+_ROUNDING = 8.0 * float(np.finfo(np.float64).eps)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -49,56 +64,90 @@ class CoupledFamily:
 
 @dataclass(frozen=True, kw_only=True)
 class AffineLoop:
-    """Σ over a cell: `middle` + Σ δ_d `slopes`_d ± `rest` entry by entry, |δ_d| ≤ 1; n states come first."""
+    """Σ over a cell: `middle` + Σ δ_d `slopes`_d + Σ ε_k `curves`_k ± `rest` entry by entry, |δ_d|, |ε_k| ≤ 1.
+
+    The curves are what is of second order in δ, taken as if it was independent of it; n states come first. Rows are
+    multiplied, and columns divided, by `balance`.
+    """
 
     middle: FloatArray
     slopes: tuple[FloatArray, ...]
+    curves: tuple[FloatArray, ...]
     rest: FloatArray
     states: int
+    balance: FloatArray
 
     def corners(self) -> list[FloatArray]:
         """Return Σ at the corners of the box."""
         found = [self.middle]
-        for slope in self.slopes:
+        for slope in (*self.slopes, *self.curves):
             found = [each + sign * slope for each in found for sign in (-1.0, 1.0)]
         return found
 
 
 @precise
 def coupled_system(family: CoupledFamily, cell: FloatArray) -> AffineLoop:
-    """Return Σ over a cell, without the motions that nothing holds, in balanced states."""
+    """Return Σ over a cell, without the motions that nothing holds, in balanced states.
+
+    By Taylor's theorem Σ is Σ_0 with Σ_i δ_i and Σ_ij δ_i δ_j: the slopes are those in the middle, and Σ_ij are halves
+    of second derivatives, enclosed all over the cell. δ_i² lies between 0 and 1, δ_i δ_j within ±1.
+    """
     middle = np.mean(cell, axis=1)
-    thin = _steps(family, np.stack([middle, middle], axis=1), None)
-    frame = _Frame(family)
-    value = frame.close(_balls(thin))
-    half = 0.5 * (cell[:, 1] - cell[:, 0]) * (1.0 + 1e-12) + 2.0 * np.spacing(middle)
-    slopes, rest = [], value.rad
-    for along in np.flatnonzero(cell[:, 0] < cell[:, 1]).tolist():
-        steps = _steps(family, cell, along)
-        derivative = enclose([derivative_of(each) for each in steps.ravel()]).shaped(*steps.shape)
-        slope = frame.close(derivative.times(float(half[along])), with_constants=False)
-        slopes.append(slope.mid)
-        rest = rest + slope.rad
+    frame, half = _frame(family), 0.5 * (cell[:, 1] - cell[:, 0]) * (1.0 + 1e-12) + 2.0 * np.spacing(middle)
+    along = [np.eye(2)[i] * half for i in np.flatnonzero(cell[:, 0] < cell[:, 1]).tolist()]
+    first = [_first_order(family, middle, each) for each in along or [np.zeros(2)]]
+    value = frame.close(first[0][0])
+    slopes = [frame.close(each, with_constants=False) for _, each in first[: len(along)]]
+    second = [
+        frame.close(_second_order(family, cell, each), with_constants=False)
+        for each in ([*along, along[0] + along[1]] if len(along) == 2 else along)
+    ]
+    shift, curves = np.zeros_like(value.mid), []
+    for each in second[: len(along)]:
+        shift = shift + 0.5 * each.mid
+        curves.append(0.5 * each.mid)
+    # What the sums of these are rounded by; what no parameter moves is added to nothing.
+    moved = np.where(shift != 0.0, np.abs(value.mid), 0.0) + sum((np.abs(each.mid) for each in second), np.zeros(1))
+    rest = value.rad + sum((each.rad for each in (*slopes, *second)), np.zeros_like(value.rad))
+    if len(along) == 2:
+        # What is of second order along both is that along their sum without that of each alone.
+        curves.append(second[2].mid - second[0].mid - second[1].mid)
+        rest = rest + second[0].rad + second[1].rad
     n = frame.states
     _, (scale, _) = matrix_balance(value.mid[:n, :n], permute=False, separate=True)
     # Powers of two, which change no digit; and the states as large as the inputs make them.
     left = np.concatenate([1.0 / scale, np.ones(len(value.mid) - n)])
+    scales = np.outer(left, 1.0 / left)
     return AffineLoop(
-        middle=value.mid * np.outer(left, 1.0 / left),
-        slopes=tuple(each * np.outer(left, 1.0 / left) for each in slopes),
-        rest=rest * np.outer(left, 1.0 / left) * (1.0 + 1e-12),
+        middle=(value.mid + shift) * scales,
+        slopes=tuple(each.mid * scales for each in slopes),
+        curves=tuple(each * scales for each in curves),
+        rest=(rest * (1.0 + 1e-12) + _ROUNDING * moved) * scales,
         states=n,
+        balance=left,
     )
 
 
-def _steps(family: CoupledFamily, cell: FloatArray, along: int | None) -> Objects:
+def _first_order(family: CoupledFamily, point: FloatArray, along: FloatArray) -> tuple[Balls, Balls]:
+    """Return the plant's step at a point of K_e and 1/mass factor, and its slope along a direction."""
+    values = [DualBall(number(float(at)), number(float(d))) for at, d in zip(point, along, strict=True)]
+    entries = _steps(family, values, exponential)
+    slopes = enclose([derivative_of(each) for each in entries.ravel()])
+    return _balls(entries), slopes.shaped(*entries.shape)
+
+
+def _second_order(family: CoupledFamily, cell: FloatArray, along: FloatArray) -> Balls:
+    """Return the halves of the second derivatives of the plant's step along a direction, all over a cell."""
+    values = [Jet(ball(float(low), float(high)), float(d)) for (low, high), d in zip(cell, along, strict=True)]
+    entries = _steps(family, values, jet_exponential)
+    return enclose([Jet.of(each).c[2] for each in entries.ravel()]).shaped(*entries.shape)
+
+
+def _steps(family: CoupledFamily, values: Sequence[Any], power: Callable[[Objects], Objects]) -> Objects:
     """Return the plant's step (n, n + 2 k): the states', then per axis that of the newer and of the older command."""
-    values = [
-        DualBall(ball(float(low), float(high)), number(1) if i == along else None) for i, (low, high) in enumerate(cell)
-    ]
     a, b = _continuous(family, values)
     n, k = len(a), len(family.laws)
-    whole = exponential(_held(a, b))
+    whole = power(_held(a, b))
     out = _objects(n, n + 2 * k)
     out[:, :n] = whole[:n, :n]
     for i, plant in enumerate(family.plant.plants):
@@ -106,7 +155,7 @@ def _steps(family: CoupledFamily, cell: FloatArray, along: int | None) -> Object
         newer = whole[:n, n + i]
         if fraction > 0.0:
             rest = (samples + 1) - number(plant.loop_delay_s) / number(family.sample_time_s)
-            newer = exponential(_held(a, b[:, [i]]) * as_series(rest))[:n, n]
+            newer = power(_held(a, b[:, [i]]) * as_series(rest))[:n, n]
         out[:, n + 2 * i], out[:, n + 2 * i + 1] = newer, whole[:n, n + i] - newer
     return out
 
@@ -132,7 +181,7 @@ def _parts(plant: Plant, sample_time_s: float) -> tuple[Objects, ...]:
     return a, b, position, force, direct[0]
 
 
-def _continuous(family: CoupledFamily, values: Sequence[DualBall]) -> tuple[Objects, Objects]:
+def _continuous(family: CoupledFamily, values: Sequence[Any]) -> tuple[Objects, Objects]:
     """Return A (n, n) and B (n, k) per sample, accelerations through the inverse of the mass matrix, on the surface."""
     stiffness, inverse_factor = values
     singles = [_parts(each, family.sample_time_s) for each in family.plant.plants]
@@ -169,6 +218,12 @@ def _press(a: Objects, inverse: Objects, of: tuple[Any, Any, Any], speeds: list[
         for each, place in zip(direction, places, strict=True):
             a[speed, place] = a[speed, place] - inverse_factor * stiffness * (push * each * h * h)
             a[speed, place + 1] = a[speed, place + 1] - inverse_factor * (push * each * h * damping)
+
+
+@lru_cache(maxsize=4)
+def _frame(family: CoupledFamily) -> "_Frame":
+    """Return the frame of a family, made once for all its cells."""
+    return _Frame(family)
 
 
 class _Frame:

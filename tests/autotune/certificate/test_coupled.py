@@ -87,6 +87,44 @@ def test_the_loop_that_is_cut_at_the_commands_is_the_sampled_one(surface: PointS
     assert false.refuted == (stiffness, 1.0)
 
 
+@pytest.mark.parametrize("widths", [(0.15, 0.02), (0.0, 0.03), (0.2, 0.0)])
+def test_every_plant_of_a_cell_lies_in_its_box(widths: tuple[float, float]) -> None:
+    """Loops of drawn plants, each enclosed as a point: first and second order, and what is left beyond them."""
+    of = family(cell(surface=wall(STIFF, damping=0.0)), (SOFT, STIFF), (0.9, 1.1))
+    middle = np.array([1.05 * SOFT, 1.0])
+    half = middle * np.array(widths)
+    whole, rng = coupled_system(of, np.stack([middle - half, middle + half], axis=1)), np.random.default_rng(2)
+    vary, scales = [i for i in range(2) if widths[i] > 0.0], np.outer(1.0 / whole.balance, whole.balance)
+    for _ in range(10):
+        shares = rng.uniform(-1.0, 1.0, 2)
+        point = middle + shares * half
+        drawn = coupled_system(of, np.stack([point, point], axis=1))
+        # Each system is balanced on its own.
+        found = drawn.middle * np.outer(1.0 / drawn.balance, drawn.balance)
+        flat = whole.middle + sum(shares[i] * slope for i, slope in zip(vary, whole.slopes, strict=True))
+        products = [2.0 * shares[i] ** 2 - 1.0 for i in vary] + ([float(np.prod(shares))] if len(vary) == 2 else [])
+        model = flat + sum(each * curve for each, curve in zip(products, whole.curves, strict=True))
+        off = np.abs(found - model * scales)
+        assert np.all(off <= whole.rest * scales + 1e-11 * np.abs(found))
+    # The rest is of third order: less than what of second order is in the box, in the rows that the plant moves.
+    n = whole.states
+    assert np.max(whole.rest[:n, :n]) < 0.5 * max(float(np.max(np.abs(each[:n, :n]))) for each in whole.curves)
+
+
+def test_a_range_of_mass_and_stiffness_takes_a_sixth_of_the_work() -> None:
+    """763 cells while what is of second order was left to the rest, and twice as much of it."""
+    stiffness, factors = (8e4, 1.2e5), (0.97, 1.03)
+    gains = [
+        gain_of(replace(plant, mass_matrix=float(factor) * plant.mass_matrix))
+        for plant in (cell(surface=wall(each, damping=0.0)) for each in stiffness)
+        for factor in np.linspace(*factors, 3)
+    ]
+    of = family(cell(surface=wall(stiffness[1], damping=0.0)), stiffness, factors)
+    found = prove_coupled(of, 0.95 / max(gains), work=500_000)
+    assert (found.share, found.refuted) == (1.0, None)
+    assert prove_coupled(of, 1.005 / max(gains), work=500_000).share < 1.0
+
+
 def test_a_range_is_proved_down_to_the_slack() -> None:
     plant = cell(surface=wall(STIFF, damping=0.0))
     least = 1.0 / max(gain_of(cell(surface=wall(each, damping=0.0))) for each in np.linspace(SOFT, STIFF, 5))

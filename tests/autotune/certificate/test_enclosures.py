@@ -1,12 +1,13 @@
 """Balls hold what they must: their arithmetic, the plants of a cell, the factors on an arc."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from autotune.certificate import certify as certify_module
-from autotune.certificate.balls import Balls, exact
+from autotune.certificate.balls import Balls, Jet, exact, jet_exponential
 from autotune.certificate.base_plant import fails_at
 from autotune.certificate.bounds import judge
 from autotune.certificate.family import Family
@@ -113,3 +114,19 @@ def test_the_coefficients_of_a_cell_hold_those_of_its_plants(robot: RobotModel, 
             assert np.all(off <= group.rad[:, 0] + found.rad[:, 0] + rounding)
             # The rest is of second order: far below what the slopes tell.
             assert np.max(group.rad[:, 0]) < 0.3 * np.max(np.sum(np.abs(group.mid[:, 1:]), axis=1))
+
+
+def test_jets_hold_value_slope_and_half_the_second_derivative() -> None:
+    """Of e^(x + 2t + 3t²): e^x, 2 e^x and (3 + 2²/2) e^x; of a product the sums of all products."""
+    found = jet_exponential(np.array([[Jet(0.5, 2.0, 3.0)]], dtype=object))[0, 0]
+    for each, expected in zip(found.c, (1.0, 2.0, 5.0), strict=True):
+        assert float(each.mid()) == pytest.approx(expected * math.exp(0.5), rel=1e-15)
+    product = (2.0 - Jet(1.0, 1.0, 0.0)) * (Jet(3.0, 0.0, 1.0) - 1.0)
+    assert [float(each.mid()) for each in product.c] == [2.0, -2.0, 1.0]
+    turn = np.array([[0, Jet(0.0, 1.0)], [Jet(0.0, -1.0), 0]], dtype=object)
+    # cos t and sin t to second order.
+    rotated = jet_exponential(turn)
+    assert [[[float(e.mid()) for e in each.c] for each in row] for row in rotated] == [
+        [[1.0, 0.0, -0.5], [0.0, 1.0, 0.0]],
+        [[0.0, -1.0, 0.0], [1.0, 0.0, -0.5]],
+    ]
