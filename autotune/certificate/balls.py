@@ -283,8 +283,8 @@ def solved(matrix: Any, right: Any) -> Any:
     near = flint.arb_mat(n, n, [each.value.mid() for each in entries]).inv()
     numbers = near * flint.arb_mat(n, n, [each.value for each in entries])
     found = numbers.solve(near * flint.arb_mat(n, 1, [as_series(each).value for each in right]))
-    slopes = near * flint.arb_mat(n, n, [derivative_of(each) for each in entries])
-    rest = near * flint.arb_mat(n, 1, [derivative_of(as_series(each)) for each in right]) - slopes * found
+    derivatives = near * flint.arb_mat(n, n, [derivative_of(each) for each in entries])
+    rest = near * flint.arb_mat(n, 1, [derivative_of(as_series(each)) for each in right]) - derivatives * found
     change = numbers.solve(rest)
     return np.array([DualBall(found[i, 0], change[i, 0]) for i in range(n)], dtype=object)
 

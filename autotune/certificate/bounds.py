@@ -18,7 +18,7 @@ _ROUNDING = 1e-11
 class PlantCell:
     """Groups of coefficients, as in `Arcs`, over a cell of plants: value + Σ δ_i slope_i ± rest for |δ_i| ≤ 1.
 
-    Per group `linear` (k, 1 + d) holds value and slopes, its first column's radius the rest.
+    Per group `linear` (k, 1 + d) holds value and derivatives, its first column's radius the rest.
     """
 
     groups: tuple[Balls, ...]

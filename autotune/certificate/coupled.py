@@ -97,7 +97,7 @@ def _gain(system: AffineLoop) -> float:
 
 def _widest(system: AffineLoop, gamma: float, scales: FloatArray) -> int:
     """Return which of the coordinates that vary stands in the way: without its width the scaled gain is least."""
-    count, parts = len(system.slopes), _influences(system)
+    count, parts = len(system.derivatives), _influences(system)
 
     def gain_without(place: int) -> float:
         others = [each for each in range(count) if each != place]
@@ -138,8 +138,8 @@ def _candidates(system: AffineLoop, gamma: float, scales: FloatArray) -> Iterato
 def _influences(system: AffineLoop) -> list[tuple[FloatArray, FloatArray]]:
     """Return U and Vᵀ of what each parameter moves in Σ, of the rank that matters."""
     parts = []
-    for slope in system.slopes:
-        u, values, v = np.linalg.svd(slope)
+    for derivative in system.derivatives:
+        u, values, v = np.linalg.svd(derivative)
         rank = max(1, min(_RANK, int(np.sum(values > _LEAST_RANK * values[0]))))
         root = np.sqrt(values[:rank])
         parts.append((u[:, :rank] * root, (v[:rank].T * root).T))

@@ -64,14 +64,14 @@ class CoupledFamily:
 
 @dataclass(frozen=True, kw_only=True)
 class AffineLoop:
-    """Σ over a cell: `middle` + Σ δ_d `slopes`_d + Σ ε_k `curves`_k ± `rest` entry by entry, |δ_d|, |ε_k| ≤ 1.
+    """Σ over a cell: `middle` + Σ δ_d `derivatives`_d + Σ ε_k `curves`_k ± `rest` entry by entry, |δ_d|, |ε_k| ≤ 1.
 
     The curves are what is of second order in δ, taken as if it was independent of it; n states come first. Rows are
     multiplied, and columns divided, by `balance`.
     """
 
     middle: FloatArray
-    slopes: tuple[FloatArray, ...]
+    derivatives: tuple[FloatArray, ...]
     curves: tuple[FloatArray, ...]
     rest: FloatArray
     states: int
@@ -80,8 +80,8 @@ class AffineLoop:
     def corners(self) -> list[FloatArray]:
         """Return Σ at the corners of the box."""
         found = [self.middle]
-        for slope in (*self.slopes, *self.curves):
-            found = [each + sign * slope for each in found for sign in (-1.0, 1.0)]
+        for change in (*self.derivatives, *self.curves):
+            found = [each + sign * change for each in found for sign in (-1.0, 1.0)]
         return found
 
 
@@ -89,7 +89,7 @@ class AffineLoop:
 def coupled_system(family: CoupledFamily, cell: FloatArray) -> AffineLoop:
     """Return Σ over a cell, without the motions that nothing holds, in balanced states.
 
-    By Taylor's theorem Σ is Σ_0 with Σ_i δ_i and Σ_ij δ_i δ_j: the slopes are those in the middle, and Σ_ij are halves
+    By Taylor's theorem Σ is Σ_0 with Σ_i δ_i and Σ_ij δ_i δ_j: the derivatives are those in the middle, and Σ_ij are halves
     of second derivatives, enclosed all over the cell. δ_i² lies between 0 and 1, δ_i δ_j within ±1.
     """
     middle = np.mean(cell, axis=1)
@@ -97,7 +97,7 @@ def coupled_system(family: CoupledFamily, cell: FloatArray) -> AffineLoop:
     along = [np.eye(2)[i] * half for i in np.flatnonzero(cell[:, 0] < cell[:, 1]).tolist()]
     first = [_first_order(family, middle, each) for each in along or [np.zeros(2)]]
     value = frame.close(first[0][0])
-    slopes = [frame.close(each, with_constants=False) for _, each in first[: len(along)]]
+    derivatives = [frame.close(each, with_constants=False) for _, each in first[: len(along)]]
     second = [
         frame.close(_second_order(family, cell, each), with_constants=False)
         for each in ([*along, along[0] + along[1]] if len(along) == 2 else along)
@@ -108,7 +108,7 @@ def coupled_system(family: CoupledFamily, cell: FloatArray) -> AffineLoop:
         curves.append(0.5 * each.mid)
     # What the sums of these are rounded by; what no parameter moves is added to nothing.
     moved = np.where(shift != 0.0, np.abs(value.mid), 0.0) + sum((np.abs(each.mid) for each in second), np.zeros(1))
-    rest = value.rad + sum((each.rad for each in (*slopes, *second)), np.zeros_like(value.rad))
+    rest = value.rad + sum((each.rad for each in (*derivatives, *second)), np.zeros_like(value.rad))
     if len(along) == 2:
         # What is of second order along both is that along their sum without that of each alone.
         curves.append(second[2].mid - second[0].mid - second[1].mid)
@@ -120,7 +120,7 @@ def coupled_system(family: CoupledFamily, cell: FloatArray) -> AffineLoop:
     scales = np.outer(left, 1.0 / left)
     return AffineLoop(
         middle=(value.mid + shift) * scales,
-        slopes=tuple(each.mid * scales for each in slopes),
+        derivatives=tuple(each.mid * scales for each in derivatives),
         curves=tuple(each * scales for each in curves),
         rest=(rest * (1.0 + 1e-12) + _ROUNDING * moved) * scales,
         states=n,
@@ -129,11 +129,11 @@ def coupled_system(family: CoupledFamily, cell: FloatArray) -> AffineLoop:
 
 
 def _first_order(family: CoupledFamily, point: FloatArray, along: FloatArray) -> tuple[Balls, Balls]:
-    """Return the plant's step at a point of K_e and 1/mass factor, and its slope along a direction."""
+    """Return the plant's step at a point of K_e and 1/mass factor, and its derivative along a direction."""
     values = [DualBall(number(float(at)), number(float(d))) for at, d in zip(point, along, strict=True)]
     entries = _steps(family, values, exponential)
-    slopes = enclose([derivative_of(each) for each in entries.ravel()])
-    return _balls(entries), slopes.shaped(*entries.shape)
+    derivatives = enclose([derivative_of(each) for each in entries.ravel()])
+    return _balls(entries), derivatives.shaped(*entries.shape)
 
 
 def _second_order(family: CoupledFamily, cell: FloatArray, along: FloatArray) -> Balls:

@@ -15,20 +15,20 @@ _OUT = 1.0 + 1e-9
 class CellLoop(NamedTuple):
     """A loop over a cell, in m coordinates: changes, start at the first tick in contact, and rows of F_e.
 
-    `change` (m, m) and `slopes` (d, m, m) with their `spread` (m, m); `place` p (m,), `shifts` q (c, m) with c ≥ d and
-    their `unknown` e (m,). `row` (m,), `row_slopes` (d, m) and `row_spread` are F_e − F^d; `curved` and its spread its
-    second derivative by the sample, `bent` a bound of what that changes within a sample by |z|. `weights` are a bound
-    of |z| that no step raises. `desired` is F^d, `touching` a bound of F_e in the sample of the touch.
+    `change` (m, m) and `derivatives` (d, m, m) with their `spread` (m, m); `place` p (m,), `shifts` q (c, m) with c ≥ d
+    and their `unknown` e (m,). `row` (m,), `row_derivatives` (d, m) and `row_spread` are F_e − F^d; `curved` and its
+    spread its second derivative by the sample, `bent` a bound of what that changes within a sample by |z|. `weights`
+    are a bound of |z| that no step raises. `desired` is F^d, `touching` a bound of F_e in the sample of the touch.
     """
 
     change: ComplexArray
-    slopes: ComplexArray
+    derivatives: ComplexArray
     spread: FloatArray
     place: ComplexArray
     shifts: ComplexArray
     unknown: FloatArray
     row: ComplexArray
-    row_slopes: ComplexArray
+    row_derivatives: ComplexArray
     row_spread: FloatArray
     curved: ComplexArray
     curved_spread: FloatArray
@@ -76,7 +76,7 @@ class ForceBounds(NamedTuple):
 def force_at(cell: CellLoop, state: CellState) -> Tick:
     """Return F_e at a tick."""
     p, q, e, size = state
-    c, d = len(q), len(cell.slopes)
+    c, d = len(q), len(cell.derivatives)
     beside = size - np.abs(p)
     middle = cell.desired + np.sum(cell.row * p).real
     rest = np.sum(np.abs(cell.row) * e + cell.row_spread * size) + _ROUNDING * abs(middle)
@@ -87,8 +87,8 @@ def force_at(cell: CellLoop, state: CellState) -> Tick:
     for j in range(c):
         value = np.sum(cell.row * q[j]).real
         if j < d:
-            value += np.sum(cell.row_slopes[j] * p).real
-            rest += np.sum(np.abs(cell.row_slopes[j]) * beside)
+            value += np.sum(cell.row_derivatives[j] * p).real
+            rest += np.sum(np.abs(cell.row_derivatives[j]) * beside)
         shares[j] = abs(value)
         curvature += abs(np.sum(cell.curved * q[j]).real)
     return Tick(middle, shares, rest, curvature)
@@ -103,9 +103,9 @@ def stepped(cell: CellLoop, state: CellState) -> CellState:
     error = np.abs(cell.change) @ (e + _ROUNDING * size) + cell.spread @ size
     for j in range(len(q)):
         shifts[j] = cell.change @ q[j]
-        if j < len(cell.slopes):
-            shifts[j] += cell.slopes[j] @ p
-            error += np.abs(cell.slopes[j]) @ (beside + _ROUNDING * size)
+        if j < len(cell.derivatives):
+            shifts[j] += cell.derivatives[j] @ p
+            error += np.abs(cell.derivatives[j]) @ (beside + _ROUNDING * size)
     error *= _OUT
     return CellState(after, shifts, error, size_of(after, shifts, error))
 
@@ -123,8 +123,8 @@ def size_of(place: ComplexArray, shifts: ComplexArray, unknown: FloatArray) -> F
 def later_change(cell: CellLoop, size: FloatArray) -> float:
     """Return a bound of |F_e − F^d| from a tick on for ever."""
     slope = np.abs(cell.row) + cell.row_spread + 0.125 * (np.abs(cell.curved) + cell.curved_spread + cell.bent)
-    for j in range(len(cell.row_slopes)):
-        slope += np.abs(cell.row_slopes[j])
+    for j in range(len(cell.row_derivatives)):
+        slope += np.abs(cell.row_derivatives[j])
     return float(np.max(size / cell.weights) * np.sum(slope * cell.weights) * _OUT)
 
 

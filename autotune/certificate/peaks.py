@@ -175,21 +175,21 @@ def _walk_cell(
     middle = np.mean(cell, axis=1)
     half = 0.5 * (cell[:, 1] - cell[:, 0]) * (1.0 + 1e-12) + 2.0 * np.spacing(middle)
     loop = contact_loop(family, law, approach, np.stack([middle, middle], axis=1))
-    slopes = [contact_loop(family, law, approach, cell, along) for along in range(len(cell))]
-    prepared = _prepare(loop, slopes, half, rho)
+    derivatives = [contact_loop(family, law, approach, cell, along) for along in range(len(cell))]
+    prepared = _prepare(loop, derivatives, half, rho)
     if not isinstance(prepared, CellLoop):
         return ForceBounds(math.inf, -math.inf, np.append(prepared, 0.0), math.inf, -math.inf, -math.inf, False)
     # F^d of a given speed hangs on the plant.
-    unsure = float(_around(loop.force_n, [s.force_n for s in slopes], half).rad[0])
+    unsure = float(_around(loop.force_n, [s.force_n for s in derivatives], half).rad[0])
     found = walk(prepared, limit_n - unsure, _LONGEST, _STRIDE)
     # What is of second order comes from how much each coordinate of the plant changes the loop.
-    changes = np.append(np.sum(np.abs(prepared.slopes), axis=(1, 2)), 0.0)
+    changes = np.append(np.sum(np.abs(prepared.derivatives), axis=(1, 2)), 0.0)
     of_rest = found.rest * changes / max(float(np.sum(changes)), _LEAST)
     return found._replace(lowest=found.lowest - unsure, shares=found.shares + of_rest)
 
 
 def _prepare(
-    loop: ContactLoop, slopes: list[ContactLoop], half: FloatArray, rho: tuple[float, float]
+    loop: ContactLoop, derivatives: list[ContactLoop], half: FloatArray, rho: tuple[float, float]
 ) -> CellLoop | FloatArray:
     """Return the loop in its own coordinates.
 
@@ -202,54 +202,56 @@ def _prepare(
         diagonal, inverse = similar(loop.change, basis)
     except ZeroDivisionError:
         return np.array(
-            [float(np.sum(_slopes(s.change).times(h).magnitude())) for s, h in zip(slopes, half, strict=True)]
+            [float(np.sum(_derivatives(s.change).times(h).magnitude())) for s, h in zip(derivatives, half, strict=True)]
         )
     v = exact(basis)
-    sides = [(inverse @ _slopes(s.change).times(h).shaped(m, m)) @ v for s, h in zip(slopes, half, strict=True)]
+    sides = [
+        (inverse @ _derivatives(s.change).times(h).shaped(m, m)) @ v for s, h in zip(derivatives, half, strict=True)
+    ]
     spread = diagonal.rad + np.sum([each.rad for each in sides], axis=0)
     whole = np.abs(diagonal.mid) + spread + np.sum([np.abs(each.mid) for each in sides], axis=0)
-    weights, way = _weights(whole), _around(loop.way, [s.way for s in slopes], half)
-    touch = _touch(loop, slopes, half, rho, way)
+    weights, way = _weights(whole), _around(loop.way, [s.way for s in derivatives], half)
+    touch = _touch(loop, derivatives, half, rho, way)
     if weights is None or touch is None:
         return np.array([float(np.sum(each.magnitude())) for each in sides])
-    starts = [inverse @ _slopes(s.start).times(h) for s, h in zip(slopes, half, strict=True)]
+    starts = [inverse @ _derivatives(s.start).times(h) for s, h in zip(derivatives, half, strict=True)]
     lost, touching = touch
-    rest = _spread(loop.rest, [s.rest for s in slopes], half)
+    rest = _spread(loop.rest, [s.rest for s in derivatives], half)
     # The way into the wall is that share of a sample's way.
     begun = _values(loop.start) + rest.times(0.5 * (rho[0] + rho[1])) * way + lost
     place = inverse @ begun
     into = inverse @ (rest.times(0.5 * (rho[1] - rho[0])) * way)
     shifts = [*starts, into]
     row = _values(loop.pressed) @ v
-    row_slopes = [_slopes(s.pressed).times(h) @ v for s, h in zip(slopes, half, strict=True)]
-    curved = _spread(loop.curvature, [s.curvature for s in slopes], half)
-    stepped = _spread(loop.stepped, [s.stepped for s in slopes], half)
-    turn, jump = (_around(value, [s.jump[i] for s in slopes], half) for i, value in enumerate(loop.jump))
+    row_derivatives = [_derivatives(s.pressed).times(h) @ v for s, h in zip(derivatives, half, strict=True)]
+    curved = _spread(loop.curvature, [s.curvature for s in derivatives], half)
+    stepped = _spread(loop.stepped, [s.stepped for s in derivatives], half)
+    turn, jump = (_around(value, [s.jump[i] for s in derivatives], half) for i, value in enumerate(loop.jump))
     curved_z = curved @ v
     size_v = np.abs(basis)
     # A turn of the slope within the sample lets F_e depart by a quarter of it from the straight line.
-    bent = (_bend(loop, slopes, half) + (2.0 * turn.magnitude() + jump.magnitude()) * stepped.magnitude()) @ size_v
+    bent = (_bend(loop, derivatives, half) + (2.0 * turn.magnitude() + jump.magnitude()) * stepped.magnitude()) @ size_v
     return CellLoop(
         change=diagonal.mid,
-        slopes=np.array([each.mid for each in sides]).reshape(-1, m, m).astype(np.complex128),
+        derivatives=np.array([each.mid for each in sides]).reshape(-1, m, m).astype(np.complex128),
         spread=spread * _OUT,
         place=place.mid,
         shifts=np.array([each.mid for each in shifts]).astype(np.complex128),
         unknown=(place.rad + np.sum([each.rad for each in shifts], axis=0)) * _OUT,
         row=row.mid,
-        row_slopes=np.array([each.mid for each in row_slopes]).reshape(-1, m).astype(np.complex128),
-        row_spread=(row.rad + np.sum([each.rad for each in row_slopes], axis=0)) * _OUT,
+        row_derivatives=np.array([each.mid for each in row_derivatives]).reshape(-1, m).astype(np.complex128),
+        row_spread=(row.rad + np.sum([each.rad for each in row_derivatives], axis=0)) * _OUT,
         curved=curved_z.mid,
         curved_spread=curved_z.rad * _OUT,
         bent=bent * _OUT,
         weights=weights,
-        desired=float(_around(loop.force_n, [s.force_n for s in slopes], half).mid[0]),
+        desired=float(_around(loop.force_n, [s.force_n for s in derivatives], half).mid[0]),
         touching=touching,
     )
 
 
 def _touch(
-    loop: ContactLoop, slopes: list[ContactLoop], half: FloatArray, rho: tuple[float, float], way: Balls
+    loop: ContactLoop, derivatives: list[ContactLoop], half: FloatArray, rho: tuple[float, float], way: Balls
 ) -> tuple[Balls, float] | None:
     """Return what the wall changes of the state in the sample of the touch, and a bound of F_e there; None without one.
 
@@ -257,12 +259,12 @@ def _touch(
     and ρ/slow; the impulse of K_e x + B_e v is bounded with these, its effect by what springs and dampers take back.
     """
     near, m, n = float(way.magnitude()[0]), len(loop.start), len(loop.before) - 1
-    spans = [_around(value, [s.newtons[i] for s in slopes], half) for i, value in enumerate(loop.newtons)]
+    spans = [_around(value, [s.newtons[i] for s in derivatives], half) for i, value in enumerate(loop.newtons)]
     wall, wall_damping, coupling, dampings, per_mass = (float(each.magnitude()[0]) for each in spans)
     soft, soft_damping, heaviest = (float(spans[i].mid[0] - spans[i].rad[0]) for i in (0, 1, 4))
-    state = _spread(loop.before, [s.before for s in slopes], half)
-    flow = _spread(loop.free_flow, [s.free_flow for s in slopes], half).shaped(n + 1, n + 1).magnitude()
-    begins = [np.dot(each.free_flow[n - 1], each.before) for each in (loop, *slopes)]
+    state = _spread(loop.before, [s.before for s in derivatives], half)
+    flow = _spread(loop.free_flow, [s.free_flow for s in derivatives], half).shaped(n + 1, n + 1).magnitude()
+    begins = [np.dot(each.free_flow[n - 1], each.before) for each in (loop, *derivatives)]
     first = float(_around(begins[0], begins[1:], half).magnitude()[0])
     after = expm(flow) @ (state.magnitude() + np.eye(n + 1)[n] * near)
     change = (first + flow[n - 1, n] * near + (flow @ flow)[n - 1] @ after) * _OUT
@@ -281,14 +283,14 @@ def _touch(
     return Balls(mid=mid, rad=rad), (wall * longest + wall_damping) * fast * _OUT
 
 
-def _bend(loop: ContactLoop, slopes: list[ContactLoop], half: FloatArray) -> FloatArray:
+def _bend(loop: ContactLoop, derivatives: list[ContactLoop], half: FloatArray) -> FloatArray:
     """Return a bound of the third derivative of F_e within a sample by |z| (m,): |c| |a|³ exp |a|."""
     m, n = len(loop.start), len(loop.before) - 1
-    flow = _spread(loop.flow, [s.flow for s in slopes], half).shaped(n + 1, n + 1).magnitude()
-    moves = _spread(loop.moves, [s.moves for s in slopes], half).magnitude()
+    flow = _spread(loop.flow, [s.flow for s in derivatives], half).shaped(n + 1, n + 1).magnitude()
+    moves = _spread(loop.moves, [s.moves for s in derivatives], half).magnitude()
     row = moves @ flow @ flow @ flow @ expm(flow) * _OUT
-    held = _spread(loop.held, [s.held for s in slopes], half).magnitude()
-    newer = held + _spread(loop.stepped, [s.stepped for s in slopes], half).magnitude()
+    held = _spread(loop.held, [s.held for s in derivatives], half).magnitude()
+    newer = held + _spread(loop.stepped, [s.stepped for s in derivatives], half).magnitude()
     out = np.zeros(m)
     out[:n] = row[:n]
     return np.asarray(out + row[n] * (held + newer))
@@ -307,16 +309,18 @@ def _values(entries: Any) -> Balls:
     return enclose([as_series(each).value for each in np.ravel(entries)])
 
 
-def _slopes(entries: Any) -> Balls:
+def _derivatives(entries: Any) -> Balls:
     return enclose([derivative_of(each) for each in np.ravel(entries)])
 
 
-def _spread(entries: Any, slopes: list[Any], half: FloatArray) -> Balls:
-    """Return entries all over a cell as balls: those of its middle, widened by what the slopes allow."""
+def _spread(entries: Any, derivatives: list[Any], half: FloatArray) -> Balls:
+    """Return entries all over a cell as balls: those of its middle, widened by what the derivatives allow."""
     value = _values(entries)
-    rad = value.rad + sum((h * _slopes(each).magnitude() for each, h in zip(slopes, half, strict=False)), np.zeros(1))
+    rad = value.rad + sum(
+        (h * _derivatives(each).magnitude() for each, h in zip(derivatives, half, strict=False)), np.zeros(1)
+    )
     return Balls(mid=value.mid, rad=rad * _OUT)
 
 
-def _around(entry: Any, slopes: list[Any], half: FloatArray) -> Balls:
-    return _spread([entry], [[each] for each in slopes], half)
+def _around(entry: Any, derivatives: list[Any], half: FloatArray) -> Balls:
+    return _spread([entry], [[each] for each in derivatives], half)

@@ -25,7 +25,7 @@ _UNBOUNDED = 1e30
 
 @dataclass(frozen=True, kw_only=True)
 class Taylor:
-    """`terms` (m, 1 + n) hold a_0 and the slopes, `rest` (m, n) the bound of what is left by direction."""
+    """`terms` (m, 1 + n) hold a_0 and the derivatives, `rest` (m, n) the bound of what is left by direction."""
 
     terms: NDArray[np.complex128]
     rest: FloatArray
@@ -79,13 +79,13 @@ class Taylor:
         """Return 1/value; unbounded where a half of a_0 may be lost."""
         first = self.terms[:, :1]
         size = np.maximum(np.abs(first), 1e-300)
-        slopes = np.abs(self.terms[:, 1:]) + self.rest
-        share = np.sum(slopes, axis=1, keepdims=True) / size
+        derivatives = np.abs(self.terms[:, 1:]) + self.rest
+        share = np.sum(derivatives, axis=1, keepdims=True) / size
         is_bounded = (share < 0.5) & (np.abs(first) > 1e-290)
         inverse = 1.0 / np.where(np.abs(first) > 1e-300, first, 1e-300)
         terms = np.concatenate([inverse, np.where(is_bounded, -self.terms[:, 1:] * inverse**2, 0.0)], axis=1)
-        over = self.rest / size + slopes / size * share / (1.0 - np.where(is_bounded, share, 0.0))
-        rest = np.where(is_bounded, over * np.abs(inverse), _UNBOUNDED * slopes / np.maximum(share * size, 1e-300))
+        over = self.rest / size + derivatives / size * share / (1.0 - np.where(is_bounded, share, 0.0))
+        rest = np.where(is_bounded, over * np.abs(inverse), _UNBOUNDED * derivatives / np.maximum(share * size, 1e-300))
         return Taylor(terms=terms, rest=_with_rounding(rest, 4.0 * np.abs(inverse[:, 0])))
 
 
@@ -105,9 +105,9 @@ def turned(angle: Taylor) -> Taylor:
     """Return e^{jx} of a real x: its terms are real."""
     middle = angle.terms[:, 0].real
     points, _ = turn(middle, np.zeros_like(middle))
-    slopes = np.abs(angle.terms[:, 1:])
-    wide = np.sum(slopes + angle.rest, axis=1, keepdims=True)
+    derivatives = np.abs(angle.terms[:, 1:])
+    wide = np.sum(derivatives + angle.rest, axis=1, keepdims=True)
     terms = np.concatenate([points.mid[:, None], 1j * angle.terms[:, 1:] * points.mid[:, None]], axis=1)
-    rest = angle.rest + 0.5 * (slopes + angle.rest) * wide
+    rest = angle.rest + 0.5 * (derivatives + angle.rest) * wide
     rest[:, 0] += points.rad
     return Taylor(terms=terms, rest=_with_rounding(rest, 1.0 + wide[:, 0]))

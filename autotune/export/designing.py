@@ -22,7 +22,7 @@ from .target import ExportRequest, ExportTarget, Rendered
 Found = TypeVar("Found")
 _ADMITTANCE = "free_space_admittance"
 # As `autotune.tuning.defaults`: the very most leaves one design and no choice of a gentle one.
-_SHARE_OF_REACH = 0.8
+_SHARE_OF_ATTAINABLE = 0.8
 DESIGNED = "for_target.yaml"
 """The controller file of the commands that are named."""
 _PROBLEM = "problem.yaml"
@@ -82,19 +82,21 @@ def raised_default(
     of = next(iter(lowered.values()))
     usual, band, used = of["usual"]["min_m_s_per_n"], tuple(of["used"]["band_hz"]), of["used"]["min_m_s_per_n"]
     asked = {**controller.certificate.requirements, _ADMITTANCE: AdmittanceTarget(min_m_s_per_n=usual, band_hz=band)}
-    hoped, reach = replace(controller, certificate=replace(controller.certificate, requirements=asked)), usual
+    hoped, attainable = replace(controller, certificate=replace(controller.certificate, requirements=asked)), usual
     try:
         _rendered(target, hoped, Path(DESIGNED), progress)
     except InfeasibleError as error:
         if {name for name, _, _ in error.relaxations} != {_ADMITTANCE}:
             return None
-        reach = min(possible for _, _, possible in error.relaxations)
+        attainable = min(possible for _, _, possible in error.relaxations)
     except CertificateError:
         return None
-    least = usual if reach >= usual else float(f"{_SHARE_OF_REACH * reach:.2g}")
+    least = usual if attainable >= usual else float(f"{_SHARE_OF_ATTAINABLE * attainable:.2g}")
     if least <= used:
         return None
-    return _with_default(target, spec, list(lowered), AdmittanceTarget(min_m_s_per_n=least, band_hz=band), reach, usual)
+    return _with_default(
+        target, spec, list(lowered), AdmittanceTarget(min_m_s_per_n=least, band_hz=band), attainable, usual
+    )
 
 
 def lowered_default(
@@ -110,16 +112,21 @@ def lowered_default(
     if not are_straight or {name for name, _, _ in error.relaxations} != {_ADMITTANCE}:
         return None
     used = next(iter(said.values()))[_ADMITTANCE]["used"]
-    reach, usual = min(possible for _, _, possible in error.relaxations), used["min_m_s_per_n"]
-    least = float(f"{_SHARE_OF_REACH * reach:.2g}")
+    attainable, usual = min(possible for _, _, possible in error.relaxations), used["min_m_s_per_n"]
+    least = float(f"{_SHARE_OF_ATTAINABLE * attainable:.2g}")
     asked = AdmittanceTarget(min_m_s_per_n=least, band_hz=tuple(used["band_hz"]))
-    return _with_default(target, spec, list(said), asked, reach, usual)
+    return _with_default(target, spec, list(said), asked, attainable, usual)
 
 
 def _with_default(
-    target: ExportTarget, spec: ProblemSpec, axes: Sequence[str], asked: AdmittanceTarget, reach: float, usual: float
+    target: ExportTarget,
+    spec: ProblemSpec,
+    axes: Sequence[str],
+    asked: AdmittanceTarget,
+    attainable: float,
+    usual: float,
 ) -> tuple[ProblemSpec, str]:
-    can = f"can have in this cell ({reach:.3g}); the usual {usual:g} cannot be had with it"
+    can = f"can have in this cell ({attainable:.3g}); the usual {usual:g} cannot be had with it"
     is_usual = asked.min_m_s_per_n == usual
     note = (
         f"Axis {', '.join(axes)}: nobody asked for a free-space admittance, so {asked.min_m_s_per_n:g} m/s/N are asked "

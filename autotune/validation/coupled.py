@@ -336,8 +336,10 @@ def _unheld(plant: CoupledPlant, laws: Sequence[Law]) -> int:
     """Return how many motions nothing holds: one per law, one less where a surface is in the way of any."""
     driven = [i for i, law in enumerate(laws) if law is not None]
     surface = plant.surface
-    stands = surface is not None and surface.environment.stiffness_n_per_m > 0.0 and np.any(surface.direction[driven])
-    return len(driven) - int(bool(stands))
+    has_surface = (
+        surface is not None and surface.environment.stiffness_n_per_m > 0.0 and np.any(surface.direction[driven])
+    )
+    return len(driven) - int(bool(has_surface))
 
 
 def _peak_error(cell: CoupledCell, name: str, points: Sequence[PointContact]) -> float:

@@ -8,7 +8,17 @@ from scipy.spatial.transform import Rotation
 
 from problems.arrays import BoolArray, FloatArray, IntArray
 
-from ..payload.static_poses import GRAVITY_B_M_S2, StaticPose, cross_matrix, group_means, group_shares, weighted_median
+from ..payload.static_poses import (
+    GRAVITY_B_M_S2,
+    OUTLIER_DEVIATIONS,
+    SMALLEST_SCATTER_N,
+    SMALLEST_SCATTER_N_M,
+    StaticPose,
+    cross_matrix,
+    group_means,
+    group_shares,
+    weighted_median,
+)
 from ..signals.recording import Frames
 
 _Fit = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
@@ -16,9 +26,6 @@ QUARTER_TURNS = Rotation.create_group("O")
 """The 24 turns that take axes to axes."""
 _ROUNDS = 40
 _ALIKE = 1.5
-_OUTLIER_DEVIATIONS = 6.0
-_SMALLEST_SCATTER_N = 0.05
-_SMALLEST_SCATTER_N_M = 0.01
 _DIRECTION_ROUNDS = 30
 _SMALLEST_N = 1e-3
 _LARGEST_CONDITION = 100.0
@@ -151,13 +158,13 @@ def score_hypotheses(poses: Sequence[StaticPose], groups: IntArray, frames: Fram
 
 def _inliers(gravity: FloatArray, force: FloatArray, torque: FloatArray, shares: FloatArray) -> BoolArray:
     """Return which rests (n,) fit the hypothesis whose force misfits least in sum."""
-    misfits = _least_absolute(gravity, force, shares, _SMALLEST_SCATTER_N, fit=_force_misfit)
+    misfits = _least_absolute(gravity, force, shares, SMALLEST_SCATTER_N, fit=_force_misfit)
     best = int(np.argmin(np.sum(shares * misfits, axis=1)))
-    twist = _least_absolute(gravity[best : best + 1], torque, shares, _SMALLEST_SCATTER_N_M, fit=_torque_misfit)
+    twist = _least_absolute(gravity[best : best + 1], torque, shares, SMALLEST_SCATTER_N_M, fit=_torque_misfit)
     keep = np.ones(len(force), dtype=bool)
-    for misfit, floor in ((misfits[best], _SMALLEST_SCATTER_N), (twist[0], _SMALLEST_SCATTER_N_M)):
+    for misfit, floor in ((misfits[best], SMALLEST_SCATTER_N), (twist[0], SMALLEST_SCATTER_N_M)):
         scatter = max(1.4826 * weighted_median(misfit, shares), floor)
-        keep &= misfit < _OUTLIER_DEVIATIONS * scatter
+        keep &= misfit < OUTLIER_DEVIATIONS * scatter
     return keep
 
 

@@ -25,13 +25,13 @@ class Linearised:
     """JᵀJ (p, p), Jᵀr (p,) without the spans' own parameters; whitened `rows` (n, 1 + p); how the own ones follow."""
 
     matrix: FloatArray
-    slope: FloatArray
+    gradient: FloatArray
     rows: tuple[FloatArray, ...]
     own: tuple[tuple[FloatArray, FloatArray], ...]
 
 
 def linearised(of: ExtendedProblem, at: PayloadFit) -> Linearised:
-    """Return the problem's slopes at a candidate by differences, each span's own parameters projected out."""
+    """Return the problem's derivatives at a candidate by differences, each span's own parameters projected out."""
     small = of.steps(at.kind)[0]
     forces = of.forces(at.theta, at.own, at.kind)
     here = of.shown(at.theta, forces)
@@ -41,10 +41,10 @@ def linearised(of: ExtendedProblem, at: PayloadFit) -> Linearised:
         of.shown(theta, forces if i in behind else of.forces(theta, at.own, at.kind))
         for i, theta in enumerate(at.theta + np.diag(small))
     ]
-    matrix, slope = of.prior(len(at.theta))
-    slope = slope + matrix @ at.theta
+    matrix, gradient = of.prior(len(at.theta))
+    gradient = gradient + matrix @ at.theta
     rows, follows = [], []
-    for i, (error, owned) in enumerate(zip(here, of.own_slopes(at), strict=True)):
+    for i, (error, owned) in enumerate(zip(here, of.own_derivatives(at), strict=True)):
         columns = [error, *((m[i] - error) / s for m, s in zip(moved, small, strict=True))]
         own = at.noise.apply(owned)
         white = at.noise.apply(np.array(columns).T)
@@ -52,10 +52,10 @@ def linearised(of: ExtendedProblem, at: PayloadFit) -> Linearised:
         taken = q.T @ white
         white = white - q @ taken
         matrix = matrix + white[:, 1:].T @ white[:, 1:]
-        slope = slope + white[:, 1:].T @ white[:, 0]
+        gradient = gradient + white[:, 1:].T @ white[:, 0]
         rows.append(white)
         follows.append((r, taken))
-    return Linearised(matrix=matrix, slope=slope, rows=tuple(rows), own=tuple(follows))
+    return Linearised(matrix=matrix, gradient=gradient, rows=tuple(rows), own=tuple(follows))
 
 
 def descended(of: ExtendedProblem, start: PayloadFit, most_steps: int) -> PayloadFit:
@@ -65,12 +65,12 @@ def descended(of: ExtendedProblem, start: PayloadFit, most_steps: int) -> Payloa
     now = replace(start, cost=of.cost(start.theta, start.own, start.kind, start.noise))
     for _ in range(most_steps):
         at = linearised(of, now)
-        free = ~(((now.theta <= low) & (at.slope > 0.0)) | ((now.theta >= high) & (at.slope < 0.0)))
+        free = ~(((now.theta <= low) & (at.gradient > 0.0)) | ((now.theta >= high) & (at.gradient < 0.0)))
         scale = 1.0 / np.sqrt(np.maximum(np.diag(at.matrix)[free], 1e-12))
         inner, before = at.matrix[np.ix_(free, free)] * np.outer(scale, scale), now
         for _ in range(_HALVINGS):
             step = np.zeros(len(now.theta))
-            step[free] = -scale * np.linalg.solve(inner + easing * np.eye(len(scale)), scale * at.slope[free])
+            step[free] = -scale * np.linalg.solve(inner + easing * np.eye(len(scale)), scale * at.gradient[free])
             theta = np.clip(now.theta + np.clip(step, -largest, largest), low, high)
             moved = np.append(1.0, theta - now.theta)
             own = tuple(
@@ -204,11 +204,11 @@ def scorer(of: ExtendedProblem, at: PayloadFit) -> Callable[[PayloadFit, Payload
             coupled += rows[:, 1:].T @ column
         part = root.T @ coupled
         square -= float(part @ part)
-        along -= float(part @ (root.T @ here.slope))
+        along -= float(part @ (root.T @ here.gradient))
         std = float(square**-0.5) if square > 0.0 else np.inf
         if not (square > 0.0 and along < 0.0):
             return Score(fall=0.0, way=0.0, std=std, follows=-(root @ part))
         return Score(fall=along**2 / square, way=-along / square, std=std, follows=-(root @ part))
 
-    own_bases = [np.linalg.qr(at.noise.apply(owned))[0] for owned in of.own_slopes(at)]
+    own_bases = [np.linalg.qr(at.noise.apply(owned))[0] for owned in of.own_derivatives(at)]
     return score

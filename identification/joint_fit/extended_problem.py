@@ -104,20 +104,20 @@ class ExtendedProblem:
         return logarithmic(self.problem.layout)[: self.shared]
 
     @cached_property
-    def _robot_slopes(self) -> tuple[FloatArray, ...]:
+    def _robot_derivatives(self) -> tuple[FloatArray, ...]:
         """Slopes (robot, n) of every span's force by the robot's parameters, in their sizes."""
         problem, point, robot = self.problem, self.point, self.problem.layout.robot
         if self.shared == COUPLING:
             return tuple(np.zeros((0, len(s))) for s in self.segments)
         here, period = problem.path(point.values), problem.signals.period_s
-        slopes = [path_slope(here, point.values[robot], i, period) for i in range(self.shared - COUPLING)]
+        derivatives = [path_slope(here, point.values[robot], i, period) for i in range(self.shared - COUPLING)]
         found = []
         for index, segment in zip(self.spans, self.segments, strict=True):
             indices = shared_indices(segment, problem.layout, through_robot=True)
             nuisance = point.nuisances[index]
 
             def slope(parameter: int) -> FlangePath:
-                return slopes[parameter - COUPLING]
+                return derivatives[parameter - COUPLING]
 
             rows = force_jacobian(point.values, nuisance, segment, here, slope, indices, problem.layout, period)[1]
             found.append(rows[COUPLING : self.shared] * self.sizes[COUPLING:, None])
@@ -132,20 +132,20 @@ class ExtendedProblem:
     @cached_property
     def _known(self) -> tuple[FloatArray, FloatArray]:
         """What poses and priors say of θ, as JᵀJ and Jᵀr of the shared parameters."""
-        matrix, slope = np.zeros((self.shared, self.shared)), np.zeros(self.shared)
+        matrix, gradient = np.zeros((self.shared, self.shared)), np.zeros(self.shared)
         for block in linearise(replace(self.problem, segments=()), replace(self.point, nuisances=())):
             if np.all(block.indices < self.shared):
                 matrix[np.ix_(block.indices, block.indices)] += block.jacobian.T @ block.jacobian
-                slope[block.indices] += block.jacobian.T @ block.residual
-        return matrix, slope
+                gradient[block.indices] += block.jacobian.T @ block.residual
+        return matrix, gradient
 
     def prior(self, size: int) -> tuple[FloatArray, FloatArray]:
         """Return JᵀJ (p, p) and Jᵀr at θ = 0 (p,) of what is known of θ beside the force."""
-        matrix, slope = np.zeros((size, size)), np.zeros(size)
-        matrix[: self.shared, : self.shared], slope[: self.shared] = self._known
+        matrix, gradient = np.zeros((size, size)), np.zeros(size)
+        matrix[: self.shared, : self.shared], gradient[: self.shared] = self._known
         for i in range(self.lags):
             matrix[self.shared + i, self.shared + i] = (self.latency_std_samples, LATENCY_SAMPLES)[i] ** -2.0
-        return matrix, slope
+        return matrix, gradient
 
     def values(self, theta: FloatArray) -> FloatArray:
         """Return the shared parameters [SI]."""
@@ -193,8 +193,8 @@ class ExtendedProblem:
         damping, sensor = float(self.values(theta)[1]), self.sensor_dynamics(theta)
         known = signals.sensor_dynamics.unknown(signals.period_s)
         out = []
-        for segment, coupled, slopes in zip(self.segments, forces, self._robot_slopes, strict=True):
-            force = theta[COUPLING : self.shared] @ slopes
+        for segment, coupled, derivatives in zip(self.segments, forces, self._robot_derivatives, strict=True):
+            force = theta[COUPLING : self.shared] @ derivatives
             if len(coupled) == len(force):
                 force = sensor.shown(coupled + force, path, segment.slice, damping, signals.period_s)
                 if self.lags == 1:
@@ -211,7 +211,7 @@ class ExtendedProblem:
             sensor = replace(sensor, delay_s=sensor.delay_s + float(theta[self.shared]) * period)
         return sensor.felt(force, period / count, count)
 
-    def own_slopes(self, at: "PayloadFit") -> list[FloatArray]:
+    def own_derivatives(self, at: "PayloadFit") -> list[FloatArray]:
         """Return how every span's errors follow its own parameters (n, own)."""
         forces = self.forces(at.theta, at.own, at.kind)
         here = self.shown(at.theta, forces)
@@ -230,10 +230,10 @@ class ExtendedProblem:
 
     def cost(self, theta: FloatArray, own: Sequence[FloatArray], kind: PayloadKind, noise: Whitener) -> float:
         """Return the sum of squares of the whitened forces and of what else is known."""
-        matrix, slope = self.prior(len(theta))
+        matrix, gradient = self.prior(len(theta))
         with np.errstate(over="ignore", invalid="ignore"):
             total = sum(float(np.sum(noise.apply(error) ** 2)) for error in self.errors(theta, own, kind))
-        total += float(theta @ matrix @ theta + 2.0 * slope @ theta)
+        total += float(theta @ matrix @ theta + 2.0 * gradient @ theta)
         return total if np.isfinite(total) else np.inf
 
     def bounds(self, kind: PayloadKind) -> tuple[FloatArray, FloatArray]:

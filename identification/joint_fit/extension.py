@@ -93,9 +93,9 @@ def extend_payload(
     here = find_friction(of, begun) or begun
     looks = look_for_part(of, here)
     unseen = unseen_by_log(of, here, looks)
-    here, untold = _with_part(of, here, latency, looks)
-    moves = [*_moved_by_yielding(of, begun), *(_moved(of, each, here) for each in untold)]
-    lags_s = [_later_s(of, each, here) for each in untold]
+    here, left_open = _with_part(of, here, latency, looks)
+    moves = [*_moved_by_yielding(of, begun), *(_moved(of, each, here) for each in left_open)]
+    lags_s = [_later_s(of, each, here) for each in left_open]
     is_as_before, left, left_before = True, mean_square(of, here), mean_square(of, begun)
     if here.kind.friction and force_n is not None:
         settled = settle_latency(SettledLatency(of=of, fit=here, latency=latency), force_n, shifted_s)
@@ -111,7 +111,7 @@ def extend_payload(
         lags_s += [share * _later_s(of, here, begun)] if is_as_before else []
     open_s = float(np.linalg.norm(lags_s)) if latency.is_filter else 0.0
     found = _extended(of, here, moves, replace(latency, std_s=float(np.hypot(latency.std_s, open_s))))
-    is_apart = here.kind.part and here.kind.friction and _tells_apart(of, here)
+    is_apart = here.kind.part and here.kind.friction and _is_apart(of, here)
     # A filter that a driver computes leaves something, too, of which a part may explain most: none explains a filter.
     is_one = here.kind.part != here.kind.friction and (here.kind.friction or not latency.is_filter)
     return replace(
@@ -153,7 +153,7 @@ def _with_part(
     return (swinging, []) if is_reported else (here, [swinging])
 
 
-def _tells_apart(of: ExtendedProblem, both: PayloadFit) -> bool:
+def _is_apart(of: ExtendedProblem, both: PayloadFit) -> bool:
     """Whether friction explains what a part does not, and nothing is left of the force but its noise."""
     alone = without(of, both, PayloadKind(part=True))
     return mean_square(of, both) ** 0.5 < _NOTHING_LEFT * of.quiet_rms_n and gained(of, both, alone) >= REPORTED

@@ -1,4 +1,4 @@
-"""The coupling's force over a span and its slopes by any number of parameters: compiled loops over the ticks.
+"""The coupling's force over a span and its derivatives by any number of parameters: compiled loops over the ticks.
 
 Time is counted in samples, as in `joint_kernel`. All is seen in the direction of pressing, and from the wall on.
 """
@@ -116,9 +116,9 @@ def run_contact(
 
 @compiled
 def carry_free(phi: FloatArray, pushed: FloatArray, start: FloatArray, stiffness: float, damping: float) -> FloatArray:
-    """Return K_s x' + B_s v' (n, p) of slopes that follow x'_(k+1) = phi x'_k + `pushed`_k, from `start` (2, p) on.
+    """Return K_s x' + B_s v' (n, p) of derivatives x'_(k+1) = phi x'_k + `pushed`_k, from `start` (2, p) on.
 
-    `pushed` (n, 2, p) is what a sample adds to the slopes.
+    `pushed` (n, 2, p) is what a sample adds to the derivatives.
     """
     count = start.shape[1]
     out, moved = np.empty((len(pushed), count)), start.copy()
@@ -146,10 +146,10 @@ def carry_contact(
     """Return what `carry_free` does along a run with contact, whose `states` and `modes` are those of `run_contact`.
 
     `swing`, `body` (7,) and `ends`, the flange from the wall on in the samples that turn, in order, (turns, 4), come
-    with their slopes, parameters last. There the moment's own motion is taken along (`switch_along`).
+    with their derivatives, parameters last. There the moment's own motion is taken along (`switch_along`).
     """
-    count, turns, (of, of_slopes), (crossed, crossed_slopes) = start.shape[1], 0, body, ends
-    (swung, swung_slopes), out = swing, np.empty((len(pushed), count))
+    count, turns, (of, of_derivatives), (crossed, crossed_derivatives) = start.shape[1], 0, body, ends
+    (swung, swung_derivatives), out = swing, np.empty((len(pushed), count))
     moved, moving = np.zeros((4, count)), np.zeros((4, count))
     moved[:2] = start
     for k in range(len(pushed)):
@@ -157,7 +157,7 @@ def carry_contact(
         for i in range(count):
             out[k, i] = of[K_S] * moved[PAYLOAD, i] + of[B_S] * moved[SPEED, i]
         if modes[k] >= TURNS:
-            _turn(states[k], moved, (crossed[turns], crossed_slopes[turns]), (of, of_slopes), mode == ON)
+            _turn(states[k], moved, (crossed[turns], crossed_derivatives[turns]), (of, of_derivatives), mode == ON)
             turns += 1
             continue
         for row in range(2):
@@ -167,7 +167,10 @@ def carry_contact(
                 if mode == ON:
                     moving[FACE + row, i] = moving[row, i]
                 else:
-                    own = swung_slopes[row, X, i] * states[k, FACE] + swung_slopes[row, V, i] * states[k, FACE_SPEED]
+                    own = (
+                        swung_derivatives[row, X, i] * states[k, FACE]
+                        + swung_derivatives[row, V, i] * states[k, FACE_SPEED]
+                    )
                     carried = swung[row, X] * moved[FACE, i] + swung[row, V] * moved[FACE_SPEED, i]
                     moving[FACE + row, i] = carried + own
         moved[:] = moving
@@ -182,8 +185,8 @@ def _turn(
     body: tuple[FloatArray, FloatArray],
     touching: bool,
 ) -> None:
-    """Change the slopes `moved` (4, p) through a sample in which the payload touches or leaves."""
-    (at, at_slopes), (of, of_slopes) = ends, body
+    """Change the derivatives `moved` (4, p) through a sample in which the payload touches or leaves."""
+    (at, at_derivatives), (of, of_derivatives) = ends, body
     count, taken = moved.shape[1], np.zeros((MOST_TAKEN, 2))
     real = Body(of[0], of[1], of[2], of[3], of[4], of[5], of[6])
     _, steps = switch(state.copy(), (at[0], at[1], at[2], at[3]), real, touching, taken)
@@ -191,9 +194,9 @@ def _turn(
     for i in range(count):
         for j in range(4):
             along[i, j] = state[j] + TINY * 1j * moved[j, i]
-            along[i, 4 + j] = at[j] + TINY * 1j * at_slopes[j, i]
+            along[i, 4 + j] = at[j] + TINY * 1j * at_derivatives[j, i]
         for j in range(7):
-            along[i, 8 + j] = of[j] + TINY * 1j * of_slopes[j, i]
+            along[i, 8 + j] = of[j] + TINY * 1j * of_derivatives[j, i]
     switch_along(along, touching, taken[:steps])
     for i in range(count):
         for j in range(4):

@@ -145,7 +145,7 @@ def _carried(
     segment: Segment,
     places: FloatArray,
 ) -> FloatArray:
-    """Return the slopes (n, p) of the coupling's force in the direction of pressing."""
+    """Return the derivatives (n, p) of the coupling's force in the direction of pressing."""
     sign, of, start = float(segment.sign), np.array(law.body), places[1:].copy()
     k_s, b_s = float(of[0]), float(of[1])
     pushed = _pushed(law, derivatives, cut, moved, found, sign, places[0])
@@ -176,7 +176,7 @@ def _pushed(
     sign: float,
     walls: FloatArray,
 ) -> FloatArray:
-    """Return what a sample adds to the slopes of the payload's state, phi' x + gamma' w + gamma w', (n, 2, p)."""
+    """Return what a sample adds to the derivatives of the payload's state, phi' x + gamma' w + gamma w', (n, 2, p)."""
     width, count = cut.drive.shape[1], len(walls)
     place, order = width - 4, max(width - 6, 0)
     seen = np.empty((len(cut.drive), 2 + width))

@@ -237,8 +237,8 @@ def switch_along(along: ComplexArray, touching: bool, taken: FloatArray) -> None
     """Move the states in `along` (p, 15) through the steps (n, 2) that `switch` took.
 
     Its rows are state, flange at both ends, and body; all have the same real parts, and the imaginary ones are TINY
-    times slopes. Where `pressure` is 0 at a touch or release, that moves so that it stays 0; the last step ends at the
-    tick.
+    times derivatives. Where `pressure` is 0 at a touch or release, that moves so that it stays 0; the last step ends
+    at the tick.
     """
     # All rows have the same real parts.
     first, passed = 0, np.zeros(len(along), dtype=np.complex128)

@@ -367,7 +367,7 @@ def _bounded_step(problem: Problem, point: Point, matrix: FloatArray, gradient: 
     for _ in range(count):
         step[:] = 0.0
         inside = matrix[np.ix_(free, free)]
-        # What the spans do not show to 30 of its sizes stays where it is: its slopes may be nothing but rounding.
+        # What the spans do not show to 30 of its sizes stays where it is: its derivatives may be nothing but rounding.
         ridge = 1e-10 * np.diag(inside) + 1e-3
         step[free] = -np.linalg.solve(inside + np.diag(ridge), gradient[free])
         at_bound = linear & (scaled <= 0.0)

@@ -109,10 +109,10 @@ def _amounts(problem: Problem, point: Point, ways: FloatArray) -> _Amounts:
     signals, robot = problem.signals, problem.layout.robot
     values, path = point.values[robot], problem.path(point.values)
     sizes = sizes_of(point.values, problem.layout, signals.period_s)[robot]
-    slopes = [path_slope(path, values, i, signals.period_s) for i in range(len(values))]
+    derivatives = [path_slope(path, values, i, signals.period_s) for i in range(len(values))]
     rows, pieces = [], 0
     for span in map(signals.at_poses, problem.pose_spans):
-        moved = [s.misfit(span) * -size for s, size in zip(slopes, sizes, strict=True)]
+        moved = [s.misfit(span) * -size for s, size in zip(derivatives, sizes, strict=True)]
         lines = np.column_stack([*ways[:, span, 0], *moved, path.misfit(span)])
         rows.append(lines - np.mean(lines, axis=0))
         pieces += max(1, round(len(lines) * span.step * signals.period_s / _PIECE_S))

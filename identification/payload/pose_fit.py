@@ -9,13 +9,19 @@ from scipy.special import fdtrc, stdtrit
 
 from problems.arrays import BoolArray, FloatArray, IntArray
 
-from .static_poses import StaticPose, cross_matrix, group_means, group_shares, weighted_median
+from .static_poses import (
+    OUTLIER_DEVIATIONS,
+    SMALLEST_SCATTER_N,
+    SMALLEST_SCATTER_N_M,
+    StaticPose,
+    cross_matrix,
+    group_means,
+    group_shares,
+    weighted_median,
+)
 
 _ROUNDS = 50
 _REFITS = 10
-_OUTLIER_DEVIATIONS = 6.0
-_SMALLEST_SCATTER_N = 0.05
-_SMALLEST_SCATTER_N_M = 0.01
 _FEWEST_BESIDE_STEP = 3
 _NOISY = 4.0
 _OFF = 10.0
@@ -103,12 +109,12 @@ def robust_fit(equations: PoseEquations, groups: IntArray) -> RobustFit:
     for _ in range(_REFITS):
         shares = np.zeros(len(groups))
         shares[keep] = group_shares(groups[keep])
-        pull = _misfit(force, equations.force_n, shares, _SMALLEST_SCATTER_N)
-        twist = _misfit(torque, equations.torque_n_m, shares, _SMALLEST_SCATTER_N_M)
-        scatter = max(1.4826 * weighted_median(pull[keep], shares[keep]), _SMALLEST_SCATTER_N)
-        turning = max(1.4826 * weighted_median(twist[keep], shares[keep]), _SMALLEST_SCATTER_N_M)
+        pull = _misfit(force, equations.force_n, shares, SMALLEST_SCATTER_N)
+        twist = _misfit(torque, equations.torque_n_m, shares, SMALLEST_SCATTER_N_M)
+        scatter = max(1.4826 * weighted_median(pull[keep], shares[keep]), SMALLEST_SCATTER_N)
+        turning = max(1.4826 * weighted_median(twist[keep], shares[keep]), SMALLEST_SCATTER_N_M)
         first = pull if first is None else first
-        following = (pull < _OUTLIER_DEVIATIONS * scatter) & (twist < _OUTLIER_DEVIATIONS * turning)
+        following = (pull < OUTLIER_DEVIATIONS * scatter) & (twist < OUTLIER_DEVIATIONS * turning)
         if np.array_equal(following, keep) or not np.any(following):
             break
         keep = following
@@ -137,7 +143,7 @@ def find_bias_step(poses: Sequence[StaticPose], groups: IntArray, single: Robust
     Both sides need three orientations: a contact, which shifts the force in one of them, is no step.
     """
     noise = float(np.median([pose.force_mean_std_n for pose in poses]))
-    if bool(np.all(single.keep)) and single.scatter_n < _NOISY * max(noise, _SMALLEST_SCATTER_N):
+    if bool(np.all(single.keep)) and single.scatter_n < _NOISY * max(noise, SMALLEST_SCATTER_N):
         return None
     shares, best = group_shares(groups), (_EXPLAINED, 0)
     for split in range(1, len(poses)):

@@ -18,6 +18,10 @@ GRAVITY_B_M_S2 = np.array([0.0, 0.0, -9.80665])
 SMALL_SWING_N = 3.0
 """Heavy payloads change the force of each axis by more than this (rms) as the tool turns; 0.7 kg at 60 degrees does."""
 SAY_COMPENSATED = "say so with `wrench: {gravity_compensated: true}` in cell.yaml"
+OUTLIER_DEVIATIONS = 6.0
+"""A rest that is farther off than this many deviations of the others is left out."""
+SMALLEST_SCATTER_N, SMALLEST_SCATTER_N_M = 0.05, 0.01
+"""Of what rests leave, no less is taken as their scatter."""
 
 _TRIM_S = 0.12
 _SAME_POSE_RAD = np.radians(2.0)

@@ -39,19 +39,19 @@ def wall_force(motion: Motion, position: float, velocity: float) -> float:
 
 
 @inlined
-def may_be_missed(slopes: tuple[float, float], forces: tuple[float, float], duration: float, largest: float) -> bool:
+def may_be_missed(rates: tuple[float, float], forces: tuple[float, float], duration: float, largest: float) -> bool:
     """Return whether K_e x_p + B_e v_p may pass its largest value, or 0, between two moments.
 
     The plant's motion turns by less than half a radian in a sample, so that it may only where the slope changes its
     sign.
     """
-    (before, behind), (first, last) = slopes, forces
+    (before, behind), (first, last) = rates, forces
     if before * behind > 0.0:
         return False
-    reach = max(abs(before), abs(behind)) * duration
+    rise = max(abs(before), abs(behind)) * duration
     if last > 0.0:
-        return max(first, last) + reach > largest or min(first, last) <= reach
-    return max(first, last) + reach > 0.0
+        return max(first, last) + rise > largest or min(first, last) <= rise
+    return max(first, last) + rise > 0.0
 
 
 @inlined

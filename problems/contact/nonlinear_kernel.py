@@ -200,6 +200,17 @@ class BeforeAfter(NamedTuple):
     after: float
 
 
+class SampleInputs(NamedTuple):
+    """Over one sample: `commands` older and newer, `pushes` before and after the impact.
+
+    `pulls` is a further force at the beginning and at the end of the sample.
+    """
+
+    commands: tuple[float, float]
+    pushes: BeforeAfter
+    pulls: BeforeAfter
+
+
 class KernelOutputs(NamedTuple):
     """Outputs: `traces` (TRACES, samples), `flags` (samples,), both perhaps of no sample, and `found` (FOUND,)."""
 
@@ -249,18 +260,13 @@ def runge_kutta(
 def cross_sample(
     motion: Motion,
     state: FloatArray,
-    commands: tuple[float, float],
-    pushes: BeforeAfter,
-    pulls: BeforeAfter,
+    inputs: SampleInputs,
     tick: int,
     found: FloatArray,
     work: FloatArray,
 ) -> None:
-    """Advance the plant over one sample: `commands` older and newer, `pushes` before and after the impact.
-
-    `pulls` is a further force at the beginning and at the end of the sample.
-    """
-    n, start = len(state), float(tick)
+    """Advance the plant over one sample."""
+    n, start, (commands, pushes, pulls) = len(state), float(tick), inputs
     for part in range(2):
         duration, steps = (1.0 - motion.fraction if part == 1 else motion.fraction), motion.steps[part]
         for j in range(steps):
@@ -292,15 +298,13 @@ def cross_with_mass(
     motion: Motion,
     state: FloatArray,
     surface: FloatArray,
-    commands: tuple[float, float],
-    pushes: BeforeAfter,
-    pulls: BeforeAfter,
+    inputs: SampleInputs,
     tick: int,
     found: FloatArray,
     work: FloatArray,
 ) -> None:
     """Advance plant and wall (WALL,) over one sample where the wall has a mass, met without rebound; `cross_sample`."""
-    n, start, wall = len(state), float(tick), motion.wall
+    n, start, wall, (commands, pushes, pulls) = len(state), float(tick), motion.wall, inputs
     for part in range(2):
         duration, steps = (1.0 - motion.fraction if part == 1 else motion.fraction), motion.steps[part]
         for j in range(steps):
@@ -359,17 +363,16 @@ def advance_plant(
     motion: Motion,
     state: FloatArray,
     surface: FloatArray,
-    commands: tuple[float, float],
-    pushes: BeforeAfter,
-    pulls: BeforeAfter,
+    inputs: SampleInputs,
     tick: int,
     found: FloatArray,
     work: FloatArray,
 ) -> None:
     """Advance the plant over one sample, at once where nothing switches in it."""
     if motion.wall.mass > 0.0:
-        cross_with_mass(motion, state, surface, commands, pushes, pulls, tick, found, work)
+        cross_with_mass(motion, state, surface, inputs, tick, found, work)
         return
+    commands, pushes, pulls = inputs
     push = pulls.before + (pushes.before if np.isnan(found[IMPACT_TIME]) else pushes.after)
     leaps = len(motion.leap) > 0 and pulls.before == pulls.after
     if leaps:
@@ -379,7 +382,7 @@ def advance_plant(
             else leap_sample(motion, state, commands, push, tick, found, work)
         )
     if not leaps:
-        cross_sample(motion, state, commands, pushes, pulls, tick, found, work)
+        cross_sample(motion, state, inputs, tick, found, work)
 
 
 @compiled
@@ -433,7 +436,7 @@ def run_nonlinear(
         arriving = memory.sent if motion.whole == 0 else past[(head + motion.whole - 1) % places]
         newer = acting if late[k] else arriving
         acts, pull = (held if motion.chain > motion.whole else newer, newer), BeforeAfter(pulls[k], pulls[k + 1])
-        advance_plant(motion, state, surface, acts, pushes, pull, k, found, work)
+        advance_plant(motion, state, surface, SampleInputs(acts, pushes, pull), k, found, work)
         acting = newer
         head = (head - 1) % places
         past[head] = memory.sent

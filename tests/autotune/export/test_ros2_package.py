@@ -5,7 +5,8 @@ import shutil
 import subprocess
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -63,6 +64,11 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
+def compiler(source: Path, tmp_path_factory: pytest.TempPathFactory) -> "Compiler":
+    return Compiler(source, tmp_path_factory.mktemp("compiled"))
+
+
+@pytest.fixture(scope="module")
 def law(source: Path) -> RuntimeController:
     return read_law(source)
 
@@ -112,26 +118,70 @@ def parameters_header(package: Path, given: Mapping[str, Any]) -> str:
     )
 
 
-def compiled(package: Path, folder: Path, version: str, **given: Any) -> Path:
-    """Compile the package's own C and C++ and the driver; every warning is an error."""
+@dataclass(frozen=True)
+class Compiler:
+    """Compiles the package of a controller, for the same version with the same parameters once."""
+
+    source: Path
+    folder: Path
+    built: dict[str, Path] = field(default_factory=dict)
+
+    @cached_property
+    def package(self) -> Path:
+        return exported(self.source, self.folder)
+
+    def driver(self, version: str = "jazzy", **given: Any) -> Path:
+        """Return the driver of a package with parameters in place of those of its own file."""
+        key = repr((version, sorted(given.items())))
+        if key not in self.built:
+            folder = self.folder / str(len(self.built))
+            folder.mkdir()
+            self.built[key] = self._compiled(folder, version, given)
+        return self.built[key]
+
+    def _compiled(self, folder: Path, version: str, given: Mapping[str, Any]) -> Path:
+        """Compile the package's own C and C++; every warning is an error."""
+        include, package = headers(folder, version), self.package
+        header = "" if version == "humble" else "cell_admittance/"
+        (include / header).mkdir(exist_ok=True)
+        (include / header / "cell_admittance_parameters.hpp").write_text(parameters_header(package, given), "ascii")
+        paths = [include, STUBS, package / "include", package / "include" / "cell_admittance"]
+        run(c_compiler(paths), "-c", package / "src" / "cell_admittance.c", "-o", folder / "c.o")
+        parts = [package / "src" / "admittance_controller.cpp", self._without_parameters(version), folder / "c.o"]
+        run(cpp_compiler(paths, version), *parts, "-o", folder / "driver")
+        return folder / "driver"
+
+    def _without_parameters(self, version: str) -> Path:
+        """Return what drives any controller of a version, compiled once."""
+        found = self.folder / f"{version}.o"
+        if not found.exists():
+            include = headers(self.folder / version, version)
+            run(cpp_compiler([include, STUBS], version), "-c", STUBS / "driver.cpp", "-o", found)
+        return found
+
+
+def headers(folder: Path, version: str) -> Path:
+    """Write every header that a package includes, which lead to the stubs, and return their folder."""
     include = folder / "include"
     ending = "h" if version == "humble" else "hpp"
     for name in (*HEADERS, f"realtime_tools/realtime_buffer.{ending}", f"realtime_tools/realtime_publisher.{ending}"):
         (include / name).parent.mkdir(parents=True, exist_ok=True)
         (include / name).write_text('#include "stubs.hpp"\n', encoding="ascii")
-    header = "" if version == "humble" else "cell_admittance/"
-    (include / header).mkdir(exist_ok=True)
-    (include / header / "cell_admittance_parameters.hpp").write_text(parameters_header(package, given), "ascii")
-    own = package / "include"
-    paths = [f"-I{each}" for each in (include, STUBS, own, own / "cell_admittance")]
-    c = ["gcc", "-std=c99", *FLAGS, *paths, "-c", str(package / "src" / "cell_admittance.c"), "-o", str(folder / "c.o")]
+    return include
+
+
+def c_compiler(paths: Sequence[Path]) -> tuple[str, ...]:
+    return ("gcc", "-std=c99", *FLAGS, *(f"-I{each}" for each in paths))
+
+
+def cpp_compiler(paths: Sequence[Path], version: str) -> tuple[str, ...]:
     define = f"-DSTUB_RCLCPP_MAJOR={VERSIONS[version]}"
-    sources = [str(package / "src" / "admittance_controller.cpp"), str(STUBS / "driver.cpp"), str(folder / "c.o")]
-    cpp = ["g++", "-std=c++17", *FLAGS, define, *paths, *sources, "-o", str(folder / "driver")]
-    for command in (c, cpp):
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-        assert (done.returncode, done.stderr) == (0, "")
-    return folder / "driver"
+    return ("g++", "-std=c++17", *FLAGS, define, *(f"-I{each}" for each in paths))
+
+
+def run(compiler: Sequence[str], *arguments: str | Path) -> None:
+    done = subprocess.run([*compiler, *map(str, arguments)], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 @dataclass(frozen=True)
@@ -184,12 +234,10 @@ def payload_of(package: Path) -> dict[str, Any]:
     return found
 
 
-def driver_of(source: Path, folder: Path, law: RuntimeController, version: str = "jazzy", **given: Any) -> Path:
+def driver_of(compiler: Compiler, law: RuntimeController, version: str = "jazzy", **given: Any) -> Path:
     (axis,) = (each for each in law.axes if each.turns)
-    package = exported(source, folder)
-    inertia = [0.0, 0.0, axis.payload_range[0]]
-    payload = payload_of(package) | {"inertia_kg_m2": inertia} | given.pop("payload", {})
-    return compiled(package, folder, version, payload=payload, **given)
+    payload = payload_of(compiler.package) | {"inertia_kg_m2": [0.0, 0.0, axis.payload_range[0]]}
+    return compiler.driver(version, payload=payload | given.pop("payload", {}), **given)
 
 
 def ready(driver: Path, law: RuntimeController, joints: Numbers) -> Driven:
@@ -226,12 +274,12 @@ def joint_change(joints: Numbers, increment: Numbers) -> NDArray[np.float64]:
 @needs_compiler
 @pytest.mark.parametrize("version", VERSIONS)
 def test_the_controller_commands_what_the_runtime_commands(
-    source: Path, law: RuntimeController, version: str, tmp_path: Path
+    compiler: Compiler, law: RuntimeController, version: str
 ) -> None:
     """Start check, pushes, a desired force and a wall, the measured arm lagging behind, to the last digits."""
     rng = np.random.default_rng(11)
     joints = np.array([0.4, -0.2, 0.6, 0.1, -0.15, 0.3])
-    driven = ready(driver_of(source, tmp_path, law, version), law, joints)
+    driven = ready(driver_of(compiler, law, version), law, joints)
     if version == "later":
         assert driven.does("chain") == 0
     state, commanded, faults, started = START, joints.copy(), set(), False
@@ -268,10 +316,10 @@ def test_the_controller_commands_what_the_runtime_commands(
 
 @needs_compiler
 def test_velocities_are_the_changes_per_second_and_end_with_the_controller(
-    source: Path, law: RuntimeController, tmp_path: Path
+    compiler: Compiler, law: RuntimeController
 ) -> None:
     joints = np.zeros(6)
-    driven = ready(driver_of(source, tmp_path, law, command_interface="velocity"), law, joints)
+    driven = ready(driver_of(compiler, law, command_interface="velocity"), law, joints)
     state, seen = START, 0.0
     for k in range(law.limits.rest_samples + 200):
         wrench = at_rest(law, joints) + np.array([8.0 if k > law.limits.rest_samples else 0.0, 0, 0, 0, 0, 0])
@@ -310,9 +358,9 @@ FAULTS = {
 
 @needs_compiler
 def test_a_fault_holds_the_command_is_published_and_ends_with_a_new_activation(
-    source: Path, law: RuntimeController, tmp_path: Path
+    compiler: Compiler, law: RuntimeController
 ) -> None:
-    driver, joints = driver_of(source, tmp_path, law), np.array([0.1, 0.2, 0.3, 0.0, 0.0, 0.0])
+    driver, joints = driver_of(compiler, law), np.array([0.1, 0.2, 0.3, 0.0, 0.0, 0.0])
     wrench = at_rest(law, joints)
     driven = ready(driver, law, joints)
     for what, case in FAULTS.items():
@@ -335,9 +383,9 @@ def test_a_fault_holds_the_command_is_published_and_ends_with_a_new_activation(
 
 
 @needs_compiler
-def test_another_payload_at_the_start_is_a_fault(source: Path, law: RuntimeController, tmp_path: Path) -> None:
+def test_another_payload_at_the_start_is_a_fault(compiler: Compiler, law: RuntimeController) -> None:
     joints = np.zeros(6)
-    driven = ready(driver_of(source, tmp_path, law), law, joints)
+    driven = ready(driver_of(compiler, law), law, joints)
     wrench = at_rest(law, joints) + np.array([0.0, 0.0, -30.0, 0.0, 0.0, 0.0])
     found = {driven.update(law.sample_time_s, joints, wrench).fault for _ in range(law.limits.rest_samples + 2)}
     assert found == {0, int(Fault.RESIDUAL_WRENCH)}
@@ -355,9 +403,9 @@ def test_another_payload_at_the_start_is_a_fault(source: Path, law: RuntimeContr
     ],
 )
 def test_a_cell_outside_of_the_certificate_is_not_configured(
-    source: Path, law: RuntimeController, tmp_path: Path, rate_share: float, payload: dict[str, Any], message: str
+    compiler: Compiler, law: RuntimeController, rate_share: float, payload: dict[str, Any], message: str
 ) -> None:
-    driven = Driven(driver_of(source, tmp_path, law, payload=payload), round(rate_share / law.sample_time_s))
+    driven = Driven(driver_of(compiler, law, payload=payload), round(rate_share / law.sample_time_s))
     assert driven.does("init") == SUCCESS
     assert driven.does("configure") == ERROR
     assert message in driven.close()
