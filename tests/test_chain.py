@@ -151,8 +151,8 @@ def test_a_damaged_chunk_costs_a_salvaged_log_its_chunk_alone(
 def test_from_a_log_to_an_exported_controller(
     run_process: RunCli, run_cli: RunCli, tmp_path: Path, plain_log: Path
 ) -> None:
-    # `identify` and `optimize` have a process of their own in tests/autotune/cli.
-    inspected = json_of(run_process("inspect", plain_log, "--json"))
+    # `validate` alone has a process of its own here, `identify` and `optimize` have one in tests/autotune/cli.
+    inspected = json_of(run_cli("inspect", plain_log, "--json"))
     assert inspected["missing"] == []
     rates = {c["topic"]: c["rate_hz"] for c in inspected["channels"] if c["roles"]}
     assert rates == {
@@ -179,7 +179,7 @@ def test_from_a_log_to_an_exported_controller(
     assert domain["environment_stiffness_n_per_m"][1] > SimulatedCell().environment.stiffness_n_per_m
     validated = json_of(run_process("validate", "controller.yaml", "--identified", "identified.yaml", "--json"))
     assert validated["passed"]
-    exported = json_of(run_process("export", "controller.yaml", "--target", "json", "-o", "cell.json", "--json"))
+    exported = json_of(run_cli("export", "controller.yaml", "--target", "json", "-o", "cell.json", "--json"))
     assert exported["checksum"] == validated["checksum"] == optimized["checksum"]
     assert read_controller(tmp_path / "cell.json").checksum == exported["checksum"]
 

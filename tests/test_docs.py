@@ -8,9 +8,10 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 import matplotlib.pyplot as plt
@@ -18,7 +19,9 @@ import pytest
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat, PublicFormat
 
+from autotune.charts.chart import Chart
 from autotune.formats.controller import read_controller, write_controller
+from autotune.report import page as report_page
 from autotune.simulation.phases import Program
 from autotune.simulation.simulate import simulate_cell
 from autotune.simulation.truth import SimulatedCell
@@ -45,6 +48,7 @@ SHORTER = (
     ("validate controller.yaml", "validate controller.yaml --samples 20"),
     ("--scheduler dask --jobs 4", "--jobs 1"),
     ("--storage postgresql+psycopg://autotune@db/plant", "--storage sqlite:///plant.db"),
+    ("--for ros2_control", "--for ros2_control --payload-mass 16.2 --environment-stiffness 1e5:1.6e5"),
     ("campaign logs", "campaign logs --no-optimize"),
 )
 
@@ -61,6 +65,7 @@ def test_every_command_of_the_pages_runs(
 ) -> None:
     shorten_checks(monkeypatch)
     share_results(monkeypatch)
+    _draw_one_figure(monkeypatch)
     monkeypatch.setattr("autotune.studies.front._SEED_POINTS", 2)
     lines = list(dict.fromkeys(_commands(pages)))
     assert len(lines) > 30
@@ -86,6 +91,24 @@ def test_every_command_of_the_pages_runs(
                 ignore=shutil.ignore_patterns("*.mcap", "autotune-demo"),
             )
             shutil.copy(tmp_path / "controller.yaml", tmp_path / "old.yaml")
+
+
+def _draw_one_figure(patch: pytest.MonkeyPatch) -> None:
+    """Show one figure for all of as many pictures; tests/autotune/cli/test_report.py draws those of each page."""
+    for name in ("_stills", "_live"):
+        patch.setattr(report_page, name, _drawn_once(getattr(report_page, name)))
+
+
+def _drawn_once(draw: Callable[[Chart], Any]) -> Callable[[Chart], Any]:
+    drawn: dict[tuple[int, bool], Any] = {}
+
+    def figure(chart: Chart) -> Any:
+        kind = len(chart.panels), chart.beside
+        if kind not in drawn:
+            drawn[kind] = draw(chart)
+        return drawn[kind]
+
+    return figure
 
 
 def _commands(pages: dict[str, str]) -> Iterator[str]:

@@ -98,7 +98,7 @@ def _feedback_response(law: AdmittanceController, robot: RobotModel, h: float) -
         moved = law.velocity_filter_rad_per_s * (position - before)
         velocity, before = ((1.0 - half) * velocity + moved) / (1.0 + half), position
         out.append(law.feedback_damping_s * velocity)
-        largest = max(largest, abs(out[-1]))
+        largest = max(largest, abs(velocity))
         if tick > alone.whole + 2 and np.max(np.abs(state)) + abs(velocity) <= _ENDED * largest:
             break
         state = over_sample(alone.sample, state, sent[tick], sent[tick + 1])

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -37,8 +38,9 @@ def on_its_own(law: LinearController, force: float, steps: int, follows: float =
 
 @pytest.fixture(scope="module")
 def file(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], AdmittanceFile]:
-    """Return what the export writes for an axis, tuned alone."""
+    """Return what the export writes for an axis, tuned alone; the same for the same axis."""
 
+    @cache
     def export(axis: str) -> AdmittanceFile:
         path = tmp_path_factory.mktemp("arm") / "controller.yaml"
         write_controller(path, peer_controller({axis: PLAIN}, requirements(2.5e-4)))

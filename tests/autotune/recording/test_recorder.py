@@ -12,6 +12,7 @@ from autotune.errors import UsageError
 from autotune.formats.cell import read_cell
 from autotune.recording import Recorder
 from problems.errors import ParameterError
+from tests.conftest import RunCli
 
 WRENCH = (1.5, -2.25, -157.0, 0.125, 0.0, -3.0)
 POSE = (0.8, 0.1, 0.9, 0.6, 0.0, 0.8, 0.0)
@@ -42,14 +43,12 @@ def test_each_sample_is_one_standard_message_with_its_stamp(tmp_path: Path) -> N
     assert {topic for _, topic, _ in found} == {"/ft_sensor/wrench", "/flange/pose", "/flange/command"}
 
 
-def test_the_channels_are_recognised_by_inspect(tmp_path: Path) -> None:
+def test_the_channels_are_recognised_by_inspect(run_cli: RunCli, tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     with Recorder(path) as log:
         for k in range(500):
             log.write(k * H, wrench=WRENCH, pose=POSE, command=POSE)
-    done = subprocess.run(
-        [sys.executable, "-m", "autotune", "inspect", str(path)], capture_output=True, text=True, check=False
-    )
+    done = run_cli("inspect", path)
     for topic in ("/ft_sensor/wrench", "/flange/pose", "/flange/command"):
         assert topic in done.stdout
     assert "zero" not in done.stdout + done.stderr  # stamps of a clock that begins at 0 would be no stamps

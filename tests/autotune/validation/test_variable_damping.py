@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from autotune.formats.limits import VariableDampingSettings
 from autotune.validation.axis_proof import Prover
-from autotune.validation.variable_damping import METHOD, needed_modulus, prove_varied
+from autotune.validation.variable_damping import METHOD, _feedback_response, needed_modulus, prove_varied
 from problems.arrays import ComplexArray, FloatArray
 from problems.design.uncertainty import PlantSet
 from problems.model.controller import AdmittanceController
@@ -85,6 +85,20 @@ def variable(lowest: float, highest: float) -> VariableDampingSettings:
 
 
 LAW = admittance(13.0, 1200.0, 0.02)
+
+
+@pytest.mark.parametrize("feedback_s", [1e-4, 0.01, 20.0])
+def test_what_the_feedback_makes_of_one_command_is_in_proportion_to_it_and_sums_to_nothing(feedback_s: float) -> None:
+    """A speed that is filtered is 0 over all of a motion that ends where it began, however weak the feedback is."""
+    law = replace(admittance(), feedback_damping_s=feedback_s)
+    found, unit = (
+        _feedback_response(each, one_pole(), PERIOD_S) for each in (law, replace(law, feedback_damping_s=1.0))
+    )
+    np.testing.assert_allclose(found, feedback_s * unit, rtol=1e-12, atol=0.0)
+    # What is left out at its end is 1e-13 of the largest, over some thousand samples.
+    assert abs(np.sum(found)) < 1e-9 * np.max(np.abs(found))
+    # Nothing is seen before the command has come.
+    assert found[0] == 0.0
 
 
 def test_every_damping_of_a_range_that_is_proved_is_stable_when_it_is_kept() -> None:
