@@ -89,8 +89,8 @@ class AffineLoop:
 def coupled_system(family: CoupledFamily, cell: FloatArray) -> AffineLoop:
     """Return Σ over a cell, without the motions that nothing holds, in balanced states.
 
-    By Taylor's theorem Σ is Σ_0 with Σ_i δ_i and Σ_ij δ_i δ_j: the derivatives are those in the middle, and Σ_ij are halves
-    of second derivatives, enclosed all over the cell. δ_i² lies between 0 and 1, δ_i δ_j within ±1.
+    By Taylor's theorem Σ is Σ_0 with Σ_i δ_i and Σ_ij δ_i δ_j: the derivatives are those in the middle, and Σ_ij are
+    halves of second derivatives, enclosed all over the cell. δ_i² lies between 0 and 1, δ_i δ_j within ±1.
     """
     middle = np.mean(cell, axis=1)
     frame, half = _frame(family), 0.5 * (cell[:, 1] - cell[:, 0]) * (1.0 + 1e-12) + 2.0 * np.spacing(middle)

@@ -7,12 +7,19 @@ import pytest
 
 from tests.autotune.browser import chromium
 from tests.autotune.postgresql import Server, running_server
+from tests.autotune.tuning.cases import share_results
 
 
 @pytest.fixture
 def unchecked_law(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let the samples be exported, which claim what their law does not hold, where only the form of a file matters."""
     monkeypatch.setattr("autotune.export.export.check_law", lambda *_: None)
+
+
+@pytest.fixture
+def shared_results(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Search, prove and check the same once, where much is done to nearly the same controllers."""
+    share_results(monkeypatch)
 
 
 @pytest.fixture(scope="module")

@@ -101,7 +101,7 @@ def test_every_plant_of_a_cell_lies_in_its_box(widths: tuple[float, float]) -> N
         drawn = coupled_system(of, np.stack([point, point], axis=1))
         # Each system is balanced on its own.
         found = drawn.middle * np.outer(1.0 / drawn.balance, drawn.balance)
-        flat = whole.middle + sum(shares[i] * slope for i, slope in zip(vary, whole.slopes, strict=True))
+        flat = whole.middle + sum(shares[i] * each for i, each in zip(vary, whole.derivatives, strict=True))
         products = [2.0 * shares[i] ** 2 - 1.0 for i in vary] + ([float(np.prod(shares))] if len(vary) == 2 else [])
         model = flat + sum(each * curve for each, curve in zip(products, whole.curves, strict=True))
         off = np.abs(found - model * scales)

@@ -2,13 +2,29 @@
 
 import csv
 import json
+from collections.abc import Iterator
+from concurrent.futures import Executor
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
+from autotune.campaign import run
 from autotune.formats.controller import write_controller
+from tests.autotune.campaign.test_run import Counting
 from tests.autotune.tuning.cases import small_controller
 from tests.conftest import RunCli
+
+
+@pytest.fixture
+def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Work here, not in processes, which the first test and tests/autotune/campaign have."""
+
+    @contextmanager
+    def workers(*_: object) -> Iterator[Executor]:
+        yield Counting()
+
+    monkeypatch.setattr(run, "_workers", workers)
 
 
 @pytest.fixture
@@ -40,6 +56,7 @@ def test_runs_are_identified_and_told_of(run_cli: RunCli, fleet: Path, tmp_path:
     assert [run["refused"] for run in tree["runs"]] == ["", "log"]
 
 
+@pytest.mark.usefixtures("in_this_process")
 def test_a_controller_that_is_not_certified_for_its_cell_is_exit_code_6(
     run_cli: RunCli, fleet: Path, tmp_path: Path
 ) -> None:
@@ -55,6 +72,7 @@ def test_a_controller_that_is_not_certified_for_its_cell_is_exit_code_6(
     assert (tmp_path / "out" / "campaign.csv").is_file()
 
 
+@pytest.mark.usefixtures("in_this_process")
 def test_a_cut_log_is_read_with_salvage_as_its_refusal_says(run_cli: RunCli, fleet: Path) -> None:
     log = fleet / "press" / "mon.mcap"
     log.write_bytes(log.read_bytes()[: -log.stat().st_size // 10])
@@ -68,6 +86,7 @@ def test_a_cut_log_is_read_with_salvage_as_its_refusal_says(run_cli: RunCli, fle
     assert read["values"]["payload.mass_kg"][0] == pytest.approx(16.2, rel=0.01)
 
 
+@pytest.mark.usefixtures("in_this_process")
 def test_nothing_identified_is_exit_code_4_and_a_wrong_manifest_2(run_cli: RunCli, fleet: Path) -> None:
     (fleet / "press" / "mon.mcap").unlink()
     assert run_cli("campaign", fleet, "-o", "out", "--jobs", "1").returncode == 4

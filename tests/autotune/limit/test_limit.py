@@ -18,7 +18,7 @@ from tests.conftest import RunCli
 
 pytest.importorskip("cvxpy", reason="needs the extra `limit`")
 
-from autotune.limit.limit import NEGLECTED_BELOW
+from autotune.limit.limit import NEGLECTED_BELOW, ReachedPeak, _meets
 from autotune.limit.programs import ConvexStep, EqualDemands, at_rest, lower_bound, noise_rows
 from autotune.limit.signals import ContactSignals, contact_signals
 from autotune.limit.youla import YoulaBasis
@@ -146,6 +146,34 @@ def test_no_controller_of_the_same_speed_and_noise_is_below_the_bound(law: Admit
     # Its own noise and no modulus to speak of: the bound is of everything that could be done with as much.
     asked = _asked(pair, noise_factor=noise * 1.001, modulus=0.01)
     assert lower_bound(signals, asked, 100).force_n < trace.peak_contact_force_n
+
+
+@pytest.mark.parametrize(
+    ("changed", "is_met"),
+    [
+        ({}, True),
+        ({"noise_m_s_per_n": 2e-4 * (1.0 + 1e-6)}, False),
+        ({"modulus": 0.5 * (1.0 - 1e-6)}, False),
+        ({"min_m_s_per_n": 6e-4 * (1.0 - 1e-6)}, False),
+    ],
+)
+def test_what_has_just_what_is_asked_meets_it_and_a_millionth_less_does_not(
+    changed: dict[str, float], is_met: bool
+) -> None:
+    asked = EqualDemands(
+        modulus=0.5,
+        min_m_s_per_n=6e-4,
+        band_rad_per_s=np.array([1.0]),
+        noise_m_s_per_n=2e-4,
+        driving_force_n=30.0,
+        at_contact=True,
+    )
+    equal = {"modulus": 0.5, "min_m_s_per_n": 6e-4, "noise_m_s_per_n": 2e-4}
+    trace = simulate_contact(_pair(), _LAW, _APPROACH)
+    found = ReachedPeak(peak_force_n=40.0, gain_db=6.0, phase_deg=30.0, delay_s=1e-3, trace=trace, **(equal | changed))
+    assert _meets(found, asked, 1.0) == is_met
+    # The modulus that Q itself shows counts as that of the controller.
+    assert not _meets(found, asked, 1.0 - 1e-6)
 
 
 def test_what_happens_before_the_command_can_answer_is_in_the_bound() -> None:

@@ -1,4 +1,4 @@
-"""The trade of peak against noise, as it is told to programs and to people."""
+"""The trade of peak against noise, for programs and for people."""
 
 import pytest
 

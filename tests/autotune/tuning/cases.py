@@ -230,7 +230,9 @@ PURE = (
     *("autotune.validation.contacts.replay_contact", "autotune.validation.requirements.sampled_admittance"),
     *("autotune.validation.validate.sweep_margins", "autotune.validation.law.sweep_margins"),
     "autotune.validation.bouncing_proof.search_bouncing",
-    *("autotune.certificate.certify.certify", "autotune.validation.law.certify_law", *OF_TARGETS),
+    *("autotune.validation.bouncing_proof.prove_rest", "autotune.validation.peak_proof.prove_peak"),
+    *("autotune.certificate.claim.certify", "autotune.validation.contacts.find_driven"),
+    *("autotune.validation.law.certify_law", *OF_TARGETS),
 )
 """What takes long in a command and depends on nothing but its arguments."""
 

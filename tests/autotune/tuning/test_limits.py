@@ -14,6 +14,8 @@ from autotune.validation.validate import validate_controller
 from problems.design.requirements import HANDS, ContactAtSpeed, Hand
 from tests.autotune.tuning.cases import FAST_SPEC, identified_plant, known, small_controller
 
+pytestmark = pytest.mark.usefixtures("shared_results")
+
 
 def messages(controller: Controller) -> str:
     """What validation says against the limits; everything else must pass."""

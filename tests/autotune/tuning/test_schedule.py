@@ -25,18 +25,15 @@ from problems.contact.transient import build_sampled_contact, simulate_contact
 from problems.design.uncertainty import Scenario
 from problems.model.sampled import build_sampled_plant
 from tests.autotune.formats.samples import make_controller
-from tests.autotune.tuning.cases import BARE_SPEC, identified_plant, share_results
+from tests.autotune.tuning.cases import BARE_SPEC, identified_plant
+
+# What is made in other processes is made anew there.
+pytestmark = pytest.mark.usefixtures("shared_results")
 
 PLANT = IdentifiedFile(result=identified_plant(), provenance={}, path=Path("identified.yaml"), sha256="0" * 64)
 SPEC = BARE_SPEC.with_options(environment_stiffness=(1e5, 1.2e5))
 CLASSES = build_classes([(8.0, 8.0), (22.0, 22.0)], [])
 POSITIVE = st.floats(min_value=1e-3, max_value=1e12)
-
-
-@pytest.fixture(autouse=True)
-def _shared_results(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Search and prove the same class once; what is made in other processes is made anew there."""
-    share_results(monkeypatch)
 
 
 @cache

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from identification.axis_findings import misfit_findings
-from identification.joint_fit.estimates import UNEXPLAINED, JointEstimates
+from identification.joint_fit.estimates import UNEXPLAINED, JointEstimates, describe_robot, robot_bandwidth
 from identification.joint_fit.latency import WrenchLatency
 from identification.joint_fit.model import ParameterLayout
 from identification.joint_fit.result import JointFit, JointSurface, with_unexplained
@@ -92,3 +92,28 @@ def test_what_nothing_explains_leaves_nothing_mechanical_more_than_weak(
     assert finding.severity == ("warning" if surface else "info")
     weak = "K_s, B_s, B_p, K_e and B_e" if coupling else "K_e and B_e"
     assert (f"Nothing explains it, so {weak} are weak at best." in finding.message) is (surface is not None)
+
+
+def test_deviations_of_one_pole_are_those_of_its_frequency() -> None:
+    """1/(s/ω + 1): ω of r(s) and ω/2π of the bandwidth have the share of ω."""
+    omega, std, delay_std = 25.0, 0.05, 1e-5
+    covariance = np.diag([std**2, delay_std**2])
+    found = describe_robot(np.array([omega, 2.4e-3]), covariance, 8e-4, "by hand")
+    assert found.numerator.std == pytest.approx((std,), rel=1e-5)
+    assert found.denominator.std == pytest.approx((0.0, std), rel=1e-5)
+    assert found.bandwidth_hz.std == pytest.approx(std / (2.0 * np.pi), rel=1e-5)
+    assert found.delay_s.std == pytest.approx(delay_std, rel=1e-9)
+    assert robot_bandwidth(np.array([omega, 2.4e-3]), covariance) == pytest.approx(
+        (omega / (2.0 * np.pi), std / (2.0 * np.pi)), rel=1e-5
+    )
+
+
+def test_deviations_of_two_poles_follow_from_both_and_what_they_have_in_common() -> None:
+    """ω²/(s² + 2ζω s + ω²): d(ω²) = 2ω dω, d(2ζω) = 2ζ dω + 2ω dζ."""
+    omega, damping, stds, common = 30.0, 0.7, np.array([0.1, 4e-3]), -1e-4
+    covariance = np.diag([*stds**2, 1e-10])
+    covariance[0, 1] = covariance[1, 0] = common
+    found = describe_robot(np.array([omega, damping, 2.0e-3]), covariance, 1e-3, "by hand")
+    middle = (2.0 * damping * stds[0]) ** 2 + (2.0 * omega * stds[1]) ** 2 + 8.0 * damping * omega * common
+    assert found.numerator.std == pytest.approx((2.0 * omega * stds[0],), rel=1e-5)
+    assert found.denominator.std == pytest.approx((0.0, middle**0.5, 2.0 * omega * stds[0]), rel=1e-5)
