@@ -18,8 +18,6 @@ from problems.design.requirements import NoiseLimit, PassivityTarget
 from problems.errors import ParameterError
 from tests.autotune.tuning.cases import FAST_REQUIREMENTS, FAST_SPEC, identified_plant
 
-pytestmark = pytest.mark.usefixtures("shared_results")
-
 ASKED = replace(
     FAST_REQUIREMENTS,
     command_noise=NoiseLimit(max_speed_rms_m_s=6e-4),

@@ -22,8 +22,6 @@ from autotune.validation.report import Check, ValidationReport
 from autotune.validation.validate import validate_controller
 from tests.autotune.tuning.cases import fast_optimized, small_controller
 
-pytestmark = pytest.mark.usefixtures("shared_results")
-
 Change = Callable[[Controller], Controller]
 EVERY_CHECK = [
     "parameters",

@@ -18,8 +18,6 @@ from autotune.validation.validation_samples import build_validation_samples
 from problems.errors import ParameterError
 from tests.autotune.tuning.cases import FURTHER, identified_axis, known, uncertain_optimized, with_axis
 
-pytestmark = pytest.mark.usefixtures("shared_results")
-
 Change = Callable[[Controller], Controller]
 
 
