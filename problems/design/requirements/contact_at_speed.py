@@ -163,7 +163,7 @@ class ContactAtSpeedLimit(Requirement[ContactAtSpeed]):
         pair, key = design.prepared.pairs[row], (self.name, row, asked.hand, asked.hand_mass_kg)
         led = design.prepared.once(key, lambda: led_contacts(pair, asked.hand, asked.hand_mass_kg))
         own = transient_from(pair, design.controller, asked.approach).peak_contact_force_n
-        return max(own, *(led_peaks(each, design.controller, [asked.approach])[0] for each in led[1:]))
+        return max([own, *(led_peaks(each, design.controller, [asked.approach])[0] for each in led[1:])])
 
     def scenario(self, prepared: PreparedPlants, row: int) -> Scenario:
         """Return the scenario."""

@@ -11,6 +11,7 @@ from problems.design.batch_evaluation import build_batch_evaluator
 from problems.design.evaluation import build_scenarios
 from problems.design.objectives import BUILT_IN, SensorForce
 from problems.design.problem import AdmittanceTarget, DesignProblem, NoiseLimit, PassivityTarget, Requirements
+from problems.design.requirements import HANDS, ContactAtSpeed, Hand
 from problems.stability.margins import margin_grid
 from tests.autotune.tuning.cases import design_problem
 
@@ -36,6 +37,13 @@ COMMANDED = replace(
     command_noise=NoiseLimit(max_speed_rms_m_s=6e-4, force_noise_rms_n=0.14),
     passivity=PassivityTarget(passive_below_hz=20.0),
 )
+
+
+def led_by(hand: Hand) -> ContactAtSpeed:
+    # With a light hand no loop is unstable that is stable without it, where the force would be no number.
+    return ContactAtSpeed(speed_m_s=0.05, max_force_n=220.0, hand=hand, hand_mass_kg=0.2)
+
+
 PROBLEMS = [
     pytest.param(design_problem(requirements=COMMANDED), id="noise and passivity"),
     pytest.param(
@@ -61,6 +69,12 @@ PROBLEMS = [
         pytest.param(replace(design_problem(requirements=asked), objective=BUILT_IN[name]), id=f"{name}, {said}")
         for name in ("robustness", "admittance", "hand_force")
         for said, asked in (("everything asked", EVERYTHING), ("nothing asked", NOTHING))
+    ),
+    *(
+        pytest.param(
+            design_problem(requirements=replace(EASY, further={"contact_at_speed": led_by(hand)})), id=f"led, {hand}"
+        )
+        for hand in HANDS
     ),
 ]
 
