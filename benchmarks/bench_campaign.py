@@ -1,10 +1,12 @@
 """A campaign on one and two workers beside a plain pool of processes that calls `identify_log`, and what a task costs.
 
 `python benchmarks/bench_campaign.py` writes `--logs 40` short logs of the simulated cell and identifies each, by one
-worker, by two, and by `concurrent.futures` alone with two; then the same campaign again, of which nothing is missing;
-and hundreds of runs that are refused at once, which is what the machinery around them takes, without the start of the
-worker, which is that of one such run. Processor time stands beside: on a busy machine it says whether two workers do
-no more work than one. Memory is the largest of any worker.
+worker, by two, by two campaigns of one worker each that share their state, as two hosts would, and by
+`concurrent.futures` alone with two; then the same campaign again, of which nothing is missing; and hundreds of runs
+that are refused at once, which is what the machinery around them takes, without the start of the worker, which is that
+of one such run, and with the folder of files that a run which is not refused writes. Processor time stands beside: on
+a busy machine it says whether two workers do no more work than one. Memory is the largest of any worker. `--storage`
+keeps the state there instead of in a SQLite file.
 """
 
 import os
@@ -16,7 +18,7 @@ import resource
 import sys
 import tempfile
 import time
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -25,6 +27,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from autotune.campaign.manifest import read_manifest
 from autotune.campaign.options import RunOptions
 from autotune.campaign.run import work_on_runs
+from autotune.formats.atomic import write_folder_atomic
 from autotune.pipeline import identify_log
 from autotune.simulation.phases import Program
 from autotune.simulation.simulate import simulate_cell
@@ -55,13 +58,24 @@ def _write_refused(folder: Path, count: int) -> None:
         (cell / "run.csv").write_text(f"t,a\n0,{number}\n1,2\n", encoding="utf-8")
 
 
-def _timed(name: str, logs: Path, out: Path, jobs: int) -> float:
+def _timed(name: str, logs: Path, out: Path, jobs: int, storage: str | None, campaigns: int = 1) -> float:
     before, begun = _spent_s(), time.perf_counter()
-    outcomes = work_on_runs(read_manifest(logs), out, _IDENTIFY, jobs=jobs)
+    runs = read_manifest(logs)
+    with ThreadPoolExecutor(campaigns) as hosts:
+        asked = [hosts.submit(work_on_runs, runs, out, _IDENTIFY, jobs=jobs, storage=storage) for _ in range(campaigns)]
+        outcomes = next(each.result() for each in asked)
     took = time.perf_counter() - begun
     good = sum(not each.refused for each in outcomes)
     print(f"{name}: {took:.2f} s, {_spent_s() - before:.2f} s of processor, {good} of {len(outcomes)} identified")
     return took
+
+
+def _folder_s(folder: Path, count: int = 100) -> float:
+    """Return how long a folder with a file as long as an identified.yaml takes."""
+    begun = time.perf_counter()
+    for number in range(count):
+        write_folder_atomic(folder / str(number), {"identified.yaml": "a: 1\n" * 5000})
+    return (time.perf_counter() - begun) / count
 
 
 def _spent_s() -> float:
@@ -73,29 +87,39 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--logs", type=int, default=40, help="how many logs")
     parser.add_argument("--refused", type=int, default=400, help="how many runs that end at once")
+    parser.add_argument("--storage", help="URL of the state")
     options = parser.parse_args()
+    at = options.storage
     with tempfile.TemporaryDirectory() as made:
         folder = Path(made)
         _write_logs(folder / "logs", options.logs)
         _write_refused(folder / "refused", options.refused)
         _write_refused(folder / "alone", 1)
         _identify(folder / "logs" / "cell000" / "run.mcap")  # kernels are compiled once
-        one = _timed("campaign, one worker", folder / "logs", folder / "one", 1)
-        two = _timed("campaign, two workers", folder / "logs", folder / "two", 2)
+        one = _timed("campaign, one worker", folder / "logs", folder / "one", 1, at)
+        two = _timed("campaign, two workers", folder / "logs", folder / "two", 2, at)
+        shared = _timed("two campaigns, one worker each", folder / "logs", folder / "shared", 1, at, campaigns=2)
         begun = time.perf_counter()
         with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
             list(pool.map(_identify, sorted((folder / "logs").glob("*/run.mcap"))))
         peer = time.perf_counter() - begun
         print(f"concurrent.futures alone, two workers: {peer:.2f} s")
-        _timed("campaign again, nothing missing", folder / "logs", folder / "two", 2)
-        start = _timed("1 run refused at once, one worker", folder / "alone", folder / "nothing", 1)
-        refused = _timed(f"{options.refused} runs refused at once, one worker", folder / "refused", folder / "none", 1)
-        again = _timed("the same again", folder / "refused", folder / "none", 1)
+        _timed("campaign again, nothing missing", folder / "logs", folder / "two", 2, at)
+        start = _timed("1 run refused at once, one worker", folder / "alone", folder / "nothing", 1, at)
+        refused = _timed(
+            f"{options.refused} runs refused at once, one worker", folder / "refused", folder / "none", 1, at
+        )
+        again = _timed("the same again", folder / "refused", folder / "none", 1, at)
         memory = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
         print(f"two workers are {one / two:.2f} times as fast as one; {two / peer:.2f} of the time of the pool alone")
+        print(f"two campaigns are {one / shared:.2f} times as fast as one")
         each, new = 1e3 / options.refused, 1e3 / (options.refused - 1)
-        print(f"a task costs {new * (refused - start):.1f} ms, one that is done {each * again:.2f} ms", end="; ")
-        print(f"a worker starts in {start:.1f} s")
+        (folder / "files").mkdir()
+        print(
+            f"a task costs {new * (refused - start):.1f} ms, its files {1e3 * _folder_s(folder / 'files'):.1f} ms",
+            end=", ",
+        )
+        print(f"one that is done {each * again:.2f} ms; a worker starts in {start:.1f} s")
         print(f"largest worker: {memory:.0f} MB")
     return 0
 

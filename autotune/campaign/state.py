@@ -3,7 +3,7 @@
 import platform
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -21,7 +21,6 @@ from sqlalchemy import (
     Table,
     Text,
     create_engine,
-    event,
     func,
     inspect,
     or_,
@@ -31,7 +30,7 @@ from sqlalchemy import (
 from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.exc import DBAPIError, OperationalError
 
-from autotune.database import connect_arguments, database_address, is_sqlite, named_failures, named_opening
+from autotune.database import connect_arguments, database_address, is_sqlite, named_failures, named_opening, write_ahead
 from autotune.errors import UsageError
 from autotune.formats.atomic import has_ended, is_of_this_machine, name_of_process
 
@@ -217,18 +216,16 @@ def open_state(storage: str | None, folder: Path) -> Iterator[CampaignState]:
     address = database_address(storage, folder / STATE)
     if storage is None:
         _make(folder)
-    with named_opening("campaign", address):
-        engine = create_engine(address, connect_args=connect_arguments(address), pool_pre_ping=True)
-        if is_sqlite(address):
-            event.listen(engine, "connect", _write_quickly)
-        _make_table(engine)
-    _make(folder)
-    state = CampaignState(engine, "." if storage is None else str(folder.resolve()))
-    try:
+    with ExitStack() as stack:
+        with named_opening("campaign", address):
+            engine = create_engine(address, connect_args=connect_arguments(address), pool_pre_ping=True)
+            stack.callback(engine.dispose)
+            write_ahead(engine)
+            _make_table(engine)
+        _make(folder)
+        state = CampaignState(engine, "." if storage is None else str(folder.resolve()))
+        stack.callback(state.release)
         yield state
-    finally:
-        state.release()
-        engine.dispose()
 
 
 def _name(row: Row[Any]) -> str:
@@ -249,11 +246,3 @@ def _make_table(engine: Engine) -> None:
     except DBAPIError:
         if not inspect(engine).has_table(_RUNS.name):
             raise
-
-
-def _write_quickly(connection: Any, _record: object) -> None:
-    """Let SQLite wait for the disk less often: each run is two commits. A killed process loses nothing.
-
-    It writes no further ahead than that, since a folder of results often is on a file system of another machine.
-    """
-    connection.execute("PRAGMA synchronous=NORMAL")

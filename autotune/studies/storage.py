@@ -9,15 +9,13 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import optuna
 from optuna.storages import RDBStorage, RetryHeartbeatStaleTrialCallback
-from sqlalchemy import event
 from sqlalchemy.engine import URL
 from sqlalchemy.exc import DBAPIError
 
-from autotune.database import connect_arguments, database_address, is_sqlite, named_opening
+from autotune.database import connect_arguments, database_address, named_opening, write_ahead
 
 Storage = RDBStorage
 
@@ -57,26 +55,14 @@ def _opened(address: URL, heartbeat_s: int) -> Storage:
                     grace_period=_GRACE_BEATS * heartbeat_s,
                     heartbeat_stale_trial_callback=RetryHeartbeatStaleTrialCallback(max_retry=_RETRIES),
                 )
-            if is_sqlite(address):
-                event.listen(storage.engine, "connect", _write_ahead)
-                storage.engine.dispose()  # what is open already was opened without
+            write_ahead(storage.engine)
+            storage.engine.dispose()  # what is open already was opened without
             return storage
         except (DBAPIError, optuna.exceptions.StorageInternalError):
             if opening == _OPENINGS:
                 raise
             time.sleep(_OPENING_PAUSE_S)
     raise AssertionError("unreachable")
-
-
-def _write_ahead(connection: Any, _record: object) -> None:
-    """Let SQLite write ahead: a trial is 25 commits, each of which would otherwise wait for the disk.
-
-    A killed process loses nothing and a power failure at most the last trials, not the file.
-    """
-    cursor = connection.cursor()
-    cursor.execute("PRAGMA journal_mode=WAL")
-    cursor.execute("PRAGMA synchronous=NORMAL")
-    cursor.close()
 
 
 @contextmanager
