@@ -4,7 +4,7 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ProcessPoolExecutor, wait
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -18,6 +18,8 @@ from .state import CampaignState, Sight, open_state
 from .text import counted
 from .work import RunOutcome, RunTask, build_task, work_on
 
+Phase = Callable[[str, int], AbstractContextManager[Callable[..., None]]]
+"""Shows how far a part of the work is, as `Output.progress` of the command line does."""
 _LOOK_S, _WAIT_S = 5.0, 1.0
 _KILLED = (
     f"The process that worked on it alone ended {MOST_DEATHS} times without an answer: killed, or out of memory. It "
@@ -33,7 +35,7 @@ def work_on_runs(
     jobs: int = 1,
     executor: Executor | None = None,
     storage: str | None = None,
-    each: Callable[[RunOutcome], None] | None = None,
+    progress: Phase | None = None,
     note: Callable[[str], None] | None = None,
 ) -> tuple[RunOutcome, ...]:
     """Return what came of every run, in their order; work only on those of which nothing is known yet.
@@ -57,8 +59,9 @@ def work_on_runs(
         Any executor whose workers see the same files, such as that of a Dask client (`client.get_executor()`).
     storage
         URL of a database for the state, by which several hosts share the work; `campaign.sqlite` in the folder else.
-    each
-        Is called with every outcome as it is known, those that were there first.
+    progress
+        Is entered with what is done ("checksums" of the files, then "campaign") and the number of runs of which it is
+        to be done, and gives what is called with 1 and the run's name for each.
     note
         Is called with a sentence about runs that are done again, or that others work on.
 
@@ -67,37 +70,41 @@ def work_on_runs(
     UsageError
         A file cannot be read, a result cannot be written, or the state cannot be kept.
     """
+    progress = progress or (lambda *_: nullcontext(_nothing))
     with open_state(storage, folder) as state:
-        tasks = [build_task(run, folder, options or RunOptions()) for run in runs]
-        work = _Work(state, tasks, each or _nothing, note or _nothing)
+        tasks = []
+        with progress("checksums", len(runs)) as advance:
+            for run in runs:
+                tasks.append(build_task(run, folder, options or RunOptions()))
+                advance(1, run.name)
+        work = _Work(state, tasks, note or _nothing)
         work.look()
-        while work.left:
-            work.do_what_is_free(executor, jobs)
-            work.look()
-            if work.left and not work.free:
-                time.sleep(_WAIT_S)
+        with progress("campaign", max(len(work.left), 1)) as work.advance:
+            if not work.left:
+                work.advance(1)
+            while work.left:
+                work.do_what_is_free(executor, jobs)
+                work.look()
+                if work.left and not work.free:
+                    work.wait()
     return tuple(work.done[task.run.name] for task in tasks)
 
 
-def _nothing(_: object) -> None:
+def _nothing(*_: object) -> None:
     return None
 
 
 class _Work:
     """The runs that are left, and what came of the others."""
 
-    def __init__(
-        self,
-        state: CampaignState,
-        tasks: Sequence[RunTask],
-        each: Callable[[RunOutcome], None],
-        note: Callable[[str], None],
-    ) -> None:
-        self._state, self._each, self._note = state, each, note
+    def __init__(self, state: CampaignState, tasks: Sequence[RunTask], note: Callable[[str], None]) -> None:
+        self._state, self._note = state, note
+        self.advance: Callable[..., None] = _nothing
         self.left = {task.run.name: task for task in tasks}
         self.free: deque[RunTask] = deque()
         self.done: dict[str, RunOutcome] = {}
         self._is_shared = False
+        self._hosts = ""
         self._told: set[str] = set()
 
     def look(self) -> None:
@@ -107,11 +114,17 @@ class _Work:
             self._keep(task, outcome)
         self.free.clear()
         self.free.extend(sight.free)
-        if sight.lost:
-            self._tell(f"Done again, since files of their results are missing or altered: {', '.join(sight.lost)}.")
-        if sight.hosts and not sight.free:
-            hosts = ", ".join(sorted(sight.hosts))
-            self._tell(f"What is left is worked on by {hosts}; waiting for it ({counted(len(self.left), 'run')}).")
+        self._hosts = ", ".join(sorted(sight.hosts))
+        if lost := ", ".join(name for name in sight.lost if name not in self._told):
+            self._told.update(sight.lost)
+            self._note(f"Done again, since files of their results are missing or altered: {lost}.")
+
+    def wait(self) -> None:
+        """Wait a moment for what others work on, and say so once."""
+        if self._hosts not in self._told:
+            self._told.add(self._hosts)
+            self._note(f"Waiting for {self._hosts} to finish {counted(len(self.left), 'run')}.")
+        time.sleep(_WAIT_S)
 
     def do_what_is_free(self, executor: Executor | None, jobs: int) -> None:
         """Work on the tasks that are free, as far as they can be claimed."""
@@ -161,15 +174,10 @@ class _Work:
         if self._state.finish(task, outcome):
             self._keep(task, outcome)
 
-    def _tell(self, what: str) -> None:
-        if what not in self._told:
-            self._told.add(what)
-            self._note(what)
-
     def _keep(self, task: RunTask, outcome: RunOutcome) -> None:
         del self.left[task.run.name]
         self.done[task.run.name] = outcome
-        self._each(outcome)
+        self.advance(1, task.run.name)
 
 
 @contextmanager

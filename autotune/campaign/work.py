@@ -5,6 +5,7 @@ import shutil
 import warnings
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
+from functools import cache
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -112,10 +113,17 @@ def build_task(run: LoggedRun, folder: Path, options: RunOptions) -> RunTask:
 
 
 def _digest(path: Path) -> str:
+    """Return the SHA-256 of a file, or of the names and digests of a folder's; once as long as all is as old."""
+    parts = sorted(each for each in path.rglob("*") if each.is_file()) if path.is_dir() else [path]
+    return _digest_of(path, tuple((each, each.stat().st_size, each.stat().st_mtime_ns) for each in parts))
+
+
+@cache
+def _digest_of(path: Path, parts: tuple[tuple[Path, int, int], ...]) -> str:
     if not path.is_dir():
         return sha256_of(path)
-    parts = sorted(each for each in path.rglob("*") if each.is_file())
-    return sha256("".join(f"{each.relative_to(path)} {sha256_of(each)}\n" for each in parts).encode()).hexdigest()
+    lines = "".join(f"{each.relative_to(path)} {sha256_of(each)}\n" for each, *_ in parts)
+    return sha256(lines.encode()).hexdigest()
 
 
 def work_on(task: RunTask) -> RunOutcome:

@@ -14,6 +14,7 @@ from ._report import check_report, print_report_path, report_option, write_repor
 from ._terminal import print_message
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from concurrent.futures import Executor
 
     from autotune.campaign.options import RunOptions
@@ -103,12 +104,16 @@ def command(
 
             executor, dashboard = stack.enter_context(dask_executor(scheduler, count))
             output.note(f"dashboard: {dashboard}")
+        outcomes: tuple[RunOutcome, ...] | None = None
         while True:
+            before = outcomes
             outcomes = _once(output, manifest, out, options, count, executor, storage, may_be_empty=watch is not None)
             tree = _tree(output, out, outcomes, report)
             if watch is None:
                 break
-            output.note(f"{outcome_text(outcomes)} Looking again in {watch:g} s (Ctrl-C ends it).")
+            if outcomes != before:
+                _note_new(output, outcomes, before or ())
+                output.note(f"{outcome_text(outcomes)} Looking again every {watch:g} s (Ctrl-C ends it).")
             time.sleep(watch)
     output.result(tree, lambda: _print(out, outcomes, report))
     _require(outcomes)
@@ -133,17 +138,9 @@ def _once(
     from autotune.campaign.tables import write_tables
 
     runs = read_manifest(manifest, may_be_empty=may_be_empty)
-    with output.progress("campaign", float(len(runs))) as advance:
-        outcomes = work_on_runs(
-            runs,
-            out,
-            options,
-            jobs=jobs,
-            executor=executor,
-            storage=storage,
-            each=lambda found: advance(1.0, f"{found.cell}/{found.run}"),
-            note=output.note,
-        )
+    outcomes = work_on_runs(
+        runs, out, options, jobs=jobs, executor=executor, storage=storage, progress=output.progress, note=output.note
+    )
     write_tables(out, outcomes)
     return outcomes
 
@@ -160,6 +157,22 @@ def _tree(output: Output, out: Path, outcomes: "Sequence[RunOutcome]", report: P
     return {**{key: plain_tree(value) for key, value in tree.items()}, **page}
 
 
+def _note_new(output: Output, outcomes: "Sequence[RunOutcome]", before: "Sequence[RunOutcome]") -> None:
+    """Say what is wrong with the runs that were not there, or other, when it was looked before."""
+    for each in outcomes:
+        if each not in before:
+            for verdict, what in _faults(each):
+                output.note(f"{verdict}{what}")
+
+
+def _faults(found: "RunOutcome") -> "Iterator[tuple[str, str]]":
+    """Yield what is wrong with a run, as verdict and sentence."""
+    if found.refused:
+        yield f"refused ({found.refused}): ", f"{found.cell}/{found.run}: {found.reason}"
+    for what in found.outside or ():
+        yield "error: ", f"{found.cell}/{found.run}: the certificate does not hold: {what}."
+
+
 def _print(out: Path, outcomes: "Sequence[RunOutcome]", report: Path | None) -> None:
     from autotune.campaign.fleet import changes, unusual
     from autotune.campaign.text import outcome_text, unusual_text
@@ -167,10 +180,8 @@ def _print(out: Path, outcomes: "Sequence[RunOutcome]", report: Path | None) -> 
 
     print_message(outcome_text(outcomes))
     for each in outcomes:
-        if each.refused:
-            print_message(f"{each.cell}/{each.run}: {each.reason}", verdict=f"refused ({each.refused}): ")
-        for what in each.outside or ():
-            print_message(f"{each.cell}/{each.run}: the certificate does not hold: {what}.", verdict="error: ")
+        for verdict, what in _faults(each):
+            print_message(what, verdict=verdict)
     for line in (*map(change_text, changes(outcomes)), *map(unusual_text, unusual(outcomes))):
         print_message(line, verdict="note: ")
     print_message(f"written: {out / 'campaign.csv'} and a folder for each run that was identified in {out / 'cells'}")

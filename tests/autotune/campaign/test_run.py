@@ -7,8 +7,9 @@ import signal
 import sqlite3
 import threading
 import time
+from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
-from contextlib import closing
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from multiprocessing import active_children
 from pathlib import Path
@@ -218,6 +219,20 @@ def test_a_dask_cluster_gives_the_same(logs: Path, tmp_path: Path) -> None:
     assert outcomes == work_on_runs(runs, tmp_path / "here", executor=ThreadPoolExecutor(1))
 
 
+def test_progress_is_of_what_is_left_so_that_the_time_is_too(logs: Path, tmp_path: Path) -> None:
+    runs, seen = read_manifest(logs), list[str]()
+
+    @contextmanager
+    def show(what: str, total: int) -> Iterator[Callable[..., None]]:
+        seen.append(f"{what} {total}")
+        yield lambda n, doing="": seen.append(f"{n} {doing}")
+
+    work_on_runs(runs[:9], tmp_path / "out", executor=Counting())
+    work_on_runs(runs, tmp_path / "out", executor=Counting(), progress=show)
+    done = [f"1 {run.name}" for run in runs]
+    assert seen == ["checksums 12", *done, "campaign 3", *done[9:]]
+
+
 def test_a_campaign_from_python_takes_any_executor_and_shows_what_came_of_it(logs: Path, tmp_path: Path) -> None:
     shares: list[float] = []
     with ThreadPoolExecutor(2) as executor:
@@ -231,6 +246,9 @@ def test_a_campaign_from_python_takes_any_executor_and_shows_what_came_of_it(log
     assert [run["run"] for run in found.to_dict()["runs"]] == [each.run for each in found.outcomes]
     assert (tmp_path / "out" / "campaign.csv").is_file()
     assert list(found.to_pandas()["run"]) == [each.run for each in found.outcomes]
+    shares.clear()
+    run_campaign(logs, tmp_path / "out", optimize=False, progress=shares.append)
+    assert sum(shares) == pytest.approx(1.0)
     with pytest.raises(UsageError, match="nothing is not there; name a folder of logs"):
         run_campaign(tmp_path / "nothing", tmp_path / "out")
 

@@ -239,7 +239,7 @@ def test_the_runs_of_another_machine_are_waited_for_until_it_is_silent(
     monkeypatch.setattr("autotune.campaign.run._WAIT_S", 0.2)
     outcomes = campaign(logs, tmp_path / "out", names=tmp_path / "worked", storage=storage, note=notes.append)
     assert worked(tmp_path)[-1][1] == "cell3/run03"
-    assert notes == ["What is left is worked on by plant-2; waiting for it (1 run)."]
+    assert notes == ["Waiting for plant-2 to finish 1 run."]
     assert table(tmp_path / "table", outcomes) == calm
 
 

@@ -95,3 +95,27 @@ def test_nothing_identified_is_exit_code_4_and_a_wrong_manifest_2(run_cli: RunCl
     assert (done.returncode, "gone.mcap is not there" in done.stderr.replace("\n", " ")) == (2, True)
     done = run_cli("campaign", fleet, "-o", "out", "--scheduler", "head")
     assert (done.returncode, "--scheduler must be dask" in done.stderr) == (2, True)
+
+
+def test_a_folder_that_is_watched_says_what_is_new_and_nothing_else(
+    run_cli: RunCli, fleet: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (fleet / "weld").mkdir()
+    looks, cut = 0, fleet / "press" / "tue.mcap"
+
+    def wait(seconds: float) -> None:
+        """Between the looks: nothing, a log that is cut, and an end by hand."""
+        nonlocal looks
+        looks += 1
+        assert seconds == 7.0
+        if looks == 2:
+            (fleet / "weld" / "new.mcap").write_bytes(cut.read_bytes())
+        elif looks == 4:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr("autotune.cli.campaign.time.sleep", wait)
+    done = run_cli("campaign", fleet, "-o", "out", "--no-optimize", "--jobs", "1", "--watch", "7")
+    assert done.returncode == 130
+    said = done.stderr.replace("\n ", "")
+    assert said.count("Looking again every 7 s") == 2
+    assert said.count("refused (log): press/tue: ") == said.count("refused (log): weld/new: ") == 1
