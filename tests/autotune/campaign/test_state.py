@@ -173,6 +173,20 @@ def test_what_is_given_back_is_free_at_once(storage: str, tasks: list[RunTask], 
         assert b.look(tasks).free == tasks
 
 
+def test_a_campaign_that_is_interrupted_gives_its_claims_back(
+    storage: str, tasks: list[RunTask], tmp_path: Path
+) -> None:
+    def interrupted() -> None:
+        with open_state(storage, tmp_path / "out") as state:
+            state.look(tasks)
+            assert all(state.claim(task) for task in tasks[:3])
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert {(row["state"], row["lease"]) for row in rows(storage)} == {("waiting", None)}
+
+
 def test_a_run_that_was_killed_is_tried_by_the_next_campaign_and_by_none_that_runs(
     storage: str, tasks: list[RunTask], tmp_path: Path
 ) -> None:
