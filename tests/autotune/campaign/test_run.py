@@ -23,7 +23,7 @@ from autotune.campaign.options import RunOptions
 from autotune.campaign.result import run_campaign
 from autotune.campaign.run import work_on_runs
 from autotune.campaign.state import STATE
-from autotune.campaign.tables import write_tables
+from autotune.campaign.tables import campaign_rows, write_tables
 from autotune.campaign.work import RunOutcome, build_task, parse_outcome, work_on
 from autotune.errors import UsageError
 from autotune.pipeline import IdentifyOptions
@@ -110,6 +110,14 @@ def test_what_the_manifest_says_of_a_run_goes_before_the_options_of_the_campaign
     monkeypatch.setattr("autotune.campaign.work.identify_log", refusing)
     work_on(build_task(spanned, tmp_path, RunOptions(salvage=True, allow_partial=True)))
     assert seen == [IdentifyOptions(stop=30.0, allow_partial=True)]
+
+
+@pytest.mark.parametrize(("outside", "holds"), [(None, None), ((), True), (("axis x",), False)])
+def test_a_certificate_holds_where_nothing_lies_outside_of_it(
+    outside: tuple[str, ...] | None, holds: bool | None
+) -> None:
+    columns, (row,) = campaign_rows([RunOutcome(cell="a", run="b", key="k", outside=outside)])
+    assert row[columns.index("certificate_holds")] is holds
 
 
 def test_a_result_that_is_half_or_of_another_release_is_none() -> None:

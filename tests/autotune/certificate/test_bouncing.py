@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from autotune.certificate import bouncing
-from autotune.certificate.bouncing import prove_rest
+from autotune.certificate.bouncing import multiplier_over_s, prove_rest
 from autotune.certificate.family import Family, build_families
 from autotune.certificate.multiplier_search import find_multiplier, spring_response
 from autotune.certificate.plant_cells import coefficients, with_derivatives
@@ -77,6 +77,27 @@ def test_the_spring_sees_an_integrator_at_rest() -> None:
     plant, law = damped(), LAWS["feedback"]
     found = spring_response(plant, law, PERIOD_S, np.array([0.01]))[0]
     assert found * 0.01j == pytest.approx(1.0 / (law.damping_n_s_per_m + 400.0), rel=1e-3)
+
+
+@pytest.mark.parametrize("shift_s", [0.01, 0.1, 1.0, 30.0])
+@pytest.mark.parametrize("half", [1e-5, 1e-4, 1e-3, 1e-2])
+@pytest.mark.parametrize("ratio", [1.2, 5.0, 50.0])
+def test_a_multiplier_on_an_arc_is_within_its_straight_line_and_rest(shift_s: float, half: float, ratio: float) -> None:
+    """∫ e^{−st} dt over [0, τ] in closed form: where the shifted part turns little, and where only its size is used."""
+    middle, along = half * ratio, np.linspace(-1.0, 1.0, 201)
+    one = Multiplier(
+        rate_s=0.0,
+        shifts_s=(shift_s,),
+        shift_weights=(2.0,),
+        fading_per_s=(5.0,),
+        fading_weights=(1e-12,),
+        damper_s=0.0,
+    )
+    found = multiplier_over_s(one, np.array([middle]), np.array([half]), PERIOD_S)
+    s = 1j * (middle + half * along) / PERIOD_S
+    exact = -2.0 * np.expm1(-s * shift_s) / s + 1e-12 / (s + 5.0)
+    off = np.abs(exact - found.terms[0, 0] - found.terms[0, 1] * along)
+    assert np.max(off) <= found.rest[0, 0]
 
 
 @pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)

@@ -49,6 +49,8 @@ ISLAND = (
         (paper_plant(stiffness=5e5), admittance(10.0, 1000.0), WIDE_LEAD, "contact", 1),
         (paper_plant(stiffness=5e5, drag=200.0), admittance(10.0, 1000.0, feedback=7.5e-3), WIDE_LEAD, "both", 1),
         (*ISLAND, WIDE_DAMPING, "contact", 2),
+        # Stable up to the end of the search.
+        (paper_plant(stiffness=5e5), admittance(10.0, 1000.0, 0.015), WIDE_DAMPING, "contact", 1),
         (paper_plant(stiffness=0.0, drag=100.0), admittance(10.0, 1000.0), WIDE_LEAD, "free_space", 0),
     ],
 )
