@@ -28,7 +28,7 @@ def database_address(url: str | None, beside: Path) -> URL:
         address = URL.create("sqlite", database=str(beside)) if url is None else make_url(url)
     except SQLAlchemyError as error:
         # The text is not repeated: whatever it is, it may hold a password.
-        raise UsageError("--storage is no URL; an example is sqlite:///study.db.") from error
+        raise UsageError("--storage is no URL; an example is sqlite:///state.db.") from error
     if address.get_backend_name() not in _BACKENDS:
         raise UsageError(
             "--storage must be SQLite (sqlite:///FILE) or PostgreSQL (postgresql+psycopg://USER@HOST/NAME), found "
