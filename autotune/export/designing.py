@@ -37,11 +37,13 @@ def specs_for(target: ExportTarget | None, spec: ProblemSpec) -> tuple[ProblemSp
     """
     if target is not None and spec.structure not in (None, "gains"):
         raise UsageError(f"{target.name} runs another law; leave --structure out.")
-    lacking = [] if target is None else [name for name in _PINNED if name not in target.expresses]
+    if target is None:
+        return (spec,)
+    spec = replace(spec, structure="gains")
+    lacking = [name for name in _PINNED if name not in target.expresses]
     for name in lacking:
         for bounds in (spec.bounds, spec.rotational.bounds):
             if bounds.get(name, (0.0, 0.0))[0] > 0.0:
-                assert target is not None  # it lacks something
                 raise UsageError(f"{target.name} has no {name}, whose bounds in problem.yaml must hold 0.")
     if not lacking:
         return (spec,)

@@ -110,7 +110,7 @@ class LimitResult:
     def summary(self, unit: str = "N") -> str:
         """Return the answer in one sentence."""
         said = f"{self.design.peak_force_n:.4g} {unit}; "
-        noise = "of this noise" if self.noise_factor == 1.0 else f"of {self.noise_factor:g} times its noise"
+        noise = "of this noise" if f"{self.noise_factor:g}" == "1" else f"of {self.noise_factor:g} times its noise"
         said += f"no linear controller {noise} gets below {self.bound.force_n:.4g} {unit}"
         if self.attained is None:
             return f"{said}, and none better than the design was found"

@@ -134,10 +134,10 @@ def test_an_export_without_an_orientation_names_all_that_leads_to_it_for_a_tool_
 def test_a_design_for_a_target_has_no_gains_that_it_lacks() -> None:
     spec = ProblemSpec(bounds={"mass": (6.0, 60.0)}, rotational=RotationalSpec(bounds={"lead_s": (0.0, 0.01)}))
     found, behind = specs_for(ROS2_CONTROL, spec)
-    assert behind == spec
+    assert behind == replace(spec, structure="gains")
     assert dict(found.bounds) == {"mass": (6.0, 60.0), "lead_s": (0.0, 0.0), "feedback_damping_s": (0.0, 0.0)}
     assert dict(found.rotational.bounds) == {}
-    assert specs_for(FZI_CARTESIAN, spec) == (spec,)
+    assert specs_for(FZI_CARTESIAN, spec) == (behind,)
     with pytest.raises(UsageError, match=r"ros2_control has no lead_s, whose bounds in problem\.yaml must hold 0"):
         specs_for(ROS2_CONTROL, replace(spec, bounds={"lead_s": (0.01, 0.02)}))
 
