@@ -9,8 +9,8 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 
 from identification.axes.straight import AxisMotion
-from identification.signals.segments import MotionSpans, find_motion
-from identification.timeline.contacts import Pressed, find_contacts
+from identification.signals.segments import MotionSpans, Span, find_motion
+from identification.timeline.contacts import ContactTimes, ForceLaw, Pressed, find_contacts, suspect_hand
 from identification.timeline.payload import AxisContacts, PayloadMotion, observe_payload
 from problems.arrays import FloatArray
 from tests.identification.signals.test_segments import RATE_HZ, line, log_of
@@ -164,3 +164,22 @@ def test_the_slow_way_into_a_soft_surface_is_no_hand(stiffness: float) -> None:
 def test_without_a_hand_none_is_suspected() -> None:
     # At a level of 1e-3, 60 holds raise one false alarm in 17 such tests; the seeds are fixed.
     assert [suspected(0.0, seed) for seed in range(60)] == [False] * 60
+
+
+@pytest.mark.parametrize(("hold_s", "push_n", "verdict"), [(0.26, 0.0, False), (0.26, 30.0, True), (0.24, 30.0, None)])
+def test_five_means_of_a_hold_are_enough_to_tell_a_hand(hold_s: float, push_n: float, verdict: bool | None) -> None:
+    """The force of a spring with the sensor's noise, and a hand that pushes half of the hold; means over 50 ms."""
+    period_s, rng = 1e-3, np.random.default_rng(8)
+    free, hold = Span(start=0, stop=1000), Span(start=1000, stop=1000 + round(hold_s / period_s))
+    touch = 0.1 * rng.standard_normal(hold.stop)
+    touch[hold.slice] += 50.0
+    touch[hold.start + len(touch[hold.slice]) // 2 :] += push_n
+    position = np.zeros(hold.stop)
+    position[hold.slice] = 5e-4
+    payload = PayloadMotion(position_m=position, velocity_m_s=np.zeros(hold.stop), touch_n=touch)
+    contact = ContactTimes(
+        span=hold, onset=hold.start, peak=hold.start, peak_force_n=50.0, hold=hold, is_held=True, release=None,
+        bounces=(), hand_suspected=None,
+    )  # fmt: skip
+    law = ForceLaw(stiffness=1e5, damping=0.0, left_share=0.0, unsigned_share=0.0)
+    assert suspect_hand(contact, law, payload, [free], period_s) is verdict
