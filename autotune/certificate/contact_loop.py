@@ -13,12 +13,12 @@ from problems.arrays import FloatArray
 from problems.contact.transient import Approach
 from problems.design.uncertainty import MASS, STIFFNESS
 from problems.errors import ParameterError
-from problems.model.controller import AdmittanceController, controller_blocks, needed_states
+from problems.model.controller import AdmittanceController
 from problems.model.difference import rest_states, steady_states
 
 from .balls import as_series, exponential, number, precise, solved
 from .family import Family
-from .law import blocks_in_balls, controller_rows
+from .law import LawCell, blocks_in_balls, controller_rows, states_needed
 from .plant_polynomials import continuous_plant, parameter_values
 
 Objects = Any  # arrays of flint numbers and series
@@ -55,10 +55,15 @@ class ContactLoop:
 
 @precise
 def contact_loop(
-    family: Family, law: AdmittanceController, approach: Approach, cell: FloatArray, along: int | None = None
+    family: Family,
+    law: AdmittanceController | LawCell,
+    approach: Approach,
+    cell: FloatArray,
+    along: int | None = None,
 ) -> ContactLoop:
     """Return the loop over a cell (d, 2) of coordinates; numbers carry their derivative along coordinate `along`.
 
+    Of a cell of laws they carry what its values carry.
     Raises ParameterError for a filter of the wrench, and for a force that ends at the impact.
     """
     if family.nominal.wrench_filter.time_constant_s > 0.0:
@@ -73,7 +78,7 @@ def contact_loop(
         blocks_in_balls(law, family.sample_time_s),
         controller_rows(law, family.sample_time_s),
     )
-    kept = [int(i) for i in needed_states(controller_blocks(law, h))]
+    kept = states_needed(law, h)
     augmented, position, force, direct = continuous_plant(family, values)
     n = len(position)
     whole, has_fraction = family.delay()
@@ -143,7 +148,7 @@ def _closed(family: Family, values: Any, plant: tuple[Objects, ...], rows: Objec
         raise ParameterError("robot.delay_s", 0.0, "above 0 with damping in the coupling")
     answers = _objects(r + 1, size)
     for i in range(r + 1):
-        answers[i] = rows[i, r] * measured + rows[i, r + 1] * place
+        answers[i] = measured * rows[i, r] + place * rows[i, r + 1]
         answers[i, n + chain :] = rows[i, :r]
     command = answers[r]
     acting = [command, *(_unit(size, n + j) for j in range(chain))]
@@ -187,7 +192,7 @@ def _approach(
     family: Family,
     values: Any,
     free: tuple[Objects, ...],
-    law: AdmittanceController,
+    law: AdmittanceController | LawCell,
     approach: Approach,
     known: tuple[Objects, list[int], Objects],
 ) -> tuple[Objects, Objects, Any, Any]:

@@ -1,5 +1,6 @@
 """A sampled law as polynomials in w = z − 1, in balls."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,10 +20,27 @@ from problems.model.linear_controllers import LinearController
 from problems.model.sampled import Controller, controller_matrix
 
 from . import rational
-from .balls import number, precise
+from .balls import as_series, number, precise
 
 # A `LinearController` rests at one metre to rounding only (it checks that); what is left of it is not a pole.
 _ROUNDING = 1e-9
+
+
+@dataclass(frozen=True, kw_only=True)
+class LawCell:
+    """Control laws of a cell: `middle` with some of its `values`, in the order of `numbers`, as balls or series."""
+
+    middle: AdmittanceController
+    values: Mapping[int, Any]
+
+    def numbers(self) -> tuple[Any, ...]:
+        """Return the numbers of `AdmittanceController.numbers` over the cell."""
+        return tuple(self.values.get(i, as_series(each)) for i, each in enumerate(self.middle.numbers()))
+
+    @property
+    def damping_n_s_per_m(self) -> Any:
+        """B_a over the cell."""
+        return self.numbers()[1]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,28 +103,35 @@ def _matrix(law: LinearController, sample_time_s: float) -> Any:
     return rows
 
 
-def blocks_in_balls(law: AdmittanceController, sample_time_s: float) -> Any:
+def blocks_in_balls(law: AdmittanceController | LawCell, sample_time_s: float) -> Any:
     """Return the blocks of a controller's difference equation, from its physical numbers."""
     blocks = np.empty((BLOCK_ROWS, 3), dtype=object)
     blocks.fill(number(0))
-    numbers = [number(value) for value in law.numbers()]
-    write_blocks(blocks, numbers, number(sample_time_s), law.theta, law.is_ideal)
+    middle = law.middle if isinstance(law, LawCell) else law
+    numbers = law.numbers() if isinstance(law, LawCell) else [number(value) for value in law.numbers()]
+    write_blocks(blocks, numbers, number(sample_time_s), middle.theta, middle.is_ideal)
     return blocks
 
 
-def controller_rows(law: AdmittanceController, sample_time_s: float) -> Any:
+def states_needed(law: AdmittanceController | LawCell, sample_time_s: float) -> list[int]:
+    """Return the places of the states that the command can see."""
+    middle = law.middle if isinstance(law, LawCell) else law
+    return [int(each) for each in needed_states(controller_blocks(middle, sample_time_s))]
+
+
+def controller_rows(law: AdmittanceController | LawCell, sample_time_s: float) -> Any:
     """Return the same rows of a controller: what its equations answer to unit states and inputs."""
-    kept, blocks = needed_states(controller_blocks(law, sample_time_s)), blocks_in_balls(law, sample_time_s)
+    kept, blocks = states_needed(law, sample_time_s), blocks_in_balls(law, sample_time_s)
     r = len(kept)
     rows = np.empty((r + 1, r + 2), dtype=object)
     for j in range(r + 2):
         unit = [number(0)] * (CONTROLLER_STATES + 2)
-        unit[int(kept[j]) if j < r else CONTROLLER_STATES + j - r] = number(1)
+        unit[kept[j] if j < r else CONTROLLER_STATES + j - r] = number(1)
         states = tuple(unit[:CONTROLLER_STATES])
         command, following = controller_step(blocks, states, *unit[CONTROLLER_STATES:])
         rows[r, j] = command
         for i in range(r):
-            rows[i, j] = following[int(kept[i])]
+            rows[i, j] = following[kept[i]]
     return rows
 
 

@@ -129,6 +129,18 @@ def later_change(cell: CellLoop, size: FloatArray) -> float:
 
 
 @compiled
+def least_largest(cell: CellLoop, ticks: int) -> float:
+    """Return a bound from below of the largest F_e at the first ticks, all over the cell."""
+    state = CellState(cell.place, cell.shifts, cell.unknown, size_of(cell.place, cell.shifts, cell.unknown))
+    least = -np.inf
+    for _ in range(ticks):
+        tick = force_at(cell, state)
+        least = max(least, tick.middle - np.sum(tick.shares) - tick.rest)
+        state = stepped(cell, state)
+    return least
+
+
+@compiled
 def walk(cell: CellLoop, limit: float, longest: int, stride: int) -> ForceBounds:
     """Follow a cell until all that is to come is bounded below the limit, or a tick is not below it."""
     state = CellState(cell.place, cell.shifts, cell.unknown, size_of(cell.place, cell.shifts, cell.unknown))

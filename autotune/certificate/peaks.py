@@ -176,7 +176,7 @@ def _walk_cell(
     half = 0.5 * (cell[:, 1] - cell[:, 0]) * (1.0 + 1e-12) + 2.0 * np.spacing(middle)
     loop = contact_loop(family, law, approach, np.stack([middle, middle], axis=1))
     derivatives = [contact_loop(family, law, approach, cell, along) for along in range(len(cell))]
-    prepared = _prepare(loop, derivatives, half, rho)
+    prepared = prepare_cell(loop, derivatives, half, rho)
     if not isinstance(prepared, CellLoop):
         return ForceBounds(math.inf, -math.inf, np.append(prepared, 0.0), math.inf, -math.inf, -math.inf, False)
     # F^d of a given speed hangs on the plant.
@@ -188,12 +188,18 @@ def _walk_cell(
     return found._replace(lowest=found.lowest - unsure, shares=found.shares + of_rest)
 
 
-def _prepare(
-    loop: ContactLoop, derivatives: list[ContactLoop], half: FloatArray, rho: tuple[float, float]
+def prepare_cell(
+    loop: ContactLoop,
+    derivatives: list[ContactLoop],
+    half: FloatArray,
+    rho: tuple[float, float],
+    *,
+    is_endless: bool = True,
 ) -> CellLoop | FloatArray:
     """Return the loop in its own coordinates.
 
-    Where these plants differ too much to bound all later ticks, return how much each coordinate changes the loop (d,).
+    Where these plants differ too much to bound all later ticks, return how much each coordinate changes the loop (d,);
+    unless `is_endless`, only where they differ too much to be bounded at all.
     """
     m = len(loop.start)
     change = _values(loop.change).shaped(m, m)
@@ -212,6 +218,8 @@ def _prepare(
     whole = np.abs(diagonal.mid) + spread + np.sum([np.abs(each.mid) for each in sides], axis=0)
     weights, way = _weights(whole), _around(loop.way, [s.way for s in derivatives], half)
     touch = _touch(loop, derivatives, half, rho, way)
+    if weights is None and not is_endless:
+        weights = np.ones(m)
     if weights is None or touch is None:
         return np.array([float(np.sum(each.magnitude())) for each in sides])
     starts = [inverse @ _derivatives(s.start).times(h) for s, h in zip(derivatives, half, strict=True)]

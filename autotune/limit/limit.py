@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from autotune.certificate.least_peak import Asked, LeastPeak, find_least_peak
 from autotune.charts.chart import Chart, Line, Panel, Role, Scale
 from autotune.charts.chart import Limit as ChartLimit
 from autotune.errors import InfeasibleError
@@ -24,6 +25,7 @@ from problems.design.objectives import PeakObjective
 from problems.design.problem import DesignProblem
 from problems.design.requirements import MARGINS, Requirements, band_frequencies
 from problems.design.uncertainty import Scenario
+from problems.errors import ParameterError
 from problems.model.axis_kind import STRAIGHT, AxisKind
 from problems.model.controller import AdmittanceController
 from problems.model.linear_controllers import LinearController
@@ -87,7 +89,8 @@ class LimitResult:
     `attained` is None where nothing better than the design was found. `states` is the order of that controller,
     `noise_factor` how often the design's noise it may have, `missed` the margins that it was not asked to keep and that
     lie below what the problem asks, by name: what is asked and what it has. `trade` is what four gains reach with other
-    noise, where that was looked for.
+    noise, where that was looked for; `two_gains` what no other B_a and K_l in their bounds get below on the hardest
+    contact, M_a and B_fb as they are, None where that cannot be bounded (`certificate.least_peak`).
     """
 
     scenarios: tuple[Scenario, ...]
@@ -101,6 +104,7 @@ class LimitResult:
     bound: LowerBound
     missed: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     trade: tuple[NoisePoint, ...] = ()
+    two_gains: LeastPeak | None = None
 
     @property
     def reached_n(self) -> float:
@@ -110,6 +114,10 @@ class LimitResult:
     def summary(self, unit: str = "N") -> str:
         """Return the answer in one sentence."""
         said = f"{self.design.peak_force_n:.4g} {unit}; "
+        if self.two_gains is not None:
+            said += (
+                f"no other B_a and K_l beside its M_a and B_fb get below {self.two_gains.force_n:.4g} {unit}, proved; "
+            )
         noise = "of this noise" if f"{self.noise_factor:g}" == "1" else f"of {self.noise_factor:g} times its noise"
         said += f"no linear controller {noise} gets below {self.bound.force_n:.4g} {unit}"
         if self.attained is None:
@@ -163,6 +171,7 @@ class LimitResult:
             "missed": {name: {"asked": asked, "attained": has} for name, (asked, has) in self.missed.items()},
             "states": None if self.controller is None else self.controller.state_count,
             "lower_bound": {"force_n": self.bound.force_n, "ticks": self.bound.ticks, "inputs": self.bound.inputs},
+            "two_gains": None if self.two_gains is None else {"force_n": self.two_gains.force_n},
             **({"noise_trade": [each.to_dict() for each in self.trade]} if self.trade else {}),
             "neglected": {"attained": NEGLECTED_ABOVE, "lower_bound": NEGLECTED_BELOW},
         }
@@ -306,7 +315,32 @@ def find_limit(
         controller=controller if better else None,
         bound=bound,
         missed=_missed(requirements, attained) if better and attained is not None else {},
+        two_gains=_bound_two_gains(problem, law, scenarios, asked, design.peak_force_n) if at_contact else None,
     )
+
+
+def _bound_two_gains(
+    problem: DesignProblem,
+    law: AdmittanceController,
+    scenarios: Sequence[Scenario],
+    asked: EqualDemands,
+    reached_n: float,
+) -> LeastPeak | None:
+    """Return the bound over B_a and K_l, None for plants and laws that it is not made for."""
+    plants = dict.fromkeys(problem.plant(each) for each in (*scenarios, *problem.scenarios(2, 2)))
+    demands = Asked(
+        modulus=asked.modulus,
+        min_m_s_per_n=asked.min_m_s_per_n,
+        band_rad_per_s=asked.band_rad_per_s,
+        noise_m_s_per_n=asked.noise_m_s_per_n,
+    )
+    bounds = problem.bounds["damping"], problem.bounds["lead_s"]
+    try:
+        return find_least_peak(
+            list(plants), law, problem.approach, problem.sample_time_s, bounds, demands, reached_n=reached_n
+        )
+    except ParameterError:
+        return None
 
 
 def _missed(requirements: Requirements, found: ReachedPeak) -> dict[str, tuple[float, float]]:
