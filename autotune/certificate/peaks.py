@@ -193,7 +193,6 @@ def prepare_cell(
     derivatives: list[ContactLoop],
     half: FloatArray,
     rho: tuple[float, float],
-    *,
     is_endless: bool = True,
 ) -> CellLoop | FloatArray:
     """Return the loop in its own coordinates.
@@ -216,10 +215,8 @@ def prepare_cell(
     ]
     spread = diagonal.rad + np.sum([each.rad for each in sides], axis=0)
     whole = np.abs(diagonal.mid) + spread + np.sum([np.abs(each.mid) for each in sides], axis=0)
-    weights, way = _weights(whole), _around(loop.way, [s.way for s in derivatives], half)
+    weights, way = _weights(whole, is_endless), _around(loop.way, [s.way for s in derivatives], half)
     touch = _touch(loop, derivatives, half, rho, way)
-    if weights is None and not is_endless:
-        weights = np.ones(m)
     if weights is None or touch is None:
         return np.array([float(np.sum(each.magnitude())) for each in sides])
     starts = [inverse @ _derivatives(s.start).times(h) for s, h in zip(derivatives, half, strict=True)]
@@ -304,8 +301,10 @@ def _bend(loop: ContactLoop, derivatives: list[ContactLoop], half: FloatArray) -
     return np.asarray(out + row[n] * (held + newer))
 
 
-def _weights(whole: FloatArray) -> FloatArray | None:
-    """Return a bound of |z| that no step raises, w ≥ M w; None if there is none."""
+def _weights(whole: FloatArray, is_endless: bool) -> FloatArray | None:
+    """Return a bound of |z| that no step raises, w ≥ M w; None if there is none, or ones where none is needed."""
+    if not is_endless:
+        return np.ones(len(whole))
     w = np.ones(len(whole))
     for _ in range(200):
         w = whole @ w + 1e-9 * np.max(w)

@@ -11,7 +11,7 @@ from autotune.certificate.balls import as_series
 from autotune.certificate.contact_loop import contact_loop
 from autotune.certificate.family import Family, build_families
 from autotune.certificate.peak_kernel import CellLoop, ForceBounds, walk
-from autotune.certificate.peaks import _prepare, prove_peak
+from autotune.certificate.peaks import prepare_cell, prove_peak
 from problems.arrays import FloatArray
 from problems.contact.nonlinear_simulation import needed_substeps, simulate_nonlinear
 from problems.contact.transient import Approach, transient_from
@@ -143,7 +143,7 @@ def test_a_bound_that_is_no_number_proves_nothing() -> None:
     middle = np.mean(box, axis=1)
     loop = contact_loop(of, law, PRESS, np.stack([middle, middle], axis=1))
     slopes = [contact_loop(of, law, PRESS, box, 0)]
-    cell = _prepare(loop, slopes, 0.5 * np.ptp(box, axis=1), (0.5, 1.0))
+    cell = prepare_cell(loop, slopes, 0.5 * np.ptp(box, axis=1), (0.5, 1.0))
     assert isinstance(cell, CellLoop)
     assert walk(cell, 100.0, 6000, 50).is_bounded
     for spoiled in (
