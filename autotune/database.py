@@ -34,6 +34,10 @@ def database_address(url: str | None, beside: Path) -> URL:
             "--storage must be SQLite (sqlite:///FILE) or PostgreSQL (postgresql+psycopg://USER@HOST/NAME), found "
             f"{address.drivername}://."
         )
+    if is_sqlite(address) and address.database in {None, "", ":memory:"}:
+        raise UsageError(
+            "--storage names no file, and what is kept in memory is lost; an example is sqlite:///state.db."
+        )
     if address.drivername == "postgresql":
         address = address.set(drivername="postgresql+psycopg")
     if address.drivername == "postgresql+psycopg":

@@ -72,6 +72,10 @@ def read_manifest(path: Path, *, may_be_empty: bool = False) -> tuple[LoggedRun,
     return tuple(runs)
 
 
+# What is a log by its name alone: one that a recorder left empty is refused, not passed over.
+_RECORDED = frozenset({".mcap", ".bag", ".db3"})
+
+
 def _of_folder(folder: Path) -> Iterator[LoggedRun]:
     for entry in sorted(folder.iterdir()):
         if entry.name.startswith("."):
@@ -84,10 +88,12 @@ def _of_folder(folder: Path) -> Iterator[LoggedRun]:
 
 
 def _is_run(path: Path) -> bool:
-    """Return whether a path is a log: a file that begins as one, or the folder of a ROS 2 bag."""
+    """Return whether a path is a log: a file that begins as one, an empty one of its name, or a ROS 2 bag's folder."""
     if path.is_dir():
         return (path / "metadata.yaml").is_file()
-    return not path.name.startswith(".") and path.is_file() and is_log(path)
+    if path.name.startswith(".") or not path.is_file():
+        return False
+    return is_log(path) or (path.suffix in _RECORDED and path.stat().st_size == 0)
 
 
 def _beside(run: LoggedRun, *folders: Path) -> LoggedRun:

@@ -53,7 +53,7 @@ def led_lines(controller: "Controller", limit: tuple[float, str] | None = None) 
     `limit` is the force [N] with its name: by default the one of `contact_at_speed`, else that of a clamped hand.
     """
     from autotune.formats.units import ROTATIONAL_AXES
-    from autotune.prediction.as_run_by import designed_for, led_speed_text, peak_per_speed
+    from autotune.prediction.as_run_by import capped_speed_text, designed_for, led_speed_text, peak_per_speed
     from autotune.validation.certified_requirements import asked_of
     from problems.design.requirements import BODY_REGIONS, ContactAtSpeed
 
@@ -75,10 +75,10 @@ def led_lines(controller: "Controller", limit: tuple[float, str] | None = None) 
         capped = " (* the limit of the command)" if "*" in speeds else ""
         yield f"axis {name}, led by hand{runs}: {peaks}; at most {force:g} N ({label}) up to {speeds}{capped}"
         if per_speed.drives is not None and per_speed.arm is not None:
-            arm, safe = per_speed.arm.describe(), force / per_speed.drives
+            arm, safe = per_speed.arm.describe(), capped_speed_text(controller, name, force / per_speed.drives)
             yield (
                 f"axis {name}, driven on for {per_speed.drives_for_s:g} s after the touch by {arm}: "
-                f"{per_speed.drives:.4g} N per m/s, at most {force:g} N up to {safe:.2g} m/s; simulated"
+                f"{per_speed.drives:.4g} N per m/s, at most {force:g} N up to {safe} m/s; simulated"
             )
 
 

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from autotune.campaign.options import RunOptions
     from autotune.campaign.work import RunOutcome
 
+_LONGEST_WAIT_S = 7.0 * 86400.0
 _EPILOG = """\b
 Examples:
   autotune campaign logs/ -o fleet --report fleet.html
@@ -27,6 +28,13 @@ Examples:
   autotune campaign manifest.yaml -o fleet --scheduler tcp://head:8786 --jobs 40
   autotune campaign logs/ -o fleet --storage postgresql+psycopg://autotune@db/plant
 """
+
+
+def _finite(ctx: click.Context, param: click.Parameter, value: float | None) -> float | None:
+    """Refuse NaN, infinity, and what no clock waits for."""
+    if value is not None and not 1.0 <= value <= _LONGEST_WAIT_S:
+        raise click.BadParameter(f"{value:g} must be 1 to {_LONGEST_WAIT_S:g} seconds.", ctx, param)
+    return value
 
 
 @click.command("campaign", cls=GroupedCommand, epilog=_EPILOG)
@@ -60,7 +68,11 @@ Examples:
 )
 @salvage_option
 @click.option(
-    "--watch", type=click.FloatRange(min=1.0), metavar="S", help="Look for new runs every S seconds until interrupted."
+    "--watch",
+    type=click.FloatRange(min=1.0),
+    callback=_finite,
+    metavar="S",
+    help="Look for new runs every S seconds until interrupted.",
 )
 @report_option
 @output_options
@@ -118,7 +130,12 @@ def command(
     output.result(tree, lambda: _print(out, outcomes, report))
     _require(outcomes)
     if report is None:
-        output.next_command("campaign", manifest, "-o", out, "--report", "campaign.html")
+        said = [] if optimize else ["--no-optimize"]
+        said += ["--seed", str(seed)] if seed else []
+        said += ["--allow-partial"] if allow_partial else []
+        said += ["--salvage"] if salvage else []
+        said += ["--storage", storage] if storage is not None else []
+        output.next_command("campaign", manifest, "-o", out, *said, "--report", "campaign.html")
 
 
 def _once(

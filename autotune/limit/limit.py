@@ -48,6 +48,8 @@ _BOUND_SHORTEST, _BOUND_LONGEST, _BOUND_PEAK_TIMES = 120, 450, 2
 _GRID = 600
 _SHOWN_S = 0.2
 _MET = 1.0 + 1e-9
+# A limit of the noise that lies this near to that of the design is the same in a sentence.
+_SAME_NOISE = 0.01
 
 NEGLECTED_BELOW = (
     "free space, the admittance beyond its speed of approach, the other margins, what noise and modulus ask after the "
@@ -118,7 +120,11 @@ class LimitResult:
             said += (
                 f"no other B_a and K_l beside its M_a and B_fb get below {self.two_gains.force_n:.4g} {unit}, proved; "
             )
-        noise = "of this noise" if f"{self.noise_factor:g}" == "1" else f"of {self.noise_factor:g} times its noise"
+        noise = (
+            "of this noise"
+            if abs(self.noise_factor - 1.0) < _SAME_NOISE
+            else f"of {self.noise_factor:g} times its noise"
+        )
         said += f"no linear controller {noise} gets below {self.bound.force_n:.4g} {unit}"
         if self.attained is None:
             return f"{said}, and none better than the design was found"

@@ -10,6 +10,7 @@ from autotune.formats.units import axis_units
 from autotune.shown import plain_tree
 from problems.design.requirements import Hand
 from problems.model.linear_controllers import LinearController
+from problems.text import rounded_down
 
 from .contact import AnyLaw, TargetLaw
 from .law import law_of
@@ -92,10 +93,15 @@ def led_speed_text(controller: Controller, name: str, force: float, hand: Hand) 
 
     Where our own law goes no faster anyway, it is the limit of the command that is named: "0.3*".
     """
-    found, limits = peak_per_speed(controller, name), controller.limits
-    speed = math.inf if found is None else found.largest_speed(force, hand)
+    found = peak_per_speed(controller, name)
+    return capped_speed_text(controller, name, math.inf if found is None else found.largest_speed(force, hand))
+
+
+def capped_speed_text(controller: Controller, name: str, speed: float) -> str:
+    """Return a speed that is safe [m/s, rad/s], rounded down, or the limit of the command with a star: "0.3*"."""
+    limits = controller.limits
     if limits is None or designed_for(controller) or speed < limits.axes[name].speed:
-        return f"{speed:.2g}"
+        return f"{rounded_down(speed):g}"
     return f"{limits.axes[name].speed:g}*"
 
 

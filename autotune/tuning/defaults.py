@@ -1,6 +1,5 @@
 """The free-space admittance that is asked where nobody says one: up to where the robot follows, and what can be had."""
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -12,6 +11,7 @@ from problems.design.evaluation import build_scenarios
 from problems.design.problem import AdmittanceTarget, DesignProblem, Requirements
 from problems.model.robot import RobotModel, bandwidth_hz
 from problems.progress import no_progress
+from problems.text import rounded_down
 
 from .bounds import Box
 from .descent import descend
@@ -67,7 +67,7 @@ def follow_robot(asked: Requirements, robot: RobotModel) -> Requirements:
     if target is None or not target.is_default:
         return asked
     low, high = target.band_hz
-    end = _rounded_down(_SHARE_OF_BANDWIDTH * bandwidth_hz(robot), _BAND_DIGITS)
+    end = rounded_down(_SHARE_OF_BANDWIDTH * bandwidth_hz(robot), _BAND_DIGITS)
     return replace(asked, free_space_admittance=replace(target, band_hz=(min(low, end), min(high, end))))
 
 
@@ -84,8 +84,23 @@ def lower_default(
     most = attainable(problem, seed=seed, progress=progress)
     if most is None or most >= target.min_m_s_per_n:
         return None
-    lowered = replace(target, min_m_s_per_n=_rounded_down(_SHARE_OF_ATTAINABLE * most, _BAND_DIGITS))
+    lowered = replace(target, min_m_s_per_n=rounded_down(_SHARE_OF_ATTAINABLE * most, _BAND_DIGITS))
     return _with_target(problem, lowered)
+
+
+def beside_margins(problem: DesignProblem, *, seed: int) -> DesignProblem:
+    """Return the problem with the default admittance that can be had where no peak is limited.
+
+    What is said of a limit that no controller meets is then about that limit, and not about what nobody asked for. A
+    problem without such limits, or whose usual admittance can be had, stays as it is.
+    """
+    asked = problem.requirements
+    without = asked
+    for kind, _ in asked.of("contact"):
+        without = without.with_asked(kind.name, None)
+    lowered = None if without == asked else lower_default(replace(problem, requirements=without), seed=seed)
+    target = None if lowered is None else lowered.requirements.free_space_admittance
+    return problem if target is None else _with_target(problem, target)
 
 
 def default_admittance(asked: DesignProblem, found: SearchResult) -> DefaultAdmittance | None:
@@ -158,8 +173,3 @@ def _cost_of(problem: DesignProblem, found: SearchResult) -> float | None:
         if ended.violation[0] <= _HAIR:
             costs.append(float(ended.cost[0]))
     return min(costs, default=None)
-
-
-def _rounded_down(value: float, digits: int) -> float:
-    unit = 10.0 ** (math.floor(math.log10(value)) - digits + 1)
-    return float(f"{math.floor(value / unit * (1.0 + 1e-9)) * unit:.{digits}g}")

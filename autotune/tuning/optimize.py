@@ -31,7 +31,7 @@ from .compare import SideBySide, check_comparable, compare, start_design
 from .compliance import Compliance, build_compliance_problems, choose_compliance, infeasible_message, settle_compliance
 from .coupled import TogetherAsked, TogetherCheck
 from .coupled_search import CoupledSearch
-from .defaults import DefaultAdmittance, default_admittance, default_message, lower_default
+from .defaults import DefaultAdmittance, beside_margins, default_admittance, default_message, lower_default
 from .limits import LimitsSettings, limits_settings, with_limits
 from .optimality_report import OptimalityReport, report_optimality
 from .problems import build_problems, certified_mass_kg, runtime_mass_kg, within_domain
@@ -366,6 +366,7 @@ def _search(
         if lowered is not None:
             return _search(name, lowered, seed, start, relax, report, portion)
         # In the place of what a controller would still have to pass.
+        problem = beside_margins(problem, seed=seed)
         why = explain(name, problem, seed=seed, progress=ProgressSlice(report, 1.0 - _SEARCH_SHARE))
         if not why.relaxations:
             raise InfeasibleError(f"Axis {name}: {error}") from error

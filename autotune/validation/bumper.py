@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from autotune.errors import UsageError
 from autotune.formats.controller_record import Controller, admittance_controller
 from autotune.formats.units import ROTATIONAL_AXES
 from autotune.quantities import parse_quantity
@@ -59,6 +60,13 @@ def check_bumper(controller: Controller, bumper: Bumper | None) -> tuple[Check, 
     if bumper is None:
         return ()
     straight = [name for name in controller.axes if name not in ROTATIONAL_AXES]
+    for name in straight:
+        lightest = controller.certificate.domain[name].plants.payload_mass_kg[0]
+        if bumper.mass_kg >= lightest:
+            raise UsageError(
+                f"--bumper has {bumper.mass_kg:g} kg and is a part of the payload, so it must be below the certified "
+                f"{lightest:g} kg."
+            )
     return of_own_law(controller, [_check_axis(controller, name, bumper) for name in straight])
 
 

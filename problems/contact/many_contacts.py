@@ -52,6 +52,8 @@ _K_E, _B_E, _M_E = ENVIRONMENT_STIFFNESS, 5, 6
 # Parts of a sample, before and behind the change of the command; the row of v h (`Motion.rows`).
 EARLY, LATE = 0, 1
 _VELOCITY = 2
+# The place of the payload in the plant state, from the end.
+_PAYLOAD = -2
 # In a motion this slow (radians or e-foldings) the force turns no oftener than two looks at it show, and as many terms
 # of a series are exact to rounding: ‖A²‖ bounds every second power, and 0.5¹⁶/16! is far below it.
 _SLOW, _SERIES_TERMS = 1.0 / SUBSTEPS_PER_RADIAN, 16
@@ -224,7 +226,7 @@ def run_plants(
             continue
         wall = Wall(parameters[k, _K_E], parameters[k, _B_E] / h, 0.0, 1.0)
         motion = build_motion(contact, free, wall, (whole, chain, fraction), fewest)
-        ramp = steady_ramp(free.step, (whole, chain), free.rows[SENSED, :n], free.rows[SENSED, n])
+        ramp = steady_ramp(free.step, (whole, chain), free.rows[SENSED, :n], free.rows[SENSED, n], _PAYLOAD)
         for run in range(2):
             drive, wrong = find_drive(runs[run], drag_of(ramp, h), approach)
             if wrong == POSSIBLE:

@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -99,23 +98,17 @@ class ContactTransient:
 
 @dataclass(frozen=True, kw_only=True)
 class SampledContact:
-    """A plant in contact and the same plant in free space, both sampled; what a contact needs is computed for one."""
+    """A plant in contact and the same plant in free space, both sampled.
+
+    `ramp` (2, n + 2): plant state, command and F at a tick with x_p = 0, first moving by one metre per sample without
+    outside force, then resting under an outside force of one newton. `arguments` are the plant's part of what
+    `run_contact` takes.
+    """
 
     contact: SampledPlant
     free: SampledPlant
-
-    @cached_property
-    def ramp(self) -> FloatArray:
-        """Plant state, command and F (2, n + 2) at a tick with x_p = 0.
-
-        First moving by one metre per sample without outside force, then resting under an outside force of one newton.
-        """
-        return _ramp(self.free)
-
-    @cached_property
-    def arguments(self) -> Contact:
-        """The plant's part of what `run_contact` takes."""
-        return _kernel_arguments(self.contact, self.free)
+    ramp: FloatArray
+    arguments: Contact
 
 
 def build_sampled_contact(contact: SampledPlant) -> SampledContact:
@@ -123,7 +116,7 @@ def build_sampled_contact(contact: SampledPlant) -> SampledContact:
     if contact.plant.environment.is_free_space:
         raise ParameterError("environment", contact.plant.environment, "a surface to touch, not free space")
     free = build_sampled_plant(contact.plant.in_contact_with(FREE_SPACE), contact.sample_time_s)
-    return SampledContact(contact=contact, free=free)
+    return SampledContact(contact=contact, free=free, ramp=_ramp(free), arguments=_kernel_arguments(contact, free))
 
 
 def _kernel_arguments(contact: SampledPlant, free: SampledPlant) -> Contact:
@@ -152,7 +145,7 @@ def _ramp(free: SampledPlant) -> FloatArray:
 
 
 @equation
-def steady_ramp(matrices: Any, delay: tuple[int, int], c_force: Any, d_force: float, carried: int = -2) -> Any:
+def steady_ramp(matrices: Any, delay: tuple[int, int], c_force: Any, d_force: float, carried: int) -> Any:
     """Solve for the plant state that repeats itself one step further on (or at rest), with x_p = 0.
 
     Return what `SampledContact.ramp` is, of (phi, gamma, gamma_old, gamma_push) and the whole samples of delay and

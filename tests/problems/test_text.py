@@ -1,8 +1,10 @@
 """Numbers as a sentence holds them."""
 
+import math
+
 import pytest
 
-from problems.text import significant
+from problems.text import rounded_down, significant
 
 
 @pytest.mark.parametrize(
@@ -18,3 +20,12 @@ from problems.text import significant
 )
 def test_large_numbers_are_written_out(value: float, digits: int, text: str) -> None:
     assert significant(value, digits) == text
+
+
+@pytest.mark.parametrize(
+    ("value", "digits", "down"),
+    [(0.0888, 2, 0.088), (0.245, 2, 0.24), (0.1, 2, 0.1), (0.3, 1, 0.3), (1999.0, 1, 1000.0), (5.0, 3, 5.0)],
+)
+def test_what_is_rounded_down_is_never_more(value: float, digits: int, down: float) -> None:
+    assert rounded_down(value, digits) == down
+    assert rounded_down(math.inf) == math.inf

@@ -13,6 +13,7 @@ from ...model.controller import AdmittanceController
 from ...model.plant import Plant
 from ...model.plant_parameters import PARAMETERS, with_values
 from ...model.sampled import build_loop, build_sampled_plant, spectral_radius
+from ...text import rounded_down
 from ..hand import HandImpedance
 from ..stable_design import PreparedPlants, StableDesign
 from ..uncertainty import MASS, Scenario
@@ -152,7 +153,7 @@ class ContactAtSpeedLimit(Requirement[ContactAtSpeed]):
     def easing_note(self, asked: ContactAtSpeed, possible: float) -> str:
         """Return the speed at which the force would hold: a contact's force scales with its speed."""
         speed = asked.speed_m_s * asked.max_force_n / possible
-        return f" A contact's force scales with its speed: {asked.max_force_n:g} would hold at {speed:.2g}."
+        return f" A contact's force scales with its speed: {asked.max_force_n:g} would hold at {rounded_down(speed):g}."
 
     def count(self, prepared: PreparedPlants) -> int:
         """Return the number of scenarios."""

@@ -35,6 +35,13 @@ def test_a_folder_of_cells_has_their_logs_as_runs(logs: Path) -> None:
     assert found["press/tue"].controller == logs / "press" / "controller.yaml"
 
 
+def test_a_log_that_a_recorder_left_empty_is_a_run(logs: Path) -> None:
+    (logs / "press" / "sat.mcap").touch()
+    (logs / "press" / "notes.txt").touch()
+    assert "press/sat" in {run.name for run in read_manifest(logs)}
+    assert "press/notes" not in {run.name for run in read_manifest(logs)}
+
+
 def test_table_and_document_say_the_same(logs: Path) -> None:
     table, document = logs / "runs.csv", logs / "runs.yaml"
     table.write_text(

@@ -325,6 +325,8 @@ def test_a_run_that_is_refused_leaves_no_files_of_a_former_log(logs: Path, tmp_p
     ("url", "said"),
     [
         ("nonsense", "--storage is no URL"),
+        ("sqlite:///", "--storage names no file, and what is kept in memory is lost"),
+        ("sqlite:///:memory:", "--storage names no file, and what is kept in memory is lost"),
         ("mysql+pymysql://user:secret@host/x", "--storage must be SQLite (sqlite:///FILE) or PostgreSQL"),
         ("postgresql+foo://user:secret@host/x", "storage postgresql+foo://user:***@host/x cannot be used: Can't load"),
         ("sqlite:////nonexistent/folder/x.db", "cannot be used: unable to open database file."),

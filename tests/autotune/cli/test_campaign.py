@@ -51,6 +51,9 @@ def test_runs_are_identified_and_told_of(run_cli: RunCli, fleet: Path, tmp_path:
     assert found == ["campaign.sqlite", "cells/press/mon/identified.yaml"]
     page = (tmp_path / "fleet.html").read_text(encoding="utf-8")
     assert all(text in page for text in ("All runs", "Refused", "press", "payload mass [kg]"))
+    # The command that is named next is of the same runs, in the same state.
+    said = run_cli("campaign", fleet, "-o", "out", "--no-optimize", "--allow-partial", "--storage", "sqlite:///s.db")
+    assert "-o out --no-optimize --allow-partial --storage sqlite:///s.db --report campaign.html" in said.stderr
     again = run_cli("campaign", fleet, "-o", "out", "--no-optimize", "--json")
     tree = json.loads(again.stdout)
     assert [run["refused"] for run in tree["runs"]] == ["", "log"]
@@ -95,6 +98,13 @@ def test_nothing_identified_is_exit_code_4_and_a_wrong_manifest_2(run_cli: RunCl
     assert (done.returncode, "gone.mcap is not there" in done.stderr.replace("\n", " ")) == (2, True)
     done = run_cli("campaign", fleet, "-o", "out", "--scheduler", "head")
     assert (done.returncode, "--scheduler must be dask" in done.stderr) == (2, True)
+
+
+@pytest.mark.parametrize("wait", ["nan", "inf", "1e9"])
+def test_a_time_that_nobody_waits_is_refused(run_cli: RunCli, fleet: Path, wait: str) -> None:
+    done = run_cli("campaign", fleet, "-o", "out", "--watch", wait)
+    assert done.returncode == 2
+    assert "must be 1 to 604800 seconds" in done.stderr
 
 
 def test_a_folder_that_is_watched_says_what_is_new_and_nothing_else(

@@ -18,6 +18,7 @@ from autotune.formats.controller_record import ControllerStatus
 from autotune.formats.identified import write_identified
 from autotune.formats.signature import fingerprint
 from autotune.simulation.write import write_mcap
+from problems.text import rounded_down
 from tests.autotune.prediction.pressing import Cell, recorded_contact
 from tests.autotune.tuning.cases import identified_plant, known, small_controller, write_plant
 from tests.autotune.validation.test_against_log import recorded
@@ -78,8 +79,8 @@ def test_a_limit_of_the_force_says_which_speed_is_safe(run_cli: RunCli, good: Pa
     assert per_speed is not None
     line = run_cli("validate", str(good), "--force-limit", "65", *FEW).stdout.splitlines()[0]
     assert per_speed.holds is not None
-    slow, held, fast = (65.0 / each for each in (per_speed.pushes_on, per_speed.holds, per_speed.lets_go))
-    assert line.endswith(f"at most 65 N (--force-limit) up to {slow:.2g}, {held:.2g} and {fast:.2g} m/s")
+    slow, held, fast = (rounded_down(65.0 / each) for each in (per_speed.pushes_on, per_speed.holds, per_speed.lets_go))
+    assert line.endswith(f"at most 65 N (--force-limit) up to {slow:g}, {held:g} and {fast:g} m/s")
     refused = run_cli("validate", str(good), "--force-limit", "nose")
     assert refused.returncode == 2
     assert "Or name one of skull, face" in refused.stderr

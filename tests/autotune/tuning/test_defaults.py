@@ -10,9 +10,11 @@ import pytest
 
 from autotune.formats.problem import read_problem
 from autotune.formats.records import record_tree
-from autotune.tuning.defaults import default_admittance, default_message, follow_robot, lower_default
+from autotune.tuning.defaults import beside_margins, default_admittance, default_message, follow_robot, lower_default
+from autotune.tuning.relax import find_relaxations
 from autotune.tuning.search import solve_design
 from problems.design.problem import AdmittanceTarget, Requirements
+from problems.design.requirements import ContactAtSpeed
 from problems.model.robot import RobotModel
 from tests.autotune.tuning.cases import design_problem
 
@@ -92,6 +94,24 @@ def test_a_default_that_cannot_be_had_is_lowered_to_what_can() -> None:
     assert again is not None
     asked = replace(problem.requirements, free_space_admittance=AdmittanceTarget(min_m_s_per_n=5e-3))
     assert lower_default(replace(problem, requirements=asked), seed=0) is None
+
+
+def test_beside_a_limit_of_the_peak_the_default_is_what_margins_leave() -> None:
+    """What is said of a limit that cannot be met is not about an admittance that nobody asked for."""
+    default = AdmittanceTarget(min_m_s_per_n=5e-3, is_default=True)
+    asked = replace(FEW, free_space_admittance=default)
+    problem = design_problem(requirements=asked, mass=(16.0, 16.0))
+    hard = replace(
+        problem, requirements=asked.with_asked("contact_at_speed", ContactAtSpeed(speed_m_s=1.0, max_force_n=5.0))
+    )
+    assert lower_default(hard, seed=0) is None
+    eased, lowered = beside_margins(hard, seed=0), lower_default(problem, seed=0)
+    assert lowered is not None
+    assert eased.requirements.free_space_admittance == lowered.requirements.free_space_admittance
+    assert eased.requirements.asked()["contact_at_speed"] == hard.requirements.asked()["contact_at_speed"]
+    assert beside_margins(problem, seed=0) is problem
+    (relaxation,) = (each for each in find_relaxations(eased) if each.name == "contact_at_speed")
+    assert relaxation.possible > 5.0
 
 
 def test_the_price_of_the_band_is_that_of_a_search_with_the_usual_one() -> None:
