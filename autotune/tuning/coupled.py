@@ -13,6 +13,7 @@ from autotune.validation.coupled_cell import CoupledCell
 from autotune.validation.coupled_failure import CoupledFailure
 from autotune.validation.coupled_proof import prove_together
 from autotune.validation.coupled_sweep import CoupledPlants, CoupledSweep, damped_by, sweep_coupled
+from identification.errors import EstimateError
 from identification.result import AxisEstimate, Estimate, Identified
 from problems.design.uncertainty import ENVIRONMENT_MASS
 from problems.errors import ParameterError
@@ -108,7 +109,8 @@ class TogetherCheck:
     def __call__(self, controller: Controller, prover: Prover) -> Controller:
         """Return the controller with its certificate of all axes.
 
-        Raises InfeasibleError where the axes together are unstable, bounce for ever or miss the modulus asked of them.
+        Raises InfeasibleError where the axes together are unstable, bounce for ever or miss the modulus asked of them,
+        EstimateError where a proof of them was asked for by name and too little is known.
         """
         if not self.is_asked:
             return controller
@@ -116,6 +118,11 @@ class TogetherCheck:
         laws = {name: admittance_controller(controller, name) for name in domains}
         found = self.sweep(domains, laws, controller.payload, controller.sample_time_s)
         if found.cell is None or found.sweep is None:
+            if self.unchecked and self._proof.axes == "together":
+                raise EstimateError(
+                    f"The axes cannot be proved together ({self.unchecked}). Record what is missing, or leave --axes "
+                    "together out: they are then checked one by one."
+                )
             return controller
         if found.sweep.failure is not None:
             raise InfeasibleError(refusal_text(found.cell, found.sweep.failure))

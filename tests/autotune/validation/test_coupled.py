@@ -16,11 +16,12 @@ from autotune.formats.controller_record import Controller
 from autotune.formats.coupled_record import CoupledCertificate
 from autotune.formats.identified import read_identified, write_identified
 from autotune.formats.problem import read_problem
-from autotune.tuning.coupled import check_together, coupled_body
+from autotune.tuning.coupled import TogetherAsked, TogetherCheck, check_together, coupled_body
 from autotune.validation.axis_proof import ProofOptions, Prover
 from autotune.validation.coupled import build_dense_loop, check_coupled
 from autotune.validation.coupled_cell import CoupledCell
 from autotune.validation.coupled_proof import check_proofs, prove_together
+from identification.errors import EstimateError
 from identification.result import Identified, InertiaEstimate
 from problems.model.coupled import PointSurface, build_coupled_loop, build_coupled_sampled_plant, coupled_poles
 from problems.stability.coupled_margins import coupled_sensitivities
@@ -209,6 +210,11 @@ def test_an_axis_that_is_known_and_not_tuned_swings_along() -> None:
 def test_what_is_not_known_is_named() -> None:
     plant = replace(two_axes(), axes={"x": two_axes().axes["x"]})
     assert check_together(with_x_alone(), plant).unchecked == "not known: y, z, rx, ry, rz"
+    # A proof that was asked for by name is not left out in silence.
+    together = TogetherCheck(TogetherAsked(identified=plant), ProofOptions(axes="together"))
+    with pytest.raises(EstimateError, match="cannot be proved together \\(not known: y, z, rx, ry, rz\\)"):
+        together(with_x_alone(), Prover())
+    assert TogetherCheck(TogetherAsked(identified=plant), ProofOptions())(with_x_alone(), Prover()) == with_x_alone()
     unknown = replace(tuned(), payload=replace(tuned().payload, set_in_cell=True))
     assert "com_m" in check_together(unknown, plant).unchecked
     # 16 kg at 0.25 m are more than the 0.64 kg m² of the axis.
