@@ -15,6 +15,7 @@ from problems.arrays import FloatArray
 from problems.design.requirements import ContactAtSpeed
 from problems.model.controller import AdmittanceController, controller_blocks
 from problems.model.difference import BIQUAD_0, INTEGRATOR_DIRECT, LAG_DIRECT
+from problems.text import rounded_down
 
 from .certified_requirements import asked_of
 from .contacts import Replays
@@ -97,9 +98,9 @@ def choose_axis_limits(
     asked, per_speed = asked_of(controller, name).get("contact_at_speed"), controller.predicted[name].peak_per_speed
     if isinstance(asked, ContactAtSpeed) and per_speed is not None:
         safe, reached = per_speed.largest_speed(asked.max_force_n, asked.hand), speed + noisy_speed
-        largest = min(largest, max(_rounded_down(safe), _rounded_up(reached)))
+        largest = min(largest, max(rounded_down(safe), _rounded_up(reached)))
         reasons[f"axes.{name}.speed"] = (
-            f"up to {safe:.3g} {units.speed} no contact exceeds {asked.max_force_n:g} {units.force} "
+            f"up to {rounded_down(safe, 3):g} {units.speed} no contact exceeds {asked.max_force_n:g} {units.force} "
             f"(contact_at_speed); certified contacts command {speed:.3g}, and {shaken}, {noisy_speed:.2g}"
         )
     return AxisLimits(
@@ -188,12 +189,6 @@ def _rounded_up(value: float) -> float:
     """Return a number of two digits that is not below `value`."""
     scale = 10.0 ** (math.floor(math.log10(value)) - 1)
     return float(f"{math.ceil(value / scale * (1.0 - 1e-9)) * scale:.2g}")
-
-
-def _rounded_down(value: float) -> float:
-    """Return a number of two digits that is not above `value`."""
-    scale = 10.0 ** (math.floor(math.log10(value)) - 1)
-    return float(f"{math.floor(value / scale * (1.0 + 1e-9)) * scale:.2g}")
 
 
 def commanded_motion(command: FloatArray, sample_time_s: float) -> tuple[float, float]:

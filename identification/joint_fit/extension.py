@@ -49,7 +49,7 @@ class Extended:
 
     `move` is 0 where nothing is reported; `part` and `friction_n`, value and deviation, are what is, `latency` is the
     wrench's beside them. Where it `explains` the misfit, that covariance takes the place of the joint fit's. `is_wider`
-    is False where one mass on one spring is enough, `is_apart` where part and friction are not told from each other.
+    is False where one mass on one spring is enough, `is_apart` where part and friction cannot be distinguished.
     `unseen` (a,) is what a part may move that the log cannot show. `left_n` is the RMS that free motion leaves of the
     force beside what is reported.
     """

@@ -440,4 +440,5 @@ def test_workers_and_other_commands_do_without_a_database() -> None:
         "import sys; from autotune.cli.main import main; import autotune.campaign.work, autotune.cli.campaign; "
         "main(['campaign', '--help']); assert 'sqlalchemy' not in sys.modules"
     )
-    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
+    done = subprocess.run([sys.executable, "-c", code], check=False, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
