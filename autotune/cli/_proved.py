@@ -134,6 +134,8 @@ def print_worst_plants(simulated: "Sequence[AxisMonteCarlo]") -> None:
 
 def noise_lines(found: "Optimized", name: str) -> Iterator[str]:
     """Yield how to have the noise of the command in the place of bounds that hold the design."""
+    if name in found.structures:
+        return
     active = found.optimality_reports[name].active
     held = {entry.name.partition(" bound of ")[2] for entry in active if entry.price > 0.0}
     problem = found.searches[name].problem

@@ -40,7 +40,7 @@ from .record import build_controller, build_domain, certified_hand, runtime_payl
 from .scenario_exchange import NOTHING, Counterexamples, ImpactTest, WholeSet
 from .search import SearchResult, solve_design
 from .strategies import StrategySettings, choose_strategies, strategy_settings
-from .structure import StructureSearch
+from .structure import StructureChoice, StructureSearch
 
 # Of the time of a usual run, measured, for the progress bar alone. The second is a share of what comes
 # after the search.
@@ -72,7 +72,7 @@ class Optimized:
     of the log; `compliance` holds the stiffness
     that was chosen for the axis, where the problem left it open; `defaults` what was asked by default and followed the
     cell. What the user should know is in the provenance, as `notes`. `unchecked_together` says why the axes were not
-    checked on their common payload.
+    checked on their common payload, `structures` what further structures of the law do.
     """
 
     controller: Controller
@@ -84,6 +84,7 @@ class Optimized:
     defaults: Mapping[str, DefaultAdmittance] = field(default_factory=dict)
     before_after: Mapping[str, BeforeAndAfter] = field(default_factory=dict)
     unchecked_together: str = ""
+    structures: Mapping[str, StructureChoice] = field(default_factory=dict)
 
 
 def optimize(
@@ -155,7 +156,7 @@ def optimize(
     return Optimized(
         controller=controller, searches=searches, optimality_reports=optimality_reports, report=checked,
         compared=compared, compliance=chosen, defaults=defaults, before_after=before_after,
-        unchecked_together=together.unchecked,
+        unchecked_together=together.unchecked, structures=structures.choices,
     )  # fmt: skip
 
 

@@ -81,7 +81,7 @@ class StructureSearch:
     def __init__(self, spec: ProblemSpec, identified: Identified, seed: int) -> None:
         self._structure, self._identified, self._seed = spec.structure or DEFAULT, identified, seed
         self._said, self._said_turning = {*spec.bounds}, {*spec.bounds, *spec.rotational.bounds}
-        self._choices: dict[str, StructureChoice] = {}
+        self.choices: dict[str, StructureChoice] = {}
 
     def searched(self, plain: Mapping[str, SearchResult]) -> dict[str, SearchResult]:
         """Return the searches with the structure, where it is worth it."""
@@ -96,12 +96,12 @@ class StructureSearch:
                 each, self._structure, hand, seed=self._seed, said=said, sensor_noise=noise
             )
             if len(choice.costs) > 1:
-                self._choices[name] = choice
+                self.choices[name] = choice
         return found
 
     def notes(self, searches: Mapping[str, SearchResult]) -> list[str]:
         """Return a sentence for each axis."""
-        return [each.message(name, searches[name].problem) for name, each in self._choices.items()]
+        return [each.message(name, searches[name].problem) for name, each in self.choices.items()]
 
 
 def choose_structure(

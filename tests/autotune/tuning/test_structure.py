@@ -4,11 +4,13 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from autotune.cli._pareto import FrontWriter
+from autotune.cli._proved import noise_lines
 from autotune.errors import InfeasibleError, UsageError
 from autotune.explore.sliders import build_gain_sliders
 from autotune.export.designing import specs_for
@@ -155,6 +157,16 @@ def test_what_saves_less_than_its_price_is_not_taken(monkeypatch: pytest.MonkeyP
     found, choice = choose_structure(plain(), "noise", HAND, seed=0)
     assert found is plain()
     assert choice.taken == "gains"
+
+
+def test_the_noise_in_the_place_of_bounds_is_proposed_where_it_was_not_searched() -> None:
+    active = [SimpleNamespace(name="lower bound of mass", price=1.0)]
+    reports, searches = {"x": SimpleNamespace(active=active)}, {"x": plain()}
+    found: Any = SimpleNamespace(structures={}, optimality_reports=reports, searches=searches)
+    (line,) = noise_lines(found, "x")
+    assert "--structure noise" in line
+    found.structures = {"x": "searched, and four gains taken"}
+    assert not list(noise_lines(found, "x"))
 
 
 def test_elsewhere_a_structure_is_refused(tmp_path: Path) -> None:
