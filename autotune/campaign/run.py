@@ -153,7 +153,8 @@ class _Work:
                     else:
                         self._is_shared = True
                     queue.popleft()
-                for future in wait(running, _LOOK_S, return_when=FIRST_COMPLETED).done or _look_after(workers):
+                done = wait(running, _LOOK_S, return_when=FIRST_COMPLETED).done or _look_after(workers)
+                for future in [each for each in running if each in done]:  # in the order of the runs, not of the set
                     try:
                         outcome = future.result()
                     except (AutotuneError, BrokenExecutor):
