@@ -134,7 +134,8 @@ def _drive(
 ) -> tuple[float, float]:
     """Return the largest force on the surface, and the speed at the touch per sample."""
     (stiffness, damping), (of_state, of_command) = surface, force_row
-    state, past = np.zeros(len(position_row)), rest_at(start)
+    count = len(position_row)
+    state, following, past = np.zeros(count), np.zeros(count), rest_at(start)
     state[_ROBOT] = state[_PAYLOAD] = start
     ticks = len(pull) // _SUBSTEPS
     whole, part = late // _SUBSTEPS, late % _SUBSTEPS
@@ -153,5 +154,11 @@ def _drive(
             side = _TOUCHING if presses else _AWAY
             command = sent[tick] if sub < part else sent[tick + 1]
             outside = pull[tick * _SUBSTEPS + sub]
-            state = phi[side] @ state + gamma[side, :, _COMMAND] * command + gamma[side, :, _HAND] * outside
+            # Row by row: a product of matrices would make an array at each substep.
+            for row in range(count):
+                total = gamma[side, row, _COMMAND] * command + gamma[side, row, _HAND] * outside
+                for column in range(count):
+                    total += phi[side, row, column] * state[column]
+                following[row] = total
+            state, following = following, state
     return peak, speed
