@@ -39,8 +39,10 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from autotune.errors import InfeasibleError
+from autotune.formats.problem import Structure
 from autotune.tuning.optimality_report import find_reference
-from autotune.tuning.search import solve_design
+from autotune.tuning.search import SearchResult, solve_design
+from autotune.tuning.structure import equal_noise, limited_problem, solve_limited
 from benchmarks.optimizer_authors import run_authors
 from benchmarks.optimizer_ipopt import run_ipopt
 from benchmarks.optimizer_judge import JUDGED, Trace, judge, judge_trace, screen_of
@@ -50,12 +52,14 @@ from benchmarks.optimizer_reference import bracket_best, check_densely, evolve_l
 from benchmarks.optimizer_samplers import run_cma_es, run_differential_evolution, run_dual_annealing, run_tpe
 from benchmarks.optimizer_scaling import ALL_AT_ONCE_UP_TO, Growth, draw_growth, measure_growth
 from benchmarks.tuning_problems import draw_problem, paper_cell
+from problems.design.hand import HandImpedance
 from problems.design.problem import DesignProblem
 
 Record = dict[str, Any]
 Found = TypeVar("Found")
 
 PARTS = ("problems", "polish", "peers", "growth", "bits")
+STRUCTURES: tuple[Structure, ...] = ("gains", "noise", "biquad")
 _CORNERS = (3, 2)
 _LIKE_OURS = "autotune"
 # Six of the drawn problems that can be solved.
@@ -140,18 +144,20 @@ def run_problem(seed: int, options: argparse.Namespace) -> Record:
     search = {"seeds": options.seeds, "population": options.population, "generations": options.generations}
     search["rival"] = options.rival
     try:
-        result, wall, processor = _timed(lambda: solve_design(problem))
+        result, wall, processor = _timed(lambda: solve_structure(problem, options.structure))
     except InfeasibleError as error:
         found = evolve_long(problem, problem.scenarios(*_CORNERS), **search)
         feasible = bool(np.isfinite(found.objective_n))
         holds = feasible and check_densely(problem, found.design, seed=seed).holds
         return _record("problem", seed=seed, refused=str(error), rival_holds=holds, reference_n=found.objective_n)
     own, _, own_seconds = _timed(lambda: find_reference(result))
+    problem = result.problem
     long = bracket_best(problem, result.active.scenarios, **search)
     dense = check_densely(problem, result.design, seed=seed)
     return _record(
         "problem",
         seed=seed,
+        structure=options.structure,
         refused="",
         wall_s=wall,
         cpu_s=processor,
@@ -172,6 +178,22 @@ def run_problem(seed: int, options: argparse.Namespace) -> Record:
         dense_n=dense.objective_n,
         dense_count=dense.count,
     )
+
+
+def solve_structure(problem: DesignProblem, structure: Structure) -> SearchResult:
+    """Return the design of four gains in their bounds, or of the structure at their noise, worth it or not.
+
+    Of the structure it is what was found, of the problem that was then asked (the modulus in a hand may have joined).
+    """
+    plain = solve_design(problem)
+    known = [plain]
+    for each in STRUCTURES[1 : STRUCTURES.index(structure) + 1]:
+        limited = limited_problem(plain.problem, equal_noise(plain), has_biquad=each == "biquad")
+        found = solve_limited(plain, limited, HandImpedance(), known, seed=0)
+        if found is None:
+            raise InfeasibleError(f"No design of {each} was found.")
+        known.append(found)
+    return known[-1]
 
 
 def run_polish() -> Iterator[Record]:
@@ -278,6 +300,12 @@ def _options() -> argparse.Namespace:
         choices=("evolution", "cma"),
         default="evolution",
         help="what drawn problems are held to; cma: CMA-ES with restarts, population times generations evaluations",
+    )
+    parser.add_argument(
+        "--structure",
+        choices=STRUCTURES,
+        default="gains",
+        help="of the laws of drawn problems, at the four gains' noise",
     )
     parser.add_argument("--budget", type=float, default=15.0, help="processor seconds of a peer")
     parser.add_argument(

@@ -8,7 +8,7 @@ from scipy.optimize import differential_evolution
 
 from autotune.tuning.bounds import Box
 from autotune.tuning.scenario_exchange import DENSE_MASS, DENSE_STIFFNESS
-from benchmarks.optimizer_judge import DIMENSION, is_peak, ranked_costs
+from benchmarks.optimizer_judge import is_peak, ranked_costs
 from problems.arrays import FloatArray
 from problems.design.batch_evaluation import build_batch_evaluator
 from problems.design.evaluation import PreparedScenarios, build_scenarios
@@ -25,7 +25,6 @@ _ROUNDING = 1e-9
 # The evolution walks up to its limits on a grid of frequencies, which flatters a margin by less than this.
 _MISSED = 1e-4
 _ROUNDS, _SAME = 4, 1e-3
-_CUBE = [(0.0, 1.0)] * DIMENSION
 # The usual population of CMA-ES in four dimensions, 4 + 3 ln n.
 _SMALLEST = 8
 
@@ -55,7 +54,7 @@ def evolve_long(
     restarted with twice the population each time until it has made as many evaluations.
     """
     box, screen = Box(problem), build_batch_evaluator(build_scenarios(problem, scenarios))
-    costs, evaluations = ranked_costs(screen, box), 0
+    costs, evaluations, cube = ranked_costs(screen, box), 0, [(0.0, 1.0)] * len(problem.variables)
 
     def counted(units: FloatArray) -> FloatArray:
         nonlocal evaluations
@@ -65,12 +64,12 @@ def evolve_long(
     found = []
     for seed in range(seeds):
         if rival == "cma":
-            value, unit = _restarted_cma_es(counted, seed, population * generations)
+            value, unit = _restarted_cma_es(counted, cube, seed, population * generations)
         else:
             result = differential_evolution(
                 counted,
-                _CUBE,
-                popsize=max(population // DIMENSION, 2),
+                cube,
+                popsize=max(population // len(cube), 2),
                 maxiter=generations,
                 init="sobol",
                 tol=0.0,
@@ -93,16 +92,16 @@ def evolve_long(
 
 
 def _restarted_cma_es(
-    costs: Callable[[FloatArray], FloatArray], seed: int, evaluations: int
+    costs: Callable[[FloatArray], FloatArray], cube: list[tuple[float, float]], seed: int, evaluations: int
 ) -> tuple[float, FloatArray]:
     """Return the least cost and where it is: IPOP-CMA-ES (Auger and Hansen 2005), begun anywhere each time."""
     from cmaes import CMA  # of the extra `benchmarks`; the evolution does without
 
     rng, size, used = np.random.default_rng([seed, 78]), _SMALLEST, 0
-    best, place = np.inf, np.full(DIMENSION, 0.5)
+    best, place = np.inf, np.full(len(cube), 0.5)
     while used < evaluations:
         search = CMA(
-            mean=rng.random(DIMENSION), sigma=0.3, bounds=np.array(_CUBE), population_size=size,
+            mean=rng.random(len(cube)), sigma=0.3, bounds=np.array(cube), population_size=size,
             seed=int(rng.integers(2**31)),
         )  # fmt: skip
         while used < evaluations and not search.should_stop():

@@ -41,6 +41,7 @@ _MOST_OF_AN_APPROACH = {"force_n": 1e4, "speed_m_s": 5.0, "torque_n_m": 2e3, "sp
 # is the cell's.
 _THRESHOLD, _DAMPING = "collision_threshold_n", "variable_damping_n_s_per_m"
 _STIFFNESS = "environment_stiffness_n_per_m"
+_SHARE = "share_of_jitter"
 # What a plant that a person writes, and gains, call the same; a corner is in another unit than a time constant.
 _PLAIN_NAMES: Mapping[str, Mapping[str, str]] = {
     "bounds": {"lead": "lead_s", "feedback_damping": "feedback_damping_s"},
@@ -90,11 +91,11 @@ class ProblemSpec:
     Names in `bounds` and `uncertain` are those of problem.yaml, or of gains and of `Plant`, as `lead` and `drag`.
     `uncertain` maps further parameters of the plant to a range, to "identified" (the confidence set of the identified
     file) or to "nominal" (as if it were known). `limits` are those that the runtime enforces.
-    `contact_points_m` are where the payload may touch, in the sensor frame; () those of the cell.
     `least_modulus_together` is asked of min σ(I + L) of axes that act on each other, None nothing but stability.
     `contact_points_m` are where the payload may touch, in the sensor frame; () those of the cell. `structure` of the
     law that `optimize` searches, "noise" unless it is said: four gains in their bounds, limited by the noise of the
-    command in the place of bounds that nobody said, or with a biquad too.
+    command in the place of bounds that nobody said, or with a biquad too. `share_of_jitter` limits that noise to a
+    share of the robot's own jitter at rest, as the log shows it.
     `options` holds those ranges that were said outside of the file (`with_options`), `with_unit` names those whose unit
     was typed.
     """
@@ -117,6 +118,7 @@ class ProblemSpec:
     contact_points_m: tuple[tuple[float, float, float], ...] = ()
     least_modulus_together: float | None = None
     structure: Structure | None = None
+    share_of_jitter: float | None = None
     options: Mapping[str, Interval] = field(default_factory=dict)
     with_unit: frozenset[str] = frozenset()
 
@@ -127,6 +129,11 @@ class ProblemSpec:
         least = self.least_modulus_together
         if least is not None and not 0.0 < least < 1.0:
             raise ParameterError("least_modulus_together", least, "above 0 and below 1")
+        if self.share_of_jitter is not None:
+            (share,) = as_numbers(_SHARE, (self.share_of_jitter,), 1)
+            if not share > 0.0 or self.requirements.command_noise is not None:
+                raise ParameterError(_SHARE, share, "above 0, and left out where command_noise says a speed")
+            object.__setattr__(self, _SHARE, share)
         for name in ("environment_stiffness", "payload_mass", "collision_threshold", "variable_damping"):
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, _range(name, getattr(self, name)))
@@ -223,6 +230,7 @@ def read_problem(path: Path) -> ProblemSpec:
             contact_points_m=tuple(tree.get("payload", {}).get("contact_points_m", ())),
             least_modulus_together=tree.get("axes_together", {}).get("min_modulus"),
             structure=tree.get("structure"),
+            share_of_jitter=((tree.get("requirements") or {}).get("command_noise") or {}).get(_SHARE),
             rotational=_rotational(turned),
         )
     except ParameterError as error:
@@ -289,6 +297,9 @@ def _requirements(tree: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, fl
             asked[name] = 1.0 if said else None
         elif not isinstance(said, Mapping):
             asked[name] = said
+        elif _SHARE in said:
+            # A speed once the robot is known.
+            continue
         else:
             asked[name] = load_requirement(name).read({key: value for key, value in said.items() if key != "soft_n"})
             prices |= {name: said["soft_n"]} if "soft_n" in said else {}

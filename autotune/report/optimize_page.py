@@ -192,12 +192,14 @@ def _result_section(controller: Controller, designs: Sequence[AxisDesign], furth
 
 
 def _notes(controller: Controller) -> Iterator[Note]:
-    """Say which requirements hold the result, and how often the collision response begins without a collision."""
+    """Say what holds the result, how often the collision response begins without a collision, and the file's notes."""
     yield from active_notes(controller)
     found = controller.collision.false_triggers
     if found is not None:
         text = describe_false_triggers(found)
         yield Note(text=f"{text[0].upper()}{text[1:]}.")
+    for text in controller.provenance.get("notes", ()):
+        yield Note(text=str(text), kind="note", tone="quiet")
 
 
 def footer(controller: Controller, checksum: str) -> str:

@@ -26,6 +26,7 @@ from problems.model.plant import WrenchFilter
 from problems.model.robot import RobotModel
 
 from .defaults import follow_robot
+from .noise_limit import with_noise
 from .plausible import check_plausible, unexplained_contacts
 from .uncertain import with_measured_error, with_uncertainty
 from .wrench import LAG, LATE, build_wrench, check_wrench, without_position
@@ -123,31 +124,6 @@ def _check_free(names: list[str], spec: ProblemSpec) -> None:
         raise UsageError(f"compensation_mass_kg is a mass, and {names[0]} turns; leave it out of free.")
 
 
-def _with_noise(asked: Requirements, identified: Identified, name: str) -> Requirements:
-    """Return the requirements with the sensor's noise, the identified one unless it is said."""
-    limit, noise = asked.command_noise, find_sensor_noise(identified, name)
-    if limit is None or limit.force_noise_rms_n is not None:
-        return asked
-    if noise is None:
-        key, said = "force_noise_rms_n", "requirements.command_noise"
-        if name in ROTATIONAL_AXES:
-            key, said = "torque_noise_rms_n_m", "rotational.requirements.command_noise"
-        raise EstimateError(
-            f"sensor.{key} is not identified, and the command's noise is limited; say {key} in {said} of problem.yaml."
-        )
-    return replace(asked, command_noise=replace(limit, force_noise_rms_n=noise))
-
-
-def find_sensor_noise(identified: Identified, name: str) -> float | None:
-    """Return the identified RMS [N or N·m] of the sensor's noise along an axis, None where it is not known."""
-    sensor = identified.sensor
-    if name not in ROTATIONAL_AXES:
-        return sensor.force_noise_rms_n.value
-    noises = None if sensor.torque_noise_rms_n_m is None else sensor.torque_noise_rms_n_m.value
-    # The sensor's axes need not be those of the control frame: the noisiest is taken for all.
-    return None if noises is None else max(noises)
-
-
 def _check_same_payload(identified: Identified, name: str, asked: Interval | None) -> None:
     """Refuse another payload than the identified one on a rotational axis: its moment of inertia is not known."""
     if asked is None:
@@ -217,12 +193,13 @@ def _build_problem(identified: Identified, name: str, spec: ProblemSpec) -> Desi
     axis, coupling = identified.axes[name], identified.axes[name].coupling
     wrench = build_wrench(identified.sensor.wrench_filter, spec.uncertain)
     plants = _nominal_set(identified, name, spec, wrench.nominal)
+    sample_time = _value(identified.sample_time_s, "sample_time_s")
     nominal = DesignProblem(
         plants=plants,
-        sample_time_s=_value(identified.sample_time_s, "sample_time_s"),
+        sample_time_s=sample_time,
         approach=spec.approach or Approach(force_n=_DEFAULT_APPROACH_N),
         bounds=without_position({**spec.bounds, **spec.free}, wrench),
-        requirements=follow_robot(_with_noise(spec.requirements, identified, name), plants.nominal.robot),
+        requirements=follow_robot(with_noise(spec, identified, name, sample_time), plants.nominal.robot),
         objective=spec.objective,
     )
     bounded = {
@@ -371,6 +348,7 @@ def through_lever(spec: ProblemSpec, approach: Approach) -> ProblemSpec:
         # A range has a unit and is kept where it was given; where it is to come from holds for every axis.
         uncertain={**{name: each for name, each in spec.uncertain.items() if isinstance(each, str)}, **own.uncertain},
         requirements=_turned_requirements(spec.requirements, own),
+        share_of_jitter=None if "command_noise" in own.requirements else spec.share_of_jitter,
     )
 
 

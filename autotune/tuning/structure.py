@@ -21,7 +21,7 @@ from problems.model.sampled import build_sampled_plant
 from problems.stability.noise import command_speed_gain
 
 from .bounds import loosened_bounds
-from .problems import find_sensor_noise
+from .noise_limit import find_sensor_noise
 from .record import certified_hand
 from .search import SearchResult, solve_design
 
@@ -44,12 +44,14 @@ _ROUNDED = 1e-6
 class StructureChoice:
     """The objective's cost of each structure that was searched, None where no design was found, and the one taken.
 
-    All make the commanded speed's noise at most `noise_m_s_per_n` per newton of the force's.
+    All make the commanded speed's noise at most `noise_m_s_per_n` per newton of the force's: that of four gains in
+    their bounds, or what `is_asked` in problem.yaml.
     """
 
     costs: Mapping[Structure, float | None]
     taken: Structure
     noise_m_s_per_n: float
+    is_asked: bool = False
 
     def message(self, name: str, problem: DesignProblem) -> str:
         """Return a sentence on what the structures do for an axis."""
@@ -63,7 +65,8 @@ class StructureChoice:
         noise = f"{1e3 * self.noise_m_s_per_n:.3g} m{units.speed} per {units.force}"
         said = f"Axis {name}: {objective.title} {shown('gains')} with four gains in their bounds"
         if "noise" in self.costs:
-            said += f", {shown('noise')} with their noise of the command ({noise}) in the place of these bounds"
+            whose = "the noise of the command that is asked" if self.is_asked else "their noise of the command"
+            said += f", {shown('noise')} with {whose} ({noise}) in the place of these bounds"
         if "biquad" in self.costs:
             said += f", {shown('biquad')} with a biquad too"
         words = {"gains": "the four gains in their bounds", "noise": "the four gains", "biquad": "the biquad"}
@@ -120,24 +123,37 @@ def choose_structure(
     noise, are then wider, but those that somebody `said`. One that saves less than `PRICE` beside a simpler
     one is not taken.
     """
-    noise = _noise(plain)
+    asked = plain.problem.requirements.command_noise
+    noise = equal_noise(plain) if asked is None else asked.max_speed_rms_m_s / (asked.force_noise_rms_n or math.nan)
     found: dict[Structure, SearchResult | None] = {"gains": plain}
     for each in _ORDER[1 : _ORDER.index(structure) + 1]:
         problem = limited_problem(
             plain.problem, noise, has_biquad=each == "biquad", said=said, sensor_noise=sensor_noise
         )
-        if problem.bounds == plain.problem.bounds:
-            continue
-        known = [at.design for at in found.values() if at is not None]
-        starts = known if each == "noise" else [_neutral(problem, at, corner) for at in known for corner in _CORNERS]
-        found[each] = _held_as_well(plain, _solved(problem, starts, seed), hand, starts, seed)
+        if problem.bounds != plain.problem.bounds:
+            found[each] = solve_limited(
+                plain, problem, hand, [at for at in found.values() if at is not None], seed=seed
+            )
     taken: Structure = "gains"
     best = plain
     for name, result in found.items():
         if result is not None and result.evaluation.cost < (1.0 - PRICE) * best.evaluation.cost:
             taken, best = name, result
     costs = {name: None if result is None else result.evaluation.cost for name, result in found.items()}
-    return best, StructureChoice(costs=costs, taken=taken, noise_m_s_per_n=noise)
+    return best, StructureChoice(costs=costs, taken=taken, noise_m_s_per_n=noise, is_asked=asked is not None)
+
+
+def solve_limited(
+    plain: SearchResult, problem: DesignProblem, hand: HandImpedance, known: Sequence[SearchResult], *, seed: int
+) -> SearchResult | None:
+    """Search a `limited_problem` from `known` designs of fewer variables too; None where no design is found.
+
+    What has much less modulus in a hand than the plain law is searched again with nine tenths of that asked.
+    """
+    starts = [each.design for each in known]
+    if BIQUAD_VARIABLES[0] in problem.variables:
+        starts = [_neutral(problem, each, corner) for each in starts for corner in _CORNERS]
+    return _held_as_well(plain, _solved(problem, starts, seed), hand, starts, seed)
 
 
 def limited_problem(
@@ -196,8 +212,8 @@ def _least_held(found: SearchResult, hand: HeldByHand) -> float:
     return min(kind.achieved(hand, design, row) for row in range(kind.count(prepared)))
 
 
-def _noise(found: SearchResult) -> float:
-    """Return the largest noise [m/s per N] of a design over its plants, in contact and free."""
+def equal_noise(found: SearchResult) -> float:
+    """Return the largest noise [m/s per N] of a design over its plants, in contact and free, rounded up by a hair."""
     problem, law = found.problem, found.problem.controller(found.design)
     plants = [problem.plant(each) for each in found.active.scenarios]
     plants += [each.in_contact_with(FREE_SPACE) for each in plants]

@@ -252,6 +252,15 @@ def test_several_reports_on_one_page_do_not_get_into_each_others_way() -> None:
         render_page(Page(title="t", lead="l", sections=twice))
 
 
+def test_what_the_user_should_know_beside_a_controller_is_on_its_page() -> None:
+    found = fast_optimized().controller
+    said = "Axis x: the noise of the command is limited to 3.54 mm/s RMS."
+    noted = replace(found, provenance={**found.provenance, "notes": [said]})
+    page = build_optimize_page(noted, CHECKSUM)
+    notes = [each.text for section in page.sections for each in section.blocks if isinstance(each, Note)]
+    assert said in notes
+
+
 def test_what_stands_in_a_file_cannot_become_part_of_the_page() -> None:
     found = small_controller()
     evil = replace(found, provenance={"tool": '<script>alert(1)</script><img src="//x.example/a.png">'})

@@ -31,7 +31,7 @@ from autotune.validation.requirements import speed_rms
 from benchmarks.tuning_problems import paper_cell
 from problems.contact.nonlinear_simulation import simulate_nonlinear
 from problems.design.hand import HandImpedance
-from problems.design.problem import DEFAULT_BOUNDS, DesignProblem
+from problems.design.problem import DEFAULT_BOUNDS, DesignProblem, NoiseLimit, Requirements
 from problems.design.requirements import HeldByHand
 from problems.model.controller import AdmittanceController
 from problems.model.plant import FREE_SPACE
@@ -99,6 +99,22 @@ def test_a_hand_is_held_as_well_as_by_the_four_gains() -> None:
     hand = HeldByHand(min_modulus=0.5)
     held = [structure_module._least_held(each, hand) for each in (plain(), found)]
     assert held[1] >= 0.895 * held[0]
+
+
+def test_a_noise_that_is_asked_is_the_limit_that_is_said() -> None:
+    twice = 2.0 * chosen()[1].noise_m_s_per_n
+    limit = NoiseLimit(max_speed_rms_m_s=0.2 * twice, force_noise_rms_n=0.2)
+    asked = Requirements(command_noise=limit)
+    found, choice = choose_structure(solve_design(replace(papers_cell(), requirements=asked)), "noise", HAND, seed=0)
+    assert found.problem.requirements.command_noise == limit
+    assert choice.noise_m_s_per_n == pytest.approx(twice)
+    said = choice.message("x", found.problem)
+    assert f"with the noise of the command that is asked ({1e3 * twice:.3g} mm/s per N) in the place of" in said
+    # More noise is never worse.
+    noise, less = choice.costs["noise"], chosen()[1].costs["noise"]
+    assert noise is not None
+    assert less is not None
+    assert noise < less
 
 
 def test_bounds_that_somebody_said_hold() -> None:
