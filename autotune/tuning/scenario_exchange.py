@@ -5,7 +5,7 @@ counterexamples: plants at which a proof failed, impacts that bounced for ever, 
 """
 
 import math
-from collections.abc import Callable, Container, Mapping, Sequence
+from collections.abc import Callable, Collection, Container, Mapping, Sequence
 from dataclasses import dataclass, replace
 from operator import attrgetter
 
@@ -213,6 +213,18 @@ def margin_scenarios(
     """Return for every requirement of a loop whose required/achieved is above `limit` the scenario of the largest."""
     missed = [name for name, value in ratios.items() if value > limit and margins and name in margins[0].ratios]
     return tuple(margins[int(np.argmax([each.ratios[name] for each in margins]))].scenario for name in missed)
+
+
+def missed_elsewhere(
+    exact: Evaluation, margins: tuple[PlantMargins, ...], active: Collection[Scenario]
+) -> tuple[str, ...]:
+    """Return the requirements of a loop that are missed on none of the active scenarios: no grid flattered those."""
+    known = [each.ratios for each in margins if each.scenario in active]
+    return tuple(
+        name
+        for name, value in exact.requirements.items()
+        if value > 1.0 and known and all(each.get(name, np.inf) <= 1.0 for each in known)
+    )
 
 
 def moved_scenario(scenario: Scenario, old: DesignProblem, new: DesignProblem) -> Scenario:

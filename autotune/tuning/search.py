@@ -1,6 +1,6 @@
 """Search the controller: a seeded global stage, a local polish, and worst-case scenario exchange."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,6 +23,7 @@ from .scenario_exchange import (
     Counterexamples,
     ImpactTest,
     WholeSet,
+    missed_elsewhere,
     moved_scenario,
     scenarios_of,
     softly_missed_scenarios,
@@ -33,6 +34,8 @@ _POPULATION = 10
 _GENERATIONS, _NEARBY_GENERATIONS = 60, 10
 _GATHERED = 0.03
 _ROUNDS = 8
+# Rounds in which a scenario that joins is given the chance to ask for itself, before more is asked of all.
+_PATIENT = 2
 _POLISH_STARTS, _OTHER_VALLEYS = 3, 6
 # Descents with a biquad that go on, and by how many iterations.
 _GO_ON, _LONG_WAY = 3, 40
@@ -136,7 +139,8 @@ def solve_design(
         joined = tuple(dict.fromkeys((*active, *worse, *_missing_scenarios(whole, design, exact, margins))))
         # A scenario that joins asks for itself; what is asked for more stays, also once it no longer binds.
         if missed <= _HAIR or len(joined) == len(active):
-            search.tighten(exact)
+            asks = round_index < _PATIENT and len(joined) > len(active)
+            search.tighten(exact, but=missed_elsewhere(exact, margins, active) if asks else ())
         active = joined
     raise _unsettled(exact)
 
@@ -394,10 +398,10 @@ class Search:
     def _tightened(self, name: str) -> float:
         return 1.0 + self.backoff.get(name, 0.0)
 
-    def tighten(self, exact: Evaluation) -> None:
+    def tighten(self, exact: Evaluation, but: Collection[str] = ()) -> None:
         """Ask for more of what the exact evaluation misses by a hair although the grid was content."""
         for name, value in exact.requirements.items():
-            if value > 1.0:
+            if value > 1.0 and name not in but:
                 flattered = min(value - 1.0, 0.02)
                 self.backoff[name] = self.backoff.get(name, 0.0) + 1.5 * flattered + BACKOFF
 
