@@ -63,42 +63,78 @@ def literal(value: Any) -> str:
     return f'"{value}"' if isinstance(value, str) else repr(float(value))
 
 
-def struct(tree: Mapping[str, Any], values: Mapping[str, Any], name: str) -> Iterator[str]:
-    """Return the lines of what generate_parameter_library makes of a declaration, with values for defaults."""
+def struct(tree: Mapping[str, Any], name: str) -> Iterator[str]:
+    """Return the lines of what generate_parameter_library makes of a declaration."""
     yield f"struct {name} {{"
     for key, each in tree.items():
         if "type" in each:
-            value = values.get(key, each.get("default_value"))
-            yield f"{_TYPES[each['type']]} {key} = {literal(value)};"
+            yield f"{_TYPES[each['type']]} {key}{{}};"
         else:
-            yield from struct(each, values[key], key.capitalize())
+            yield from struct(each, key.capitalize())
             yield f"{key.capitalize()} {key};"
     yield "};"
 
 
-def parameters_header(package: Path, given: Mapping[str, Any]) -> str:
+def assignments(tree: Mapping[str, Any], values: Mapping[str, Any], path: str) -> Iterator[str]:
+    """Return the lines that give every parameter its value or its default."""
+    for key, each in tree.items():
+        if "type" in each:
+            yield f"{path}.{key} = {literal(values.get(key, each.get('default_value')))};"
+        else:
+            yield from assignments(each, values[key], f"{path}.{key}")
+
+
+def declared_parameters(package: Path) -> Mapping[str, Any]:
     declared = YAML(typ="safe").load((package / "src" / "cell_admittance_parameters.yaml").read_text(encoding="utf-8"))
+    found: Mapping[str, Any] = declared["cell_admittance"]
+    return found
+
+
+def parameters_struct(package: Path) -> str:
+    lines = struct(declared_parameters(package), "Params")
+    return "\n".join(
+        ("#pragma once\n#include <string>\n#include <vector>", "namespace cell_admittance {", *lines, "}\n")
+    )
+
+
+def parameters_values(package: Path, given: Mapping[str, Any]) -> str:
+    """Return the definition of what a listener answers; the package is compiled without it."""
     config = load_as_ros((package / "config" / "controller.yaml").read_text(encoding="utf-8"))
     values = config["admittance_controller"]["ros__parameters"] | given
+    lines = assignments(declared_parameters(package), values, "given")
     return "\n".join(
         (
-            "#include <memory>\n#include <string>\n#include <vector>",
-            "#include <rclcpp/rclcpp.hpp>",
+            '#include "cell_admittance_params.hpp"',
             "namespace cell_admittance {",
-            *struct(declared["cell_admittance"], values, "Params"),
-            "class ParamListener {",
-            "public:",
-            "explicit ParamListener(std::shared_ptr<rclcpp_lifecycle::LifecycleNode>) {}",
-            "Params get_params() const { return {}; }",
-            "};",
+            "Params given_params();",
+            "Params given_params() {",
+            "Params given;",
+            *lines,
+            "return given;",
             "}",
+            "}\n",
         )
     )
 
 
+LISTENER = """#pragma once
+#include <memory>
+#include <rclcpp/rclcpp.hpp>
+#include "cell_admittance_params.hpp"
+namespace cell_admittance {
+Params given_params();
+class ParamListener {
+public:
+explicit ParamListener(std::shared_ptr<rclcpp_lifecycle::LifecycleNode>) {}
+Params get_params() const { return given_params(); }
+};
+}
+"""
+
+
 @dataclass(frozen=True)
 class Compiler:
-    """Compiles the package of a controller, for the same version with the same parameters once."""
+    """Compiles the package of a controller once for each version, and its drivers once for each set of parameters."""
 
     source: Path
     folder: Path
@@ -118,24 +154,28 @@ class Compiler:
         return self.built[key]
 
     def _compiled(self, folder: Path, version: str, given: Mapping[str, Any]) -> Path:
-        """Compile the package's own C and C++; every warning is an error."""
-        include, package = headers(folder, version), self.package
-        header = "" if version == "humble" else "cell_admittance/"
-        (include / header).mkdir(exist_ok=True)
-        (include / header / "cell_admittance_parameters.hpp").write_text(parameters_header(package, given), "ascii")
-        paths = [include, STUBS, package / "include", package / "include" / "cell_admittance"]
-        run(c_compiler(paths), "-c", package / "src" / "cell_admittance.c", "-o", folder / "c.o")
-        parts = [package / "src" / "admittance_controller.cpp", self._without_parameters(version), folder / "c.o"]
-        run(cpp_compiler(paths, version), *parts, "-o", folder / "driver")
+        """Compile the values of the parameters and link them to the rest; every warning is an error."""
+        parts = self._package(version)
+        (folder / "values.cpp").write_text(parameters_values(self.package, given), "ascii")
+        include = [self.folder / version / "include"]
+        run(cpp_compiler(include, version), folder / "values.cpp", *parts, "-o", folder / "driver")
         return folder / "driver"
 
-    def _without_parameters(self, version: str) -> Path:
-        """Return what drives any controller of a version, compiled once."""
-        found = self.folder / f"{version}.o"
-        if not found.exists():
-            include = headers(self.folder / version, version)
-            run(cpp_compiler([include, STUBS], version), "-c", STUBS / "driver.cpp", "-o", found)
-        return found
+    def _package(self, version: str) -> tuple[Path, ...]:
+        """Return the package's own C and C++ for a version and what drives it, compiled once."""
+        folder, package = self.folder / version, self.package
+        parts = tuple(folder / name for name in ("c.o", "controller.o", "driver.o"))
+        if not folder.exists():
+            include = headers(folder, version)
+            header = include / ("" if version == "humble" else "cell_admittance")
+            header.mkdir(exist_ok=True)
+            (include / "cell_admittance_params.hpp").write_text(parameters_struct(package), "ascii")
+            (header / "cell_admittance_parameters.hpp").write_text(LISTENER, "ascii")
+            paths = [include, STUBS, package / "include", package / "include" / "cell_admittance"]
+            run(c_compiler(paths), "-c", package / "src" / "cell_admittance.c", "-o", parts[0])
+            run(cpp_compiler(paths, version), "-c", package / "src" / "admittance_controller.cpp", "-o", parts[1])
+            run(cpp_compiler([include, STUBS], version), "-c", STUBS / "driver.cpp", "-o", parts[2])
+        return parts
 
 
 def headers(folder: Path, version: str) -> Path:
