@@ -1,6 +1,7 @@
 """Fixtures that every part of the tests may use."""
 
 import contextlib
+import gc
 import io
 import os
 import subprocess
@@ -28,6 +29,9 @@ settings.register_profile("same", derandomize=True, suppress_health_check=_BUSY)
 settings.register_profile("random", derandomize=False, suppress_health_check=_BUSY)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "same"))
 
+# What is imported and collected lives as long as the process: looking through it for garbage finds none.
+gc.disable()
+
 ROOT = Path(__file__).resolve().parent.parent
 
 RunCli = Callable[..., "subprocess.CompletedProcess[str]"]
@@ -37,6 +41,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Begin with the files of slow tests: one that is begun last is what the other processes then wait for."""
     slow = {item.path for item in items if item.get_closest_marker("slow") is not None}
     items.sort(key=lambda item: item.path not in slow)
+
+
+def pytest_collection_finish() -> None:
+    """Look for garbage among what the tests make, and leave out what there was before."""
+    gc.freeze()
+    gc.enable()
 
 
 @pytest.fixture(scope="session")

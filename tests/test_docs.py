@@ -48,7 +48,7 @@ SHORTER = (
     ("validate controller.yaml", "validate controller.yaml --samples 20"),
     ("--scheduler dask --jobs 4", "--jobs 1"),
     ("--storage postgresql+psycopg://autotune@db/plant", "--storage sqlite:///plant.db"),
-    ("--for ros2_control", "--for ros2_control --payload-mass 16.2 --environment-stiffness 1e5:1.6e5"),
+    ("--for ros2_control", "--for ros2_control --payload-mass 16.2 --environment-stiffness 1e5:1.2e5"),
     ("campaign logs", "campaign logs --no-optimize"),
 )
 

@@ -1,9 +1,7 @@
 """What the README shows works as it stands."""
 
-import os
 import re
-import subprocess
-import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import matplotlib as mpl
@@ -18,41 +16,35 @@ def _python_blocks(page: Path) -> list[str]:
     return re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
 
 
-def _printed(code: str, folder: Path, repository: Path) -> str:
-    script = folder / "example.py"
-    script.write_text(code, encoding="utf-8")
-    # Drawn without a window, as on a machine without a screen.
-    environment = {**os.environ, "MPLBACKEND": "agg", "PYTHONPATH": str(repository)}
-    command = [sys.executable, str(script)]
-    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=True)
-    return done.stdout
-
-
-def test_the_python_example_runs(repository: Path, tmp_path: Path) -> None:
-    (block,) = _python_blocks(repository / "README.md")
-    found = re.fullmatch(
-        r"largest peak (\d+\.\d) N, of this contact (\d+\.\d) N\n", _printed(block, tmp_path, repository)
-    )
-    assert found is not None
-    # Both are above the force of 30 N that drives the certified approach; the softer surface has the lower peak.
-    assert 30.0 < float(found[2]) < float(found[1])
-
-
-@pytest.mark.slow
-def test_the_examples_of_the_python_page_run(
-    repository: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    chain, written, below = _python_blocks(repository / "docs" / "python.md")
+@pytest.fixture
+def printed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Callable[[str], str]:
+    """Run code with less work and without a window, in a folder of its own, and return what it prints."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(mpl.rcParams, "backend", "agg")
     shorten_checks(monkeypatch)
     share_results(monkeypatch)
     shorten_logs(monkeypatch)
 
-    def printed(code: str) -> str:
+    def run(code: str) -> str:
         exec(code, {})
         return capsys.readouterr().out
 
+    return run
+
+
+def test_the_python_example_runs(repository: Path, printed: Callable[[str], str]) -> None:
+    (block,) = _python_blocks(repository / "README.md")
+    found = re.fullmatch(r"largest peak (\d+\.\d) N, of this contact (\d+\.\d) N\n", printed(block))
+    assert found is not None
+    # Both are above the force of 30 N that drives the certified approach; the softer surface has the lower peak.
+    assert 30.0 < float(found[2]) < float(found[1])
+
+
+@pytest.mark.slow
+def test_the_examples_of_the_python_page_run(repository: Path, printed: Callable[[str], str]) -> None:
+    chain, written, below = _python_blocks(repository / "docs" / "python.md")
     at.simulate_log("run7.mcap")
     assert "predicted contacts of axis x" in printed(chain)
     assert isinstance(at.load("controller.yaml"), at.Design)

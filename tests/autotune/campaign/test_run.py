@@ -247,7 +247,9 @@ def test_a_campaign_from_python_takes_any_executor_and_shows_what_came_of_it(log
         found = run_campaign(logs, tmp_path / "out", optimize=False, executor=executor, progress=shares.append)
     assert sum(shares) == pytest.approx(1.0)
     assert list(found.outcomes) == list(
-        work_on_runs(read_manifest(logs), tmp_path / "again", RunOptions(optimize=False))
+        work_on_runs(
+            read_manifest(logs), tmp_path / "again", RunOptions(optimize=False), executor=ThreadPoolExecutor(1)
+        )
     )
     assert repr(pickle.loads(pickle.dumps(found))) == repr(found)
     assert found._repr_html_().count("<tr>") == 1 + len(found.outcomes)

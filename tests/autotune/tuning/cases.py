@@ -194,12 +194,15 @@ def uncertain_optimized() -> Optimized:
 
 
 _LESS_WORK = {
+    "autotune.tuning.structure.DEFAULT": "gains",
+    "autotune.studies.front._GENERATIONS": 5,
     "autotune.validation.bouncing.RUNS": 64,
     "autotune.validation.bouncing._FEWEST_RUNS": 1,
     "autotune.validation.validation_samples._SAMPLES": 8,
     "autotune.validation.validate._STIFFNESS_POINTS": 7,
     "autotune.validation.law._STIFFNESS_POINTS": 7,
     "autotune.export.easing._EASIER": (0.2,),
+    "autotune.export.retune._FIRST_GRID": 7,
     "autotune.export.retune._LEVELS": 5,
 }
 
@@ -212,7 +215,10 @@ def shorten_proofs(patch: pytest.MonkeyPatch) -> None:
 
 
 def shorten_checks(patch: pytest.MonkeyPatch) -> None:
-    """Also look at fewer plants, impacts and designs, where the files that are verified are made in the same test."""
+    """Also look at fewer plants, impacts and designs, where the files that are verified are made in the same test.
+
+    A search is of four gains in their bounds; tests/autotune/tuning/test_structure.py has those without.
+    """
     shorten_proofs(patch)
     for name, value in _LESS_WORK.items():
         patch.setattr(name, value)
