@@ -10,6 +10,7 @@ from problems.errors import require_extra
 
 MOST_DEATHS = 5
 """So often the process that works on a run may end before the run is given up."""
+_ANSWERS_WITHIN_S = 10.0
 _Result = TypeVar("_Result")
 
 
@@ -72,7 +73,7 @@ def dask_executor(scheduler: str, jobs: int) -> Iterator[tuple[Executor, str]]:
                 cluster = stack.enter_context(LocalCluster(n_workers=jobs, threads_per_worker=1, processes=True))  # type: ignore[no-untyped-call]
                 client = stack.enter_context(Client(cluster))  # type: ignore[no-untyped-call]
             else:
-                client = stack.enter_context(Client(scheduler, timeout="10s"))  # type: ignore[no-untyped-call]
+                client = stack.enter_context(Client(scheduler, timeout=_ANSWERS_WITHIN_S))  # type: ignore[no-untyped-call]
         except (OSError, ValueError) as error:
             raise UsageError(f"--scheduler {scheduler}: no Dask scheduler answers there ({error}).") from error
         yield DaskPool(client, scheduler), str(client.dashboard_link)

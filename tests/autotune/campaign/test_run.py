@@ -271,8 +271,9 @@ def test_processes_of_a_campaign_have_worker_environment(monkeypatch: pytest.Mon
     assert "OMP_NUM_THREADS" not in os.environ
 
 
-def test_a_scheduler_that_is_not_there_is_named() -> None:
+def test_a_scheduler_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("distributed", reason="Dask is not installed")
+    monkeypatch.setattr("autotune.campaign.dask_pool._ANSWERS_WITHIN_S", 0.5)
     started = time.monotonic()
     with pytest.raises(UsageError, match="no Dask scheduler answers there"), dask_executor("tcp://127.0.0.1:9", 1):
         pass

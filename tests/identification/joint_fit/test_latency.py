@@ -47,7 +47,7 @@ def whole(recording: Recording) -> JointFit:
     return identify_joint(gathered(recording))
 
 
-@pytest.mark.parametrize("samples", [-1.3, 0.4, 1.0])
+@pytest.mark.parametrize("samples", [-1.3, 0.4])
 def test_a_late_wrench_is_reported_and_taken_out(recording: Recording, whole: JointFit, samples: float) -> None:
     late = recording.wrench.stamp_ns + round(samples * H_S * 1e9)
     fit = identify_joint(
@@ -177,7 +177,7 @@ def moved(corner_hz: float | None = None, late_samples: int = 0, shifted_s: floa
     )
 
 
-@pytest.mark.parametrize(("corner_hz", "shifted_s"), [(50.0, 0.0), (100.0, 0.0), (200.0, 0.0), (50.0, 4 * H_S)])
+@pytest.mark.parametrize(("corner_hz", "shifted_s"), [(200.0, 0.0), (50.0, 4 * H_S)])
 def test_the_corner_of_a_low_pass_is_found_and_biases_nothing(corner_hz: float, shifted_s: float) -> None:
     fit = identify_joint(moved(corner_hz, shifted_s=shifted_s))
     assert fit.latency.is_filter
@@ -212,7 +212,7 @@ def test_a_low_pass_that_a_driver_computes_sample_by_sample_is_found() -> None:
     assert max(map(abs, off.values())) < 4.2, off
 
 
-@pytest.mark.parametrize(("samples", "shifted_s"), [(1, 0.0), (2, 0.0), (2, 2 * H_S)])
+@pytest.mark.parametrize(("samples", "shifted_s"), [(1, 0.0), (2, 2 * H_S)])
 def test_a_delay_is_a_delay(samples: int, shifted_s: float) -> None:
     fit = identify_joint(moved(late_samples=samples, shifted_s=shifted_s))
     assert not fit.latency.is_filter
