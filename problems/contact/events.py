@@ -37,17 +37,27 @@ def rate_bound(rate: FloatArray) -> float:
 @compiled
 def advance(rate: FloatArray, push: FloatArray, state: FloatArray, duration: float) -> FloatArray:
     """Integrate ds/dτ = rate·s + push (constant) over `duration` (≤ 1) to rounding: Taylor series in short pieces."""
-    pieces = max(1, int(np.ceil(2.0 * rate_bound(rate) * duration)))
+    n, pieces = len(state), max(1, int(np.ceil(2.0 * rate_bound(rate) * duration)))
     step = duration / pieces
-    out = state.copy()
+    out, term, following = state.copy(), np.empty(n), np.empty(n)
     for _ in range(pieces):
-        # s(τ) = s + Σ τ^j/j! rate^(j−1)(rate·s + push)
-        term = (rate @ out + push) * step
-        total = out + term
+        # s(τ) = s + Σ τ^j/j! rate^(j−1)(rate·s + push), row by row: products of matrices would each make an array.
+        for i in range(n):
+            total = push[i]
+            for k in range(n):
+                total += rate[i, k] * out[k]
+            term[i] = total * step
+        for i in range(n):
+            out[i] += term[i]
         for j in range(2, _TAYLOR_TERMS + 1):
-            term = (rate @ term) * (step / j)
-            total = total + term
-        out = total
+            for i in range(n):
+                total = 0.0
+                for k in range(n):
+                    total += rate[i, k] * term[k]
+                following[i] = total * (step / j)
+            for i in range(n):
+                out[i] += following[i]
+            term, following = following, term
     return out
 
 

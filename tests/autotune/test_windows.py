@@ -121,7 +121,7 @@ def test_a_payload_that_was_swapped_is_named_and_the_windows_that_agree_give_the
     tmp_path: Path, days: tuple[Recording, Recording]
 ) -> None:
     swapped = simulate_cell(LIGHTER, PROGRAM, seed=3).recording
-    found = identify_log(written(tmp_path / "swap.mcap", *days, swapped), IN_WINDOWS, processes=2)
+    found = identify_log(written(tmp_path / "swap.mcap", *days, swapped), IN_WINDOWS)
     assert found.result.payload.mass_kg.value == pytest.approx(16.2, rel=5e-3)
     assert [each.is_used for each in windows_of(found.provenance)] == [True, True, False]
     (change,) = (each for each in window_changes(windows_of(found.provenance)) if each.name == MASS)

@@ -51,12 +51,15 @@ def test_runs_are_identified_and_told_of(run_cli: RunCli, fleet: Path, tmp_path:
     assert found == ["campaign.sqlite", "cells/press/mon/identified.yaml"]
     page = (tmp_path / "fleet.html").read_text(encoding="utf-8")
     assert all(text in page for text in ("All runs", "Refused", "press", "payload mass [kg]"))
-    # The command that is named next is of the same runs, in the same state.
-    said = run_cli("campaign", fleet, "-o", "out", "--no-optimize", "--allow-partial", "--storage", "sqlite:///s.db")
-    assert "-o out --no-optimize --allow-partial --storage sqlite:///s.db --report campaign.html" in said.stderr
     again = run_cli("campaign", fleet, "-o", "out", "--no-optimize", "--json")
     tree = json.loads(again.stdout)
     assert [run["refused"] for run in tree["runs"]] == ["", "log"]
+
+
+@pytest.mark.usefixtures("in_this_process")
+def test_the_command_that_is_named_next_is_of_the_same_runs_in_the_same_state(run_cli: RunCli, fleet: Path) -> None:
+    said = run_cli("campaign", fleet, "-o", "out", "--no-optimize", "--allow-partial", "--storage", "sqlite:///s.db")
+    assert "-o out --no-optimize --allow-partial --storage sqlite:///s.db --report campaign.html" in said.stderr
 
 
 @pytest.mark.usefixtures("in_this_process")

@@ -47,7 +47,7 @@ def wait_for(storage: Storage, count: int, worker: "subprocess.Popen[str]", limi
             states = []
         if sum(state in FINISHED for state in states) >= count and TrialState.RUNNING in states:
             return
-        time.sleep(0.005)
+        time.sleep(0.02)
     raise AssertionError(f"{count} trials took more than {limit_s} s")
 
 
