@@ -42,6 +42,7 @@ if TYPE_CHECKING:
         Requirements,
     )
     from problems.errors import ParameterError
+    from problems.model.plant import Bumper
     from problems.stability.margins import UnstableLoopError
 
 _HOMES: dict[str, tuple[str, ...]] = {
@@ -70,6 +71,7 @@ _HOMES: dict[str, tuple[str, ...]] = {
         "Requirements",
     ),
     "problems.errors": ("ParameterError",),
+    "problems.model.plant": ("Bumper",),
     "problems.stability.margins": ("UnstableLoopError",),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
@@ -79,6 +81,7 @@ __all__ = [
     "AdmittanceTarget",
     "Approach",
     "AutotuneError",
+    "Bumper",
     "Campaign",
     "CertificateError",
     "Check",

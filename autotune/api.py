@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from autotune.formats.identified import IdentifiedFile
     from autotune.formats.problem import ProblemSpec, Structure
     from autotune.prediction.result import PredictedContact
+    from problems.model.plant import Bumper
 
 
 @errors_in_arguments()
@@ -108,6 +109,7 @@ def optimize(
     *,
     payload_mass: Quantity | None = None,
     environment_stiffness: Quantity | None = None,
+    bumper: "Bumper | None" = None,
     problem: "str | Path | ProblemSpec | None" = None,
     axes: Sequence[str] | None = None,
     seed: int = 0,
@@ -125,6 +127,9 @@ def optimize(
         Mass, or a range (low, high), that must all be safe [kg]; that of the plant unless it is said.
     environment_stiffness
         Range (low, high) that must all be safe [N/m]; that of the plant unless it is said.
+    bumper
+        The part of the payload that touches, behind a spring and a damper inside the payload: what is asked is met with
+        it too, sampled, and the modulus proved as far as its budget goes. None, or as the problem says.
     problem
         Requirements, bounds and further ranges: a `problem.yaml` or what it holds.
     axes
@@ -185,6 +190,7 @@ def optimize(
     spec = spec.with_options(
         payload_mass=interval("payload_mass", payload_mass),
         environment_stiffness=interval("environment_stiffness", environment_stiffness),
+        bumper=bumper,
         structure=structure,
     )
     with reporting(progress, "searching") as report:
@@ -204,6 +210,7 @@ def predict(
     approach_force: float | None = None,
     axis: str | None = None,
     sample_time: float | None = None,
+    bumper: "Bumper | None" = None,
 ) -> "PredictedContact":
     """Predict one contact: approach in free space, impact, and what follows, with the interval of its peaks.
 
@@ -232,6 +239,8 @@ def predict(
         Which axis; may be left out where there is one, or the surface says it.
     sample_time
         Period of the controller [s]; that of the plant unless it is said.
+    bumper
+        The part of the payload that touches, behind a spring and a damper inside the payload; one piece without.
 
     Returns
     -------
@@ -274,6 +283,7 @@ def predict(
         force=approach_force,
         axis=axis,
         sample_time=sample_time,
+        bumper=bumper,
     )
     return predict_any(load(plant) if isinstance(plant, str | Path) else plant, gains, asked)
 

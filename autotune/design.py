@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from autotune.prediction.result import PredictedContact
     from autotune.report.axis_design import AxisDesign
     from autotune.tuning.optimize import Optimized
+    from problems.model.plant import Bumper
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -180,7 +181,7 @@ class Design(Shown):
         certificate = self.controller.certificate
         for title, claims in (
             ("proved", (*certificate.proved, *certificate.proved_further)),
-            ("sampled, not proved", certificate.sampled),
+            ("sampled, not proved", (*certificate.sampled, *certificate.sampled_further)),
         ):
             yield ResultTable(
                 title=title,
@@ -330,6 +331,7 @@ class Design(Shown):
         approach_speed: float | None = None,
         approach_force: float | None = None,
         axis: str | None = None,
+        bumper: "Bumper | None" = None,
     ) -> "PredictedContact":
         """Predict one contact; see `autotune.predict`."""
         from autotune.prediction.certified import predict_certified  # noqa: PLC0415 - compiles
@@ -343,6 +345,7 @@ class Design(Shown):
             payload_mass=payload_mass,
             approach_speed=approach_speed,
             approach_force=approach_force,
+            bumper=bumper,
         )
 
     def plot_contact(self, axis: str | None = None, *, ax: "AxesLike | None" = None) -> "Figure":

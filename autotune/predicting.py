@@ -11,12 +11,12 @@ from autotune.errors import UsageError
 from autotune.formats.identified import IdentifiedFile
 from autotune.formats.plant import NO_DELAY_GIVEN, Plant
 from autotune.formats.quantity import Uncertain
-from autotune.formats.stiffness_units import check_surface_unit, doubtful_surface
+from autotune.formats.stiffness_units import check_bumper_unit, check_surface_unit, doubtful_surface
 from autotune.formats.units import ROTATIONAL_AXES
 from autotune.prediction.against_touches import Running, TouchComparison, compare_touches, other_surface
 from autotune.prediction.as_run_by import running_law
 from autotune.prediction.certified import outside_domain
-from autotune.prediction.contact import TargetLaw, check_approach
+from autotune.prediction.contact import TargetLaw, check_approach, with_bumper
 from autotune.prediction.law import law_notes, law_of_gains
 from autotune.prediction.plants import Surface, build_plants, find_axis
 from autotune.prediction.result import PredictedContact, predict_contact
@@ -26,6 +26,7 @@ from autotune.results import Identification
 from identification.result import Identified
 from problems.contact.transient import Approach
 from problems.errors import ParameterError
+from problems.model.plant import Bumper
 
 if TYPE_CHECKING:
     from autotune.formats.controller_record import Controller
@@ -50,8 +51,13 @@ class ContactRequest:
     axis: str | None = None
     sample_time: float | None = None
     has_unit: bool = False
+    bumper: Bumper | None = None
 
     def __post_init__(self) -> None:
+        if not isinstance(self.bumper, Bumper | None):
+            raise ParameterError("bumper", self.bumper, "at.Bumper(mass_kg=…, stiffness_n_per_m=…)")
+        if self.bumper is not None:
+            check_bumper_unit(self.bumper.stiffness_n_per_m)
         for name, most in _MOST.items():
             value = getattr(self, name)
             if value is not None and not (_is_number(value) and 0.0 < value <= most):
@@ -103,6 +109,7 @@ def predict_any(source: object, gains: Gains, asked: ContactRequest) -> Predicte
             approach_speed=asked.speed,
             approach_force=asked.force,
             axis=asked.axis,
+            bumper=asked.bumper,
         )
     file = plant_file(source)
     approach = asked.approach()
@@ -118,6 +125,7 @@ def predict_any(source: object, gains: Gains, asked: ContactRequest) -> Predicte
             notes += list(doubtful_surface(around))
     notes += [each.message for each in file.result.findings if each.message == NO_DELAY_GIVEN]
     plants = build_plants(file, surface, axis=axis, payload_mass=asked.payload_mass, sample_time_s=asked.sample_time)
+    plants = with_bumper(plants, asked.bumper)
     controller = _controller(gains)
     law = running_law(controller, axis) if controller is not None else law_of_gains(_mapping(gains))
     found = predict_contact(plants, law, approach)

@@ -106,6 +106,7 @@ def prove_rest(
 
 def check_covered(family: Family, law: Controller) -> Any:
     """Return the law's polynomials; raises ParameterError for what the proof does not cover."""
+    family.nominal.require_one_piece()
     found = law_polynomials(law, family.sample_time_s)
     if found.holds_position or found.follows:
         raise ParameterError("law", "one with the measured position", "one whose command is an integral of the force")

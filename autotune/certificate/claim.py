@@ -128,6 +128,8 @@ def _places(claim: Claim) -> dict[str, list[Family]]:
     """Return the families of a claim by the fields of `CombinedCertificate`."""
     plants, hand = claim.plants, claim.hand
     if hand is not None:
+        # A hand holds what bears a bumper, and not what touches.
+        plants.nominal.require_one_piece()
         plants = hand.on_contact(plants)
     contact = build_families(plants.nominal, plants.ranges, claim.sample_time_s)
     free = [family.in_free_space() for family in contact]

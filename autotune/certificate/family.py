@@ -50,8 +50,10 @@ class Family:
                 raise ParameterError("ranges", name, f"one of {', '.join(PROVABLE)}")
             if not 0.0 <= low <= high < math.inf:
                 raise ParameterError(name, (low, high), "[lowest, highest] with 0 ≤ lowest ≤ highest")
-        self.nominal.require_one_piece()
-        environment = self.nominal.environment
+        environment, bumper = self.nominal.environment, self.nominal.bumper
+        if bumper is not None and not bumper.mass_kg < self.range_of(MASS)[0]:
+            must = f"below the payload's {self.range_of(MASS)[0]:g} kg"
+            raise ParameterError("bumper.mass_kg", bumper.mass_kg, must)
         if environment.mass_kg != 0.0:
             raise ParameterError("environment.mass_kg", environment.mass_kg, "0, to be proved over")
         softest, stiffest = self.range_of(STIFFNESS)
@@ -114,19 +116,27 @@ class Family:
         return replace(self, nominal=nominal, ranges={**self.ranges, STIFFNESS: (0.0, stiffness)})
 
     def box(self) -> FloatArray:
-        """Return the coordinates' ends (d, 2), rounded outwards; the payload's coordinate is 1/M_p."""
+        """Return the coordinates' ends (d, 2), rounded outwards; the payload's is 1/M_p, or 1/(M_p − M_t)."""
         spans = [self.range_of(name) for name in self.varying]
         rows = [
-            (np.nextafter(1.0 / high, 0.0), np.nextafter(1.0 / low, np.inf)) if name == MASS else (low, high)
+            self._by_mass(low, high) if name == MASS else (low, high)
             for name, (low, high) in zip(self.varying, spans, strict=True)
         ]
         return np.array(rows, dtype=np.float64).reshape(-1, 2)
+
+    def _by_mass(self, low: float, high: float) -> Interval:
+        """Return the ends of the payload's coordinate; of a payload with a bumper it is that of the rest."""
+        if self.nominal.bumper is not None:
+            part = self.nominal.bumper.mass_kg
+            low, high = float(np.nextafter(low - part, 0.0)), float(np.nextafter(high - part, np.inf))
+        return float(np.nextafter(1.0 / high, 0.0)), float(np.nextafter(1.0 / low, np.inf))
 
     def scenario(self, point: FloatArray) -> Scenario:
         """Return the plant at coordinates (d,) as a point of the uncertainty."""
         values = dict(zip(self.varying, np.asarray(point).tolist(), strict=True))
         if MASS in values:
-            values[MASS] = 1.0 / values[MASS]
+            part = 0.0 if self.nominal.bumper is None else self.nominal.bumper.mass_kg
+            values[MASS] = 1.0 / values[MASS] + part
         inside = {name: min(max(value, self.ranges[name][0]), self.ranges[name][1]) for name, value in values.items()}
         if self.shared_delay is not None:
             own, late = _parted(inside.get("delay_s", self.range_of("delay_s")[0]), self.shared_delay)
@@ -185,6 +195,7 @@ def _with_joined_masses(
     kept = {name: span for name, span in ranges.items() if name != ENVIRONMENT_MASS}
     if moved[1] == 0.0:
         return nominal, kept, None
+    nominal.require_one_piece()
     own = ranges.get(MASS, (nominal.payload.mass_kg,) * 2)
     kept[MASS] = float(np.nextafter(own[0] + moved[0], 0.0)), float(np.nextafter(own[1] + moved[1], np.inf))
     return with_values(nominal, {ENVIRONMENT_MASS: 0.0}), kept, (own, moved)

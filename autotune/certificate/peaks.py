@@ -93,6 +93,7 @@ def prove_peak(
     ParameterError
         For a filter of the wrench, other parameters that vary, and an approach that is not under F^d.
     """
+    family.nominal.require_one_piece()
     box = family.box()
     waiting = [(box, (i / _FIRST_RHO, (i + 1) / _FIRST_RHO), 1.0 / _FIRST_RHO) for i in range(_FIRST_RHO)]
     spent, cells, share, staying, is_left = 0, 0, 0.0, 0.0, False

@@ -7,13 +7,15 @@ import numpy as np
 
 from problems.arrays import FloatArray
 from problems.design.uncertainty import MASS, STIFFNESS
-from problems.model.plant import PLANT_PARAMETERS, write_plant
+from problems.model.plant import PLANT_PARAMETERS, Bumper, write_plant
 from problems.model.plant_parameters import PARAMETERS
 from problems.model.robot import bandwidth_hz
 
 from . import rational
 from .balls import DualBall, as_series, ball, exponential, number, precise
 from .family import LAG, PROVABLE, Family
+
+_ENVIRONMENT_DAMPING = "environment_damping_n_s_per_m"
 
 
 @precise
@@ -97,9 +99,10 @@ def _filter_unit(family: Family) -> float:
 
 
 def parameter_values(family: Family, cell: FloatArray, along: int | None) -> dict[str, Any]:
-    """Return every parameter as a series; the payload's is 1/M_p."""
+    """Return every parameter as a series; the payload's is 1/M_p, with a bumper that of the rest, 1/(M_p − M_t)."""
     found = {name: as_series(family.range_of(name)[0]) for name in PROVABLE}
-    found[MASS] = 1 / found[MASS]
+    bumper = family.nominal.bumper
+    found[MASS] = 1 / (found[MASS] if bumper is None else found[MASS] - as_series(bumper.mass_kg))
     for i, name in enumerate(family.varying):
         found[name] = DualBall(ball(float(cell[i, 0]), float(cell[i, 1])), number(1) if i == along else None)
     return found
@@ -122,6 +125,10 @@ def continuous_plant(family: Family, values: Mapping[str, Any]) -> tuple[Any, An
         _objects(3),
     )
     parameters = _objects(PLANT_PARAMETERS)
+    bumper, touched = family.nominal.bumper, values
+    if bumper is not None:
+        # What bears the bumper touches nothing.
+        values = {**values, STIFFNESS: as_series(0), _ENVIRONMENT_DAMPING: as_series(0)}
     # Dampings act on speeds, and the rest on e or, divided by the mass, below.
     for each in PARAMETERS.values():
         if each.kind == "damping":
@@ -140,9 +147,39 @@ def continuous_plant(family: Family, values: Mapping[str, Any]) -> tuple[Any, An
     a[n + 1, n + 1] = inverse * a[n + 1, n + 1]
     b[n + 1] = inverse * b[n + 1]
     force[n] = k_s
+    plant = a, b, position, force, direct[0]
+    if bumper is not None:
+        plant = _with_bumper(bumper, touched, (inverse * scale, h), plant)
     if _has_filter(family):
-        return _filtered(family, h / values[LAG], (a, b, position, force, direct[0]))
-    return _augmented(a, b), position, force, direct[0]
+        return _filtered(family, h / values[LAG], plant)
+    return _augmented(plant[0], plant[1]), *plant[2:]
+
+
+def _with_bumper(
+    bumper: Bumper, values: Mapping[str, Any], carried: tuple[Any, Any], plant: tuple[Any, Any, Any, Any, Any]
+) -> tuple[Any, Any, Any, Any, Any]:
+    """Put a bumper between the surface and the rest of a payload that `plant` has (`problems.model.plant`).
+
+    Behind its states come g = x_p − x_b, the way of what touches against what bears it, and the speed of what touches.
+    `carried` are h²/(M_p − M_t) and the period h.
+    """
+    (by_force, h), (a, b, position, force, direct) = carried, plant
+    n = len(b)
+    bearing, place, speed = n - 1, n, n + 1
+    k_e, b_e = values[STIFFNESS], values[_ENVIRONMENT_DAMPING] / h
+    k_t, b_t = as_series(bumper.stiffness_n_per_m), as_series(bumper.damping_n_s_per_m) / h
+    light = h * h / as_series(bumper.mass_kg)
+    wider, driven, shown, measured = _objects(n + 2, n + 2), _objects(n + 2), _objects(n + 2), _objects(n + 2)
+    wider[:n, :n], driven[:n], shown[:n], measured[:n] = a, b, position, force
+    wider[bearing, bearing] = wider[bearing, bearing] - by_force * b_t
+    wider[bearing, place], wider[bearing, speed] = by_force * k_t, by_force * b_t
+    wider[place, bearing], wider[place, speed] = as_series(-1), as_series(1)
+    # x_p = x + e + g lies on the surface.
+    for i in range(n - 2):
+        wider[speed, i] = -light * k_e * position[i]
+    wider[speed, n - 2], wider[speed, place] = -light * k_e, -light * (k_t + k_e)
+    wider[speed, bearing], wider[speed, speed] = light * b_t, -light * (b_t + b_e)
+    return wider, driven, shown, measured, direct
 
 
 def _filtered(family: Family, rate: Any, plant: tuple[Any, Any, Any, Any, Any]) -> tuple[Any, Any, Any, Any]:

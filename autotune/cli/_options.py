@@ -237,3 +237,20 @@ def salvage_option(function: Callable[..., Any]) -> Callable[..., Any]:
     """Add `--salvage`."""
     text = "Read the intact part of a damaged log, and list what is lost."
     return click.option("--salvage", is_flag=True, help=text)(function)
+
+
+def bumper_option(text: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Add `--bumper`, handed on as a `Bumper`; `text` is its help."""
+    return click.option("--bumper", callback=_check_bumper, metavar="KG,N/m[,N·s/m]", help=text)
+
+
+def _check_bumper(ctx: click.Context, param: click.Parameter, value: str | None) -> Any:
+    """Read mass, stiffness and perhaps damping of a bumper."""
+    if value is None:
+        return None
+    from autotune.validation.bumper import parse_bumper
+
+    try:
+        return parse_bumper(value)
+    except ValueError as error:
+        raise click.BadParameter(str(error), ctx, param) from None

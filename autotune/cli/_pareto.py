@@ -163,6 +163,8 @@ class FrontWriter:
             raise UsageError(
                 f"A Pareto front is of four gains in their bounds; leave --structure {spec.structure} out."
             )
+        if self._prepared is not None and spec.bumper is not None:
+            raise UsageError("A Pareto front is of a payload in one piece; leave payload.bumper out of problem.yaml.")
 
     def trace(self, output: Output, found: "Optimized") -> None:
         """Trace the front of every axis."""

@@ -45,6 +45,23 @@ def rest_lines(controller: "Controller") -> Iterator[str]:
         over = ", ".join(SYMBOLS[key] for key in each.over)
         more = f"; {sampled}" if each.impacts > 0.0 else ""
         yield f"axis {name}: {_proved(f'every contact comes to rest, over {over}', each.share)}{more}"
+    yield from _bumper_lines(controller)
+
+
+def _bumper_lines(controller: "Controller") -> Iterator[str]:
+    """Say what the axes do with a payload that is soft inside."""
+    from autotune.prediction.as_run_by import designed_for
+
+    found = controller.certificate.bumper
+    if found is None or designed_for(controller):
+        return
+    for name, each in found.axes.items():
+        yield (
+            f"axis {name}, with {found.describe()}: at most {each.peak_contact_force_n:.4g} N at the contact and "
+            f"{each.peak_sensor_force_n:.4g} N at the sensor, |1 + L| at least {each.modulus:.3g}, "
+            f"{each.plants:g} plants sampled"
+        )
+        yield f"axis {name}, with the bumper: {_proved(f'stable, |1 + L| > {each.proved_modulus:.3g}', each.share)}"
 
 
 def led_lines(controller: "Controller", limit: tuple[float, str] | None = None) -> Iterator[str]:

@@ -10,7 +10,7 @@ import click
 from autotune.formats.kinds import LOG, PLANTS
 
 from ._common import Output, output_options
-from ._options import LOGS, SETTINGS, FilePath, GroupedCommand, cell_option, span_options, urdf_options
+from ._options import LOGS, SETTINGS, FilePath, GroupedCommand, bumper_option, cell_option, span_options, urdf_options
 from ._report import check_report, print_report_path, report_option, report_refusal, write_report
 from ._terminal import print_message, print_table
 
@@ -29,7 +29,7 @@ Examples:
   autotune predict identified.yaml --controller controller.yaml --log contacts.bag --report contacts.html
 """
 _GROUPS = {
-    "Contact": ("surface", "approach", "axis", "payload_mass", "sample_time"),
+    "Contact": ("surface", "approach", "axis", "payload_mass", "bumper", "sample_time"),
     "Comparison with logs": ("logs", "cell_path", "urdf", "tip", "start", "stop"),
 }
 _SOURCE = FilePath(*SETTINGS, kinds=(*PLANTS, "controller"))
@@ -49,6 +49,7 @@ _SOURCE = FilePath(*SETTINGS, kinds=(*PLANTS, "controller"))
 )
 @click.option("--axis", metavar="NAME", help="x, y, z, rx, ry or rz; needed where the surface does not say it.")
 @click.option("--payload-mass", metavar="KG", help="Another payload than that of the plant.")
+@bumper_option("The payload touches with this part of its mass, behind a spring and a damper: 0.5kg,100N/mm,50Ns/m.")
 @click.option("--sample-time", metavar="S", help="Period of the controller, where the plant does not know it.")
 @click.option(
     "--log",
@@ -253,6 +254,7 @@ def _request(options: dict[str, Any], result: Any) -> Any:
         stiffness=stiffness,
         axis=axis,
         payload_mass=_number(options["payload_mass"], "mass", "--payload-mass"),
+        bumper=options["bumper"],
         sample_time=_number(options["sample_time"], "time", "--sample-time"),
         # Every unit of a stiffness is a quotient.
         has_unit="/" in (options["surface"] or ""),

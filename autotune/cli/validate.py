@@ -13,7 +13,17 @@ from autotune.formats.units import ROTATIONAL_AXES, axis_units
 
 from ._common import Output, output_options
 from ._optimized import limit_lines
-from ._options import KEYS, LOGS, SETTINGS, FilePath, GroupedCommand, cell_option, span_options, urdf_options
+from ._options import (
+    KEYS,
+    LOGS,
+    SETTINGS,
+    FilePath,
+    GroupedCommand,
+    bumper_option,
+    cell_option,
+    span_options,
+    urdf_options,
+)
 from ._proved import led_lines, print_worst_plants
 from ._report import check_report, print_report_path, report_option, report_refusal, write_report
 from ._schedule import validate_schedule
@@ -28,7 +38,6 @@ if TYPE_CHECKING:
     from autotune.validation.disturbances import Disturbances
     from autotune.validation.monte_carlo import AxisMonteCarlo
     from autotune.validation.report import ValidationReport
-    from problems.model.plant import Bumper
 
 _EPILOG = """\b
 Examples:
@@ -79,16 +88,6 @@ def _force_limit(ctx: click.Context, param: click.Parameter, value: str | None) 
     return force, "--force-limit"
 
 
-def _bumper(ctx: click.Context, param: click.Parameter, value: str | None) -> "Bumper | None":
-    """Read mass, stiffness and perhaps damping of a bumper."""
-    from autotune.validation.bumper import parse_bumper
-
-    try:
-        return None if value is None else parse_bumper(value)
-    except ValueError as error:
-        raise click.BadParameter(str(error), ctx, param) from None
-
-
 @click.command("validate", cls=GroupedCommand, groups=_GROUPS, epilog=_EPILOG)
 @click.argument("controller", type=FilePath(*SETTINGS, kinds=("controller", "schedule")))
 @click.option(
@@ -128,12 +127,9 @@ def _bumper(ctx: click.Context, param: click.Parameter, value: str | None) -> "B
     help="Say up to which speed of a led payload no contact exceeds this force, or that of ISO/TS 15066 for a part of "
     "the body: 140, chest, face.  [default: contact_at_speed of the file, else hand]",
 )
-@click.option(
-    "--bumper",
-    callback=_bumper,
-    metavar="KG,N/m[,N·s/m]",
-    help="Hold the file against a payload that touches with this part of its mass, behind a spring and a damper: "
-    "0.5kg,100N/mm,50Ns/m.",
+@bumper_option(
+    "Hold the file against a payload that touches with this part of its mass, behind a spring and a damper: "
+    "0.5kg,100N/mm,50Ns/m. A bumper of the file is held without it."
 )
 @click.option("--public-key", type=_KEY, help="Require the signature CONTROLLER.sig by this public key.")
 @click.option("--sign", type=_KEY, help="Write CONTROLLER.sig with this private key, if every check passes.")

@@ -37,6 +37,8 @@ def specs_for(target: ExportTarget | None, spec: ProblemSpec) -> tuple[ProblemSp
     """
     if target is not None and spec.structure not in (None, "gains"):
         raise UsageError(f"{target.name} runs another law; leave --structure out.")
+    if target is not None and spec.bumper is not None:
+        raise UsageError(f"{target.name} runs another law; leave payload.bumper out of problem.yaml.")
     if target is None:
         return (spec,)
     spec = replace(spec, structure="gains")

@@ -25,8 +25,9 @@ from problems.model.plant import NO_FILTER, WrenchFilter
 from problems.model.plant_parameters import PARAMETERS
 from problems.model.robot import RobotModel
 
+from .bumper_record import BumperRecord
 from .coupled_record import CoupledCertificate
-from .proof_records import BouncingProof, HeldProof, PeakProof
+from .proof_records import BouncingProof, HeldProof, PeakProof, share_of
 from .units import ROTATIONAL_AXES, Axis, axis_units
 
 Interval = tuple[float, float]
@@ -334,11 +335,6 @@ class SoftRequirement:
             object.__setattr__(self, "achieved", None)
 
 
-def _share_of(over: str, share: float) -> str:
-    """Return over what a claim is proved, and that it is only a share of that."""
-    return over if share == 1.0 else f"only {100.0 * share:.3g} % of this set, the rest is swept: {over}"
-
-
 @dataclass(frozen=True, kw_only=True)
 class Certificate:
     """What was shown about the controller, and for which plants.
@@ -348,7 +344,8 @@ class Certificate:
     `soft` holds by axis what need not be met, and what was achieved, `continuous` what of the modulus is proved, `held`
     what of it while a hand holds the payload, `peaks` what no first contact exceeds, `bouncing` whether every
     contact comes to rest (None: earlier releases).
-    `coupled` is of all axes together, None where one alone is known or asked.
+    `coupled` is of all axes together, None where one alone is known or asked. `bumper` is of a payload that is soft
+    inside; all else is of one in one piece.
     """
 
     domain: Mapping[
@@ -374,6 +371,7 @@ class Certificate:
     peaks: Mapping[Axis, PeakProof] | None = None
     bouncing: Mapping[Axis, BouncingProof] | None = None
     coupled: CoupledCertificate | None = None
+    bumper: BumperRecord | None = None
 
     def __post_init__(self) -> None:
         freeze(self, "domain", "requirements", "margins")
@@ -388,7 +386,7 @@ class Certificate:
             Proof(
                 claim=f"axis {name}: stable with |1 + L| > {each.modulus:.4g} while a hand holds the payload",
                 method=each.method,
-                over=_share_of(
+                over=share_of(
                     f"{each.hand.describe(turning=name in ROTATIONAL_AXES)}, on every certified surface and off it",
                     each.share,
                 ),
@@ -401,7 +399,7 @@ class Certificate:
             Proof(
                 claim=f"axis {name}: no first contact exceeds {each.force_n:.4g} {axis_units(name).force}",
                 method=each.method,
-                over=_share_of(
+                over=share_of(
                     "every K_e and M_p of the domain and every moment of the touch, everything else nominal",
                     each.share,
                 ),
@@ -410,7 +408,13 @@ class Certificate:
             for name, each in (self.peaks or {}).items()
             if each.share > 0.0
         )
-        return (*held, *peaks, *self._resting)
+        bumper = () if self.bumper is None else self.bumper.proved()
+        return (*held, *peaks, *self._resting, *(Proof(**each) for each in bumper))
+
+    @property
+    def sampled_further(self) -> tuple[Proof, ...]:
+        """What `bumper` says was sampled, in words."""
+        return () if self.bumper is None else tuple(Proof(**each) for each in self.bumper.sampled())
 
     @property
     def _resting(self) -> tuple[Proof, ...]:
@@ -418,7 +422,7 @@ class Certificate:
             Proof(
                 claim=f"axis {name}: every contact comes to rest, whatever it begins with",
                 method=each.method,
-                over=_share_of(
+                over=share_of(
                     f"every {', '.join(SYMBOLS[key] for key in each.over)} of the domain, everything else nominal; "
                     f"every constant {axis_units(name).force_name} above 0",
                     each.share,

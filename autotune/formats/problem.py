@@ -18,6 +18,7 @@ from problems.design.uncertainty import FURTHER_UNCERTAIN, UNCERTAIN
 from problems.errors import ParameterError
 from problems.frozen import freeze, short_repr
 from problems.model.controller import check_feedback_damping
+from problems.model.plant import Bumper
 
 from .canonical import Place, spell
 from .limits import CollisionResponse, LimitsSpec
@@ -25,6 +26,7 @@ from .plant import DOMAIN_NAMES
 from .quantity import as_interval, as_numbers
 from .records import ROTATIONAL_KEYS, rename_axis_keys
 from .schema import check_document, load_schema
+from .stiffness_units import check_bumper_unit
 from .units import AXES
 from .yaml12 import Document, load_document
 
@@ -92,8 +94,9 @@ class ProblemSpec:
     `uncertain` maps further parameters of the plant to a range, to "identified" (the confidence set of the identified
     file) or to "nominal" (as if it were known). `limits` are those that the runtime enforces.
     `least_modulus_together` is asked of min σ(I + L) of axes that act on each other, None nothing but stability.
-    `contact_points_m` are where the payload may touch, in the sensor frame; () those of the cell. `structure` of the
-    law that `optimize` searches, "noise" unless it is said: four gains in their bounds, limited by the noise of the
+    `contact_points_m` are where the payload may touch, in the sensor frame; () those of the cell. `bumper` is the
+    part of the payload that touches, of straight axes, behind a spring inside; None of one in one piece. `structure` of
+    the law that `optimize` searches, "noise" unless it is said: four gains in their bounds, limited by the noise of the
     command in the place of bounds that nobody said, or with a biquad too. `share_of_jitter` limits that noise to a
     share of the robot's own jitter at rest, as the log shows it.
     `options` holds those ranges that were said outside of the file (`with_options`), `with_unit` names those whose unit
@@ -116,6 +119,7 @@ class ProblemSpec:
     compliance: ComplianceSpec | None = None
     limits: LimitsSpec = field(default_factory=LimitsSpec)
     contact_points_m: tuple[tuple[float, float, float], ...] = ()
+    bumper: Bumper | None = None
     least_modulus_together: float | None = None
     structure: Structure | None = None
     share_of_jitter: float | None = None
@@ -126,6 +130,8 @@ class ProblemSpec:
         self._check_types()
         points = tuple(as_numbers("contact_points_m", each, 3) for each in self.contact_points_m)
         object.__setattr__(self, "contact_points_m", points)
+        if self.bumper is not None:
+            check_bumper_unit(self.bumper.stiffness_n_per_m)
         least = self.least_modulus_together
         if least is not None and not 0.0 < least < 1.0:
             raise ParameterError("least_modulus_together", least, "above 0 and below 1")
@@ -173,10 +179,11 @@ class ProblemSpec:
             "rotational": (RotationalSpec, "a RotationalSpec"),
             "limits": (LimitsSpec, "a LimitsSpec"),
             "compliance": (ComplianceSpec, "a ComplianceSpec"),
+            "bumper": (Bumper, "at.Bumper(mass_kg=…, stiffness_n_per_m=…)"),
         }
         for name, (kind, must) in kinds.items():
             given = getattr(self, name)
-            if not isinstance(given, kind) and not (given is None and name in ("approach", "compliance")):
+            if not isinstance(given, kind) and not (given is None and name in ("approach", "compliance", "bumper")):
                 raise ParameterError(name, given, must)
 
     def with_options(
@@ -184,16 +191,18 @@ class ProblemSpec:
         *,
         payload_mass: Interval | None = None,
         environment_stiffness: Interval | None = None,
+        bumper: Bumper | None = None,
         structure: Structure | None = None,
         with_unit: frozenset[str] = frozenset(),
     ) -> "ProblemSpec":
-        """Return the problem with the ranges of translational axes and the structure that are given, which win."""
+        """Return the problem with the ranges of translational axes, bumper and structure that are given, which win."""
         given = {"payload_mass": payload_mass, "environment_stiffness": environment_stiffness}
         ranges: dict[str, Any] = {name: each for name, each in given.items() if each is not None}
         return replace(
             self,
             **ranges,
             options={**self.options, **ranges},
+            bumper=bumper or self.bumper,
             structure=structure or self.structure,
             with_unit=self.with_unit | with_unit,
         )
@@ -228,6 +237,7 @@ def read_problem(path: Path) -> ProblemSpec:
             compliance=_compliance(document),
             limits=_limits(tree.get("limits", {})),
             contact_points_m=tuple(tree.get("payload", {}).get("contact_points_m", ())),
+            bumper=Bumper(**tree["payload"]["bumper"]) if "bumper" in tree.get("payload", {}) else None,
             least_modulus_together=tree.get("axes_together", {}).get("min_modulus"),
             structure=tree.get("structure"),
             share_of_jitter=((tree.get("requirements") or {}).get("command_noise") or {}).get(_SHARE),

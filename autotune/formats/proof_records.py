@@ -80,3 +80,8 @@ class BouncingProof:
     def is_proved(self) -> bool:
         """Whether all of the set is proved."""
         return self.share == 1.0
+
+
+def share_of(over: str, share: float) -> str:
+    """Return over what a claim is proved, and that it is only a share of that."""
+    return over if share == 1.0 else f"only {100.0 * share:.3g} % of this set, the rest is swept: {over}"

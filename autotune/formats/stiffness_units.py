@@ -8,6 +8,8 @@ from .quantity import Interval
 
 # A stiffness in N/mm or kN/m that is written as N/m is a thousandth of what it should be: a usual press goes deep.
 _USUAL_PRESS_N, _IMPOSSIBLE_DEPTH_M = 30.0, 1.0
+# A spring inside of a payload gives way by a hand's breadth at most.
+_DEEPEST_BUMPER_M = 0.1
 DOUBTFUL_N_PER_M = 2e3
 """A stiffness below this is possible in N/m and usual in N/mm or kN/m."""
 
@@ -18,6 +20,14 @@ def check_surface_unit(surface: Interval, given: object) -> None:
         depth = _USUAL_PRESS_N / surface[0]
         must = f"in N/m: into this one {_USUAL_PRESS_N:g} N press {depth:.2g} m deep"
         raise ParameterError("environment_stiffness", given, f"{must} (did you mean {interval_text(surface, 1e3)}?)")
+
+
+def check_bumper_unit(stiffness: float) -> None:
+    """Raise ParameterError for a bumper's spring [N/m] that can only be meant in another unit."""
+    depth = _USUAL_PRESS_N / stiffness
+    if depth > _DEEPEST_BUMPER_M:
+        must = f"in N/m: {_USUAL_PRESS_N:g} N press this one {depth:.2g} m deep (did you mean {1e3 * stiffness:g}?)"
+        raise ParameterError("bumper.stiffness_n_per_m", stiffness, must)
 
 
 def doubtful_surface(surface: Interval) -> Iterator[str]:

@@ -11,11 +11,12 @@ from autotune.formats.units import ROTATIONAL_AXES, axis_units
 from problems.contact.transient import Approach
 from problems.design.uncertainty import MASS, STIFFNESS, SYMBOLS
 from problems.errors import ParameterError
+from problems.model.plant import Bumper
 from problems.model.plant_parameters import PARAMETERS
 from problems.model.robot import has_damping_ratio
 
 from .as_run_by import as_run_by, running_law
-from .contact import NO_DEADBAND, TargetLaw, check_approach
+from .contact import NO_DEADBAND, TargetLaw, check_approach, with_bumper
 from .law import law_notes
 from .plants import PlantEnsemble, Surface, range_plants
 from .result import PredictedContact, predict_contact
@@ -64,9 +65,11 @@ def predict_certified(
     payload_mass: float | None = None,
     approach_speed: float | None = None,
     approach_force: float | None = None,
+    bumper: Bumper | None = None,
 ) -> PredictedContact:
     """Predict a contact of a controller file on its own nominal plant; the interval is that over its certified plants.
 
+    With a `bumper` the payload touches with that part of it, which no certificate of peaks in one piece is about.
     Without a payload's mass it is that with the largest peak of both ends of the domain, and the interval is
     over the whole range of payloads. Raises ParameterError for numbers out of range and a stiffness that must be of
     another unit, UnstableLoopError where the loop is unstable.
@@ -91,13 +94,16 @@ def predict_certified(
     found = max(
         (
             predict_contact(
-                certified_plants(
-                    domain,
-                    axis,
-                    controller.sample_time_s,
-                    stiffness=stiffness,
-                    payload_mass=payload_mass,
-                    nominal_mass=mass,
+                with_bumper(
+                    certified_plants(
+                        domain,
+                        axis,
+                        controller.sample_time_s,
+                        stiffness=stiffness,
+                        payload_mass=payload_mass,
+                        nominal_mass=mass,
+                    ),
+                    bumper,
                 ),
                 law,
                 approach,
@@ -109,7 +115,7 @@ def predict_certified(
     said = () if isinstance(law, TargetLaw) else tuple(law_notes(law, axis, controller))
     outside = outside_domain(domain, found)
     found = replace(found, outside=outside, law_notes=said, neglected=(*notes, *found.neglected))
-    if found.outside or approach != domain.approach:
+    if found.outside or approach != domain.approach or bumper is not None:
         return found
     target = as_run_by(controller, axis)
     worst = max(each.peak_contact_force_n for each in predicted.scenarios) if target is None else target.peak

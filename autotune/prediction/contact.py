@@ -2,10 +2,13 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from autotune.errors import UsageError
+from autotune.formats.bumper_record import describe_bumper
+from autotune.formats.units import ROTATIONAL_AXES
 from problems.arrays import FloatArray
 from problems.contact.linear_controller_contact import trace_linear_contact
 from problems.contact.nonlinear_simulation import needed_substeps, simulate_nonlinear
@@ -20,7 +23,7 @@ from problems.contact.transient import (
 from problems.errors import ParameterError
 from problems.model.controller import AdmittanceController
 from problems.model.linear_controllers import LinearController
-from problems.model.plant import Plant
+from problems.model.plant import Bumper, Plant
 from problems.model.sampled import build_sampled_plant
 from problems.stability.margins import UnstableLoopError
 
@@ -74,6 +77,22 @@ class ContactBand:
     high: FloatArray
 
 
+def with_bumper(plants: PlantEnsemble, bumper: Bumper | None) -> PlantEnsemble:
+    """Return the plants with a payload that touches with a bumper; None leaves them as they are.
+
+    Raises UsageError about a turning axis and where no payload is known, ParameterError for one that is not lighter.
+    """
+    if bumper is None:
+        return plants
+    if plants.axis in ROTATIONAL_AXES:
+        raise UsageError(f"A bumper is of straight axes, and {plants.axis} turns; leave it out.")
+    if plants.nominal is None or not plants.has_payload:
+        raise UsageError("A bumper is a part of the payload, which is not known here; leave it out.")
+    soft = tuple(replace(each, bumper=bumper) for each in plants.others)
+    said = (*plants.neglected, f"the payload touches with {describe_bumper(bumper)}")
+    return replace(plants, nominal=replace(plants.nominal, bumper=bumper), others=soft, neglected=said)
+
+
 def simulate_on(
     plant: Plant, law: AnyLaw, approach: Approach, sample_time_s: float, *, samples: int | None = None
 ) -> ContactTransient:
@@ -84,9 +103,12 @@ def simulate_on(
     """
     pair = build_sampled_contact(build_sampled_plant(plant, sample_time_s))
     if isinstance(law, TargetLaw):
+        plant.require_one_piece()
         return trace_linear_contact(pair, law.controller, approach, samples=samples)
     if law.deadband.width_n == 0.0:
         return simulate_contact(pair, law.controller, approach, samples=samples)
+    if plant.bumper is not None:
+        raise ParameterError("bumper", plant.bumper, "none beside a deadband: say gains without one")
     linear = simulate_on(plant, Law(controller=law.controller), approach, sample_time_s)
     count = min(2 * len(linear.time_s), longest_run(sample_time_s)) if samples is None else samples
     run = simulate_nonlinear(

@@ -421,7 +421,7 @@ def proof_table(controller: Controller) -> Table:
     rows: list[tuple[str | TableCell, ...]] = []
     kinds: tuple[tuple[Any, str, Tone], ...] = (
         ((*certificate.proved, *certificate.proved_further), "proved", "good"),
-        (certificate.sampled, "sampled", "quiet"),
+        ((*certificate.sampled, *certificate.sampled_further), "sampled", "quiet"),
     )
     for proofs, word, tone in kinds:
         for proof in proofs:

@@ -6,7 +6,8 @@ until they are small. Nothing is taken to be monotone, and nothing between two p
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -299,3 +300,17 @@ def _asked(spec: ProblemSpec) -> ComplianceSpec:
 
 def _digits(value: float, count: int) -> float:
     return float(f"{value:.{count}g}")
+
+
+@contextmanager
+def named_compliance(name: str, compliance: Compliance | None) -> Iterator[None]:
+    """Say of a search without a result on which of the compliances it was."""
+    try:
+        yield
+    except InfeasibleError as error:
+        if compliance is None:
+            raise
+        bare = str(error).removeprefix(f"Axis {name}: ")
+        raise InfeasibleError(
+            f"{infeasible_message(name, compliance)} {bare}", error.relaxations, suggestion=error.suggestion
+        ) from error

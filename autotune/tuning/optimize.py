@@ -1,8 +1,7 @@
 """From identified parameters to a validated controller: search, prove, write down, verify."""
 
 import math
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -28,7 +27,7 @@ from problems.progress import ProgressSlice, no_progress
 
 from .causes import explain, explanation_message
 from .compare import SideBySide, check_comparable, compare, start_design
-from .compliance import Compliance, build_compliance_problems, choose_compliance, infeasible_message, settle_compliance
+from .compliance import Compliance, build_compliance_problems, choose_compliance, named_compliance, settle_compliance
 from .coupled import TogetherAsked, TogetherCheck
 from .coupled_search import CoupledSearch
 from .defaults import DefaultAdmittance, beside_margins, default_admittance, default_message, lower_default
@@ -39,6 +38,7 @@ from .provenance import design_notes, make_provenance, result_trees, with_notes
 from .record import build_controller, build_domain, certified_hand, runtime_payload
 from .scenario_exchange import NOTHING, Counterexamples, ImpactTest, WholeSet
 from .search import SearchResult, solve_design
+from .soft_payload import SoftPayload
 from .strategies import StrategySettings, choose_strategies, strategy_settings
 from .structure import StructureChoice, StructureSearch
 
@@ -115,7 +115,8 @@ def optimize(
     asked = proof if proof is not None else ProofOptions()
     spec = within_domain(spec, identified.domain)
     build = build_problems if spec.compliance is None else build_compliance_problems
-    problems = build(identified.result, replace(spec, structure=None))
+    problems = build(identified.result, replace(spec, structure=None, bumper=None))
+    soft = SoftPayload(spec.bumper, problems, seed)
     if present is not None:
         check_comparable(present, problems)
     # Asked before the search, because it may refuse.
@@ -132,7 +133,7 @@ def optimize(
         TogetherAsked(identified=identified.result, contact_points_m=points, least_modulus=least), asked
     )
     beside = CoupledSearch(together, payload, seed)
-    settled = _settle_all(searches, asked, seed, report, beside)
+    settled = _settle_all(searches, asked, seed, report, beside, soft)
     searches = {name: each.search for name, each in settled.items()}
     optimality_reports = {name: each.optimality for name, each in settled.items()}
     defaults = {name: said for name, each in searches.items() if (said := default_admittance(problems[name], each))}
@@ -143,14 +144,14 @@ def optimize(
         searches, payload, provenance, asked, lambda done: report((1.0 - _SEARCH_SHARE) * done),
         strategies=strategy_settings(identified.result, spec),
         limits=limits_settings(identified.result, spec),
-        proved={name: each.proved for name, each in settled.items()}, together=together,
+        proved={name: each.proved for name, each in settled.items()}, together=together, soft=soft,
     )  # fmt: skip
     compared = {} if present is None else compare(present, searches)
     before_after = replay_log(identified, controller, present, compared) if replays else {}
     notes = [
         default_message(name, each, problems[name]) for name, each in defaults.items() if each.attainable is not None
     ]
-    notes += [*beside.notes(searches), *structures.notes(searches)]
+    notes += [*beside.notes(searches), *soft.notes(searches), *structures.notes(searches)]
     notes += design_notes(identified, controller, problems, spec, has_compliance=bool(chosen))
     controller = with_notes(controller, notes, before_after)
     return Optimized(
@@ -181,16 +182,23 @@ def _settle_all(
     seed: int,
     report: Callable[[float], None],
     beside: CoupledSearch,
+    soft: SoftPayload,
 ) -> dict[str, Settled]:
-    """Return what nothing refutes of every axis, see `settle`, nor of all axes on their payload."""
+    """Return what nothing refutes of every axis, see `settle`, nor of all axes on their payload, nor with a bumper."""
     settled: dict[str, Settled] = {}
 
     def settle_each(found: Mapping[str, SearchResult]) -> dict[str, SearchResult]:
         portion = (1.0 - _SEARCH_SHARE) * _PROOF_SHARE / len(found) if not settled else 0.0
         now = dict(found)
         for name, search in found.items():
-            settled[name] = settle(name, search, asked, seed=seed, counterexamples=beside.beside(name, now))
-            now[name] = settled[name].search
+            passing = soft.searched(name, search)
+            for _ in range(_ROUNDS):
+                asks = soft.with_test(name, beside.beside(name, now))
+                settled[name] = settle(name, passing, asked, seed=seed, counterexamples=asks)
+                now[name] = settled[name].search
+                passing = soft.searched(name, now[name])
+                if passing is now[name]:
+                    break
             report(portion)
         return now
 
@@ -215,12 +223,14 @@ def certify(
     proved: Mapping[str, AxisProof] | None = None,
     limits: LimitsSettings | None = None,
     together: Callable[[Controller, Prover], Controller] | None = None,
+    soft: SoftPayload | None = None,
     restated: bool = False,
 ) -> tuple[Controller, ValidationReport]:
     """Prove what can be proved of the designs, write them down, and return the controller once validation passed it.
 
     `strategies` asks for what is chosen for these designs beside gains, `limits` says what is known of the cell for
-    those of the runtime; `together` adds what is certified of all axes on their payload. `progress` gets the share of
+    those of the runtime; `together` adds what is certified of all axes on their payload, `soft` with a bumper;
+    `progress` gets the share of
     the work done since the last call; `proved` is what has been proved already. Where validation finds smaller margins
     than the search did, they are sought everywhere, and stated anew (`restated`). Raises CertificateError when a claim
     cannot be proved or verified, RefutedError among them (`prove_search`), and what `choose_strategies` and `together`
@@ -243,12 +253,14 @@ def certify(
     controller = with_limits(controller, limits or LimitsSettings())
     if together is not None:
         controller = together(controller, prover)
+    if soft is not None:
+        controller = soft.stated(controller, prover, proof)
     checked = validate_controller(controller, lambda done: progress((1.0 - _PROOF_SHARE) * done), proved=prover.answers)
     doubted = {each.axis for each in checked.checks if each.name == MARGINS_CHECK and not each.passed}
     if doubted and not restated:
         searches = {name: _with_every_margin(each) if name in doubted else each for name, each in searches.items()}
         return certify(
-            searches, payload, provenance, proof, progress, strategies, found, limits, together, restated=True
+            searches, payload, provenance, proof, progress, strategies, found, limits, together, soft, restated=True
         )
     checked.require()
     return controller, checked
@@ -319,23 +331,9 @@ def _search_all(
     for name, problem in problems.items():
         portion = ProgressSlice(report, _SEARCH_SHARE / len(problems))
         start = _start(name, problem, present, chosen.get(name))
-        with _named_compliance(name, chosen.get(name)):
+        with named_compliance(name, chosen.get(name)):
             searches[name] = _search(name, problem, seed, start, relax, report, portion)
     return searches
-
-
-@contextmanager
-def _named_compliance(name: str, compliance: Compliance | None) -> Iterator[None]:
-    """Say of a search without a result on which of the compliances it was."""
-    try:
-        yield
-    except InfeasibleError as error:
-        if compliance is None:
-            raise
-        bare = str(error).removeprefix(f"Axis {name}: ")
-        raise InfeasibleError(
-            f"{infeasible_message(name, compliance)} {bare}", error.relaxations, suggestion=error.suggestion
-        ) from error
 
 
 def _start(

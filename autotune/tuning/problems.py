@@ -73,6 +73,11 @@ def build_problems(identified: Identified, spec: ProblemSpec) -> dict[str, Desig
             f"structure: {spec.structure} is searched by optimize for one controller that runs autotune's own law; "
             "leave it out."
         )
+    if spec.bumper is not None:
+        raise UsageError(
+            "payload.bumper is searched with by optimize for one controller that runs autotune's own law; leave it "
+            "out, and hold the file against it with validate --bumper."
+        )
     if not identified.axes:
         raise EstimateError("The plant holds no axis, so there is nothing to tune.")
     names = list(identified.axes) if spec.axes is None else list(spec.axes)

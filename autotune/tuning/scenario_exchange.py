@@ -242,12 +242,14 @@ class Counterexamples:
     """Plants that join the scenarios of a search, and impacts that must come to rest as (plant, ratio s).
 
     s is the speed at the impact times (B_a + B_p) over F^d, so that it is the same impact whatever the damping.
-    `beside` says of a law whether it goes with those of the other axes on the payload; None where nothing is asked.
+    `beside` says of a law whether it goes with those of the other axes on the payload, `soft` whether with the
+    payload's bumper; None where nothing is asked.
     """
 
     scenarios: tuple[Scenario, ...] = ()
     impacts: tuple[tuple[Scenario, float], ...] = ()
     beside: Callable[[AdmittanceController], bool] | None = None
+    soft: Callable[[AdmittanceController], bool] | None = None
 
     def joined(self, error: RefutedError) -> "Counterexamples":
         """Return the same with what an error names."""
@@ -261,11 +263,11 @@ NOTHING = Counterexamples()
 
 
 class ImpactTest:
-    """Tests whether designs of a problem come to rest after the impacts of counterexamples, and go `beside` others."""
+    """Tests whether designs come to rest after the impacts of counterexamples, and go with what else these name."""
 
     def __init__(self, problem: DesignProblem, counterexamples: Counterexamples) -> None:
         self._problem = problem
-        self._beside = counterexamples.beside
+        self._beside, self._soft = counterexamples.beside, counterexamples.soft
         self._known: dict[bytes, bool] = {}
         self._cases: list[tuple[SampledContact, Sequence[float]]] = []
         for scenario, ratio in counterexamples.impacts:
@@ -273,21 +275,25 @@ class ImpactTest:
             self._cases.append((pair, (ratio, *_LADDER)))
 
     def __bool__(self) -> bool:
-        return bool(self._cases) or self._beside is not None
+        return bool(self._cases) or self._beside is not None or self._soft is not None
 
     @property
     def failing(self) -> str:
         """What a design does that does not pass, for a sentence."""
-        if self._beside is None:
+        others = [
+            *(["does not go with the other axes on the payload"] if self._beside is not None else []),
+            *(["misses something with the bumper of the payload"] if self._soft is not None else []),
+        ]
+        if not others:
             return "lets a contact bounce for ever"
-        return "does not go with the other axes on the payload" + (", or lets a contact bounce" if self._cases else "")
+        return ", or ".join([*others, *(["lets a contact bounce"] if self._cases else [])])
 
     def passes(self, design: FloatArray) -> bool:
         """Return whether a design (n,) that is stable in both loops passes everything."""
         key = np.asarray(design).tobytes()
         if key not in self._known:
             controller = self._problem.controller(design)
-            goes = self._beside is None or self._beside(controller)
+            goes = all(each is None or each(controller) for each in (self._soft, self._beside))
             self._known[key] = goes and all(_comes_to_rest(pair, controller, ratios) for pair, ratios in self._cases)
         return self._known[key]
 

@@ -16,6 +16,7 @@ from problems.model.controller import AdmittanceController
 from .axis_proof import Answers, Prover
 from .bouncing import search_bouncing
 from .bouncing_proof import check_bouncing
+from .bumper import check_stated_bumper
 from .certified_requirements import limit_n
 from .contacts import verify_led, verify_peaks, verify_response, verify_varied
 from .coupled import check_coupled
@@ -264,6 +265,10 @@ def _bouncing(case: AxisCase) -> Iterator[Check]:
         yield case.check("bouncing", "" if found.passed else message, message)
 
 
+def _bumper(case: AxisCase) -> Iterator[Check]:
+    yield from check_stated_bumper(case.controller, case.name, case.prover)
+
+
 def _together(case: AxisCase) -> Iterator[Check]:
     """Yield the check of all axes together, once."""
     if case.name == next(iter(case.controller.axes)):
@@ -311,6 +316,7 @@ _TABLE = (
     _Row(_proved_peaks, is_short=False),
     _Row(_led, is_short=False),
     _Row(_bouncing, is_short=False),
+    _Row(_bumper, is_short=False),
     _Row(_together, is_short=False),
     _Row(_limits),
     _Row(_response, is_short=False),

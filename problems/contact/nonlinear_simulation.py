@@ -236,6 +236,7 @@ def _motion(contact: SampledPlant, substeps: int, held: Plant | None = None) -> 
     """
     if substeps < 1:
         raise ParameterError("substeps", substeps, "at least 1")
+    contact.plant.require_one_piece()
     h = contact.sample_time_s
     m = build_plant_matrices(contact.plant.in_contact_with(FREE_SPACE) if held is None else held, h)
     before = math.ceil(substeps * contact.fraction)
