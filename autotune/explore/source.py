@@ -125,11 +125,7 @@ def _from_identified(path: Path, problem_path: Path | None, progress: Progress) 
         payload=payload,
         provenance=_by_hand(provenance),
         strategies=strategy_settings(identified.result, spec),
-        together=TogetherAsked(
-            identified=identified.result,
-            contact_points_m=spec.contact_points_m,
-            least_modulus=spec.least_modulus_together,
-        ),
+        together=TogetherAsked.of(identified.result, spec),
     )
 
 

@@ -7,6 +7,7 @@ from autotune.errors import InfeasibleError
 from autotune.formats.certificate_record import AxisDomain
 from autotune.formats.controller_record import Controller, RuntimePayload, admittance_controller
 from autotune.formats.coupled_record import PRODUCTS, CoupledBody, HeldAxis, Vector
+from autotune.formats.problem import ProblemSpec
 from autotune.formats.units import AXES, ROTATIONAL_AXES
 from autotune.validation.axis_proof import ProofOptions, Prover
 from autotune.validation.coupled_cell import CoupledCell
@@ -54,6 +55,12 @@ class TogetherAsked:
     body: CoupledBody | None = None
     contact_points_m: tuple[Vector, ...] = ()
     least_modulus: float | None = None
+
+    @classmethod
+    def of(cls, identified: Identified, spec: ProblemSpec) -> "TogetherAsked":
+        """Return what a problem asks of what was identified."""
+        points, least = spec.contact_points_m, spec.least_modulus_together
+        return cls(identified=identified, contact_points_m=points, least_modulus=least)
 
     def place(
         self, domains: Mapping[str, AxisDomain], laws: Mapping[str, Law], payload: RuntimePayload, sample_time_s: float

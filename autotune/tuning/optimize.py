@@ -128,10 +128,7 @@ def optimize(
     structures = StructureSearch(spec, identified.result, seed)
     searches = structures.searched(_search_all(problems, present, chosen, seed, relax, report))
     chosen = {name: settle_compliance(problems[name], each, searches[name], seed) for name, each in chosen.items()}
-    points, least = spec.contact_points_m, spec.least_modulus_together
-    together = TogetherCheck(
-        TogetherAsked(identified=identified.result, contact_points_m=points, least_modulus=least), asked
-    )
+    together = TogetherCheck(TogetherAsked.of(identified.result, spec), asked)
     beside = CoupledSearch(together, payload, seed)
     settled = _settle_all(searches, asked, seed, report, beside, soft)
     searches = {name: each.search for name, each in settled.items()}
