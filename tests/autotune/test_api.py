@@ -28,7 +28,7 @@ from tests.autotune.tuning.cases import shorten_checks
 
 RunCli = Callable[..., "subprocess.CompletedProcess[str]"]
 PUBLIC = (
-    *("AdmittanceTarget", "Approach", "AutotuneError", "Campaign", "CertificateError", "Check"),
+    *("AdmittanceTarget", "Approach", "AutotuneError", "Bumper", "Campaign", "CertificateError", "Check"),
     *(
         "ContactAtSpeed",
         "Design",
