@@ -4,6 +4,7 @@ A ball is a midpoint and a radius; every operation returns a ball that holds all
 bounded per operation (Rump's midpoint-radius arithmetic) and added to the radius.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import wraps
@@ -103,7 +104,10 @@ def ball(low: float, high: float) -> Any:
 
 
 class DualBall:
-    """A flint ball that carries its derivative along one direction through arithmetic; None is none."""
+    """A flint ball that carries its derivative through arithmetic; None is none.
+
+    Along one direction that is a ball, along several at once a flint row of them (`units`).
+    """
 
     __slots__ = ("derivative", "value")
 
@@ -122,7 +126,7 @@ class DualBall:
             return DualBall(self.value * other, None if self.derivative is None else self.derivative * other)
         derivative = None if self.derivative is None else self.derivative * other.value
         if other.derivative is not None:
-            more = self.value * other.derivative
+            more = other.derivative * self.value
             derivative = more if derivative is None else derivative + more
         return DualBall(self.value * other.value, derivative)
 
@@ -132,7 +136,7 @@ class DualBall:
         ratio = self.value / other.value
         derivative = None if self.derivative is None else self.derivative / other.value
         if other.derivative is not None:
-            less = ratio * other.derivative / other.value
+            less = other.derivative * ratio / other.value
             derivative = -less if derivative is None else derivative - less
         return DualBall(ratio, derivative)
 
@@ -154,7 +158,7 @@ class DualBall:
     def __pow__(self, power: int) -> "DualBall":
         if power == 0:
             return DualBall(flint.arb(1))
-        derivative = None if self.derivative is None else power * self.value ** (power - 1) * self.derivative
+        derivative = None if self.derivative is None else self.derivative * (power * self.value ** (power - 1))
         return DualBall(self.value**power, derivative)
 
     __radd__, __rmul__ = __add__, __mul__
@@ -230,24 +234,43 @@ def derivative_of(value: Any) -> Any:
     return value.derivative if isinstance(value, DualBall) and value.derivative is not None else flint.arb(0)
 
 
+def units(count: int) -> list[Any]:
+    """Return the derivatives of so many coordinates along each of them, rows (1, count)."""
+    return [flint.arb_mat(1, count, [int(i == j) for j in range(count)]) for i in range(count)]
+
+
+def derivatives_of(values: Sequence[Any], count: int) -> list[list[Any]]:
+    """Return the derivatives of numbers and series along each of so many directions, 0 where they carry none."""
+    rows = [each.derivative if isinstance(each, DualBall) else None for each in values]
+    return [[flint.arb(0) if row is None else row[0, along] for row in rows] for along in range(count)]
+
+
 def exponential(matrix: Any) -> Any:
-    """Return exp of an object array (n, n) of series: exp [[A, E], [0, A]] holds value and derivative."""
-    n = len(matrix)
-    entries = [[as_series(each) for each in row] for row in matrix]
-    has_derivative = any(each.derivative is not None for row in entries for each in row)
-    block = flint.arb_mat(2 * n, 2 * n) if has_derivative else flint.arb_mat(n, n)
-    for i, row in enumerate(entries):
-        for j, entry in enumerate(row):
-            block[i, j] = entry.value
-            if has_derivative:
-                block[n + i, n + j] = entry.value
-                block[i, n + j] = derivative_of(entry)
-    found = block.exp()
-    out = np.empty((n, n), dtype=object)
-    for i in range(n):
-        for j in range(n):
-            out[i, j] = DualBall(found[i, j], found[i, n + j] if has_derivative else None)
-    return out
+    """Return exp of an object array (n, n) of series: exp [[A, E], [0, A]] holds value and derivative along E."""
+    n, entries = len(matrix), [as_series(each) for row in matrix for each in row]
+    numbers, given = [each.value for each in entries], [e.derivative for e in entries if e.derivative is not None]
+    if not given:
+        found = flint.arb_mat(n, n, numbers).exp()
+        return np.array([DualBall(each) for each in found.entries()], dtype=object).reshape(n, n)
+    if not isinstance(given[0], flint.arb_mat):
+        value, slope = _moved_exponential(numbers, [derivative_of(each) for each in entries])
+        return np.array([DualBall(*each) for each in zip(value, slope, strict=True)], dtype=object).reshape(n, n)
+    slopes = []
+    for along in derivatives_of(entries, given[0].ncols()):
+        value, slope = _moved_exponential(numbers, along)
+        slopes.append(slope)
+    rows = (flint.arb_mat(1, len(slopes), list(each)) for each in zip(*slopes, strict=True))
+    return np.array([DualBall(*each) for each in zip(value, rows, strict=True)], dtype=object).reshape(n, n)
+
+
+def _moved_exponential(numbers: list[Any], along: list[Any]) -> tuple[list[Any], list[Any]]:
+    """Return exp of a matrix and its derivative, both row by row, for a matrix and its derivative row by row."""
+    n = math.isqrt(len(numbers))
+    nothing = [flint.arb(0)] * n
+    upper = [each for i in range(0, n * n, n) for each in (*numbers[i : i + n], *along[i : i + n])]
+    lower = [each for i in range(0, n * n, n) for each in (*nothing, *numbers[i : i + n])]
+    rows = flint.arb_mat(2 * n, 2 * n, upper + lower).exp().tolist()[:n]
+    return [each for row in rows for each in row[:n]], [each for row in rows for each in row[n:]]
 
 
 def jet_exponential(matrix: Any) -> Any:

@@ -149,7 +149,7 @@ class _Proof:
         self.box = self.family.box()
         whole, has_fraction = self.family.delay()
         self.chain = whole + int(has_fraction)
-        groups = self._groups(plant_polynomials(self.family, self.box, None))
+        groups = self._groups(plant_polynomials(self.family, self.box))
         sizes = tuple(len(part) for part in groups)
         self.circle = Circle(self.law, self.chain, sizes, is_deflated=True, pull=True)
         self.others = OtherFrequencies.of(self.family, multiplier, self.stiffness, self.damping)
@@ -166,7 +166,7 @@ class _Proof:
     def step(self) -> None:
         """Judge a cell, and cut it where its plants are to blame."""
         part = self.waiting.pop()
-        cell = with_derivatives(part.cell, [self._groups(each) for each in coefficients(self.family, part.cell)])
+        cell = with_derivatives(part.cell, *map(self._groups, coefficients(self.family, part.cell)))
         self.work += CELL_WORK
         arcs, left, blame = part.arcs, [np.zeros(0, dtype=np.int64)], np.zeros(len(self.box))
         while len(arcs):

@@ -5,6 +5,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
+from functools import lru_cache
 
 import numpy as np
 
@@ -14,13 +15,13 @@ from problems.errors import ParameterError
 from problems.model.sampled import Controller, build_loop, build_sampled_plant, stability_matrix
 
 from . import rational
-from .balls import Balls, DualBall, as_series, derivative_of, enclose
+from .balls import Balls, as_series, derivatives_of, enclose
 from .base_plant import fails_at, is_stable
 from .bounds import PlantCell, Verdicts, judge, judge_at_rest
 from .circle import Circle
 from .family import LATE, Family
-from .law import LawPolynomials, law_polynomials
-from .plant_cells import Raw, coefficients, loop_groups, with_derivatives
+from .law import law_polynomials
+from .plant_cells import Groups, Raw, coefficients, loop_groups, with_derivatives
 from .plant_polynomials import plant_polynomials
 
 # Work is counted in arcs judged, so that the same claim ends the same way on every machine; a cell of plants costs as
@@ -133,12 +134,17 @@ def certify(
     return search.outcome()
 
 
+# Several claims are about one law, and its factors on an arc are the same for all plants.
+_polynomials_of = lru_cache(maxsize=16)(law_polynomials)
+_circle_of = lru_cache(maxsize=16)(Circle)
+
+
 class _Search:
     """The cells still to be proved, the softest on top, and what was counted so far."""
 
     def __init__(self, family: Family, law: Controller, modulus: float) -> None:
         self.family, self.controller, self.modulus = family, law, modulus
-        self.law: LawPolynomials = law_polynomials(law, family.sample_time_s)
+        self.law = _polynomials_of(law, family.sample_time_s)
         if family.shared_delay is not None and (self.law.position or self.law.follows):
             must = "0 for a law that reads the position too, which is not late"
             raise ParameterError(LATE, family.shared_delay[1], must)
@@ -146,13 +152,13 @@ class _Search:
         self.box = family.box()
         whole, has_fraction = family.delay()
         chain = whole + int(has_fraction)
-        whole_box = plant_polynomials(family, self.box, None)
+        whole_box = plant_polynomials(family, self.box)
         sizes = tuple(len(part) for part in self._groups(whole_box))
-        self.circle = Circle(self.law, chain, sizes, is_deflated=self.is_deflated)
+        self.circle = _circle_of(self.law, chain, sizes, is_deflated=self.is_deflated)
         self.at_rest: Circle | None = None
         if family.is_soft and not self.law.holds_position:
             sizes = tuple(len(part) for part in self._groups_at_rest(whole_box))
-            self.at_rest = Circle(self.law, chain, (*sizes, 1), is_deflated=True, pull=True)
+            self.at_rest = _circle_of(self.law, chain, (*sizes, 1), is_deflated=True, pull=True)
         first = np.arange(self.circle.count_of_first)
         # What is false is mostly false at a corner of the set, and one plant is judged at once.
         points = [_Part(cell=np.stack([end, end], axis=1), arcs=first, share=0.0) for end in self._corners()]
@@ -198,9 +204,9 @@ class _Search:
         Of stability alone the widest cells come first: their middles find what is unstable.
         """
         part = self.waiting.pop(-1 if self.modulus > 0.0 else 0)
-        columns = self._coefficients(part.cell)
-        cell = with_derivatives(part.cell, [self._groups(each) for each in columns])
-        soft = None if self.at_rest is None else self._cell_at_rest(part.cell, columns)
+        raw = self._coefficients(part.cell)
+        cell = with_derivatives(part.cell, *map(self._groups, raw))
+        soft = None if self.at_rest is None else self._cell_at_rest(part.cell, raw)
         self.work += CELL_WORK
         arcs, left, blame = part.arcs, [np.zeros(0, dtype=np.int64)], np.zeros(len(self.box))
         while len(arcs):
@@ -268,17 +274,17 @@ class _Search:
             return None
         return self._ended(Verdict.REFUTED, point, angle)
 
-    def _coefficients(self, cell: FloatArray) -> list[Raw]:
+    def _coefficients(self, cell: FloatArray) -> tuple[Raw, Raw]:
         return coefficients(self.family, cell)
 
     def _plant_cell(self, cell: FloatArray) -> PlantCell:
         """Return the coefficients over a cell."""
-        return with_derivatives(cell, [self._groups(each) for each in self._coefficients(cell)])
+        return with_derivatives(cell, *map(self._groups, self._coefficients(cell)))
 
-    def _groups(self, found: Raw) -> tuple[list[DualBall], ...]:
+    def _groups(self, found: Raw) -> Groups:
         return loop_groups(self.family, self.law, found, is_deflated=self.is_deflated)
 
-    def _groups_at_rest(self, found: Raw) -> tuple[list[DualBall], ...]:
+    def _groups_at_rest(self, found: Raw) -> Groups:
         """Return the groups with the factor w taken out, without the force at rest."""
         d, force, position = found
         groups = [d, force[1:]]
@@ -288,14 +294,15 @@ class _Search:
             groups.append(position)
         return tuple([as_series(each) for each in part] for part in groups)
 
-    def _cell_at_rest(self, cell: FloatArray, columns: list[Raw]) -> PlantCell:
+    def _cell_at_rest(self, cell: FloatArray, found: tuple[Raw, Raw]) -> PlantCell:
         """Return the coefficients for `judge_at_rest`: the last is ½ K₂ n_F'(K) at z = 1, where n_F is 0 for K = 0."""
         place = self.family.varying.index(STIFFNESS)
-        slope = enclose([derivative_of(as_series(columns[1 + place][1][0]))])
+        _, (_, force, _) = found
+        slope = enclose(derivatives_of(force[:1], len(cell))[place])
         slope = slope.times(0.5 * cell[place, 1] * (1.0 + 1e-12))
         padding = ((0, 0), (0, len(cell)))
         pull = Balls(mid=np.pad(slope.mid[:, None], padding), rad=np.pad(slope.rad[:, None], padding))
-        rest = with_derivatives(cell, [self._groups_at_rest(each) for each in columns])
+        rest = with_derivatives(cell, *map(self._groups_at_rest, found))
         return PlantCell(groups=(*rest.groups, pull))
 
     def _ended(self, verdict: Verdict, point: FloatArray, angle: float | None) -> ProofOutcome:

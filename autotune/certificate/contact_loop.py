@@ -72,7 +72,7 @@ def contact_loop(
         raise ParameterError("wrench_filter.delay_s", family.shared_delay[1], "0")
     if approach.driven_by != "desired_force" or approach.after_impact_n is not None:
         raise ParameterError("approach", approach, "one under F^d, which goes on")
-    values = parameter_values(family, cell, along)
+    values = parameter_values(family, cell, [number(1) if i == along else None for i in range(len(cell))])
     h, blocks, rows = (
         family.sample_time_s,
         blocks_in_balls(law, family.sample_time_s),

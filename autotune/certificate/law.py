@@ -43,7 +43,7 @@ class LawCell:
         return self.numbers()[1]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class LawPolynomials:
     """α X^d = β_F (F^d + F) + β_x X, ascending in w, as flint balls; `position` is β_x, less α where it `follows`.
 

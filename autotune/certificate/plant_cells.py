@@ -7,7 +7,7 @@ import numpy as np
 from problems.arrays import FloatArray
 
 from . import rational
-from .balls import Balls, DualBall, as_series, derivative_of, enclose
+from .balls import Balls, DualBall, as_series, derivatives_of, enclose
 from .bounds import PlantCell
 from .family import Family
 from .law import LawPolynomials, without_constant
@@ -15,13 +15,16 @@ from .plant_polynomials import plant_polynomials
 
 Raw = tuple[list[Any], ...]
 """d, n_F and n_x in w = z − 1, ascending."""
+Groups = tuple[list[DualBall], ...]
 
 
-def coefficients(family: Family, cell: FloatArray) -> list[Raw]:
-    """Return d, n_F and n_x in the middle of a cell (d, 2), then all over it with derivatives along each coordinate."""
+def coefficients(family: Family, cell: FloatArray) -> tuple[Raw, Raw]:
+    """Return d, n_F and n_x in the middle of a cell (d, 2), then all over it with derivatives along the coordinates."""
     middle = np.mean(cell, axis=1)
-    found = [plant_polynomials(family, np.stack([middle, middle], axis=1), None)]
-    return found + [plant_polynomials(family, cell, along) for along in range(len(cell))]
+    return (
+        plant_polynomials(family, np.stack([middle, middle], axis=1)),
+        plant_polynomials(family, cell, with_derivatives=True),
+    )
 
 
 def half_widths(cell: FloatArray) -> FloatArray:
@@ -29,14 +32,14 @@ def half_widths(cell: FloatArray) -> FloatArray:
     return np.asarray(0.5 * (cell[:, 1] - cell[:, 0]) * (1.0 + 1e-12) + 2.0 * np.spacing(np.mean(cell, axis=1)))
 
 
-def with_derivatives(cell: FloatArray, columns: list[tuple[list[DualBall], ...]]) -> PlantCell:
+def with_derivatives(cell: FloatArray, middle: Groups, everywhere: Groups) -> PlantCell:
     """Return coefficients over a cell: their values at its middle, and derivatives that hold all over it."""
     groups = []
-    for kind in range(len(columns[0])):
-        value = enclose([each.value for each in columns[0][kind]])
+    for values, slopes in zip(middle, everywhere, strict=True):
+        value = enclose([each.value for each in values])
         derivatives = [
-            enclose([derivative_of(e) for e in part[kind]]).times(h)
-            for part, h in zip(columns[1:], half_widths(cell), strict=True)
+            enclose(along).times(h)
+            for along, h in zip(derivatives_of(slopes, len(cell)), half_widths(cell), strict=True)
         ]
         rest = value.rad + np.sum([s.rad for s in derivatives], axis=0)
         mid = np.stack([value.mid, *(s.mid for s in derivatives)], axis=1)
@@ -46,7 +49,7 @@ def with_derivatives(cell: FloatArray, columns: list[tuple[list[DualBall], ...]]
     return PlantCell(groups=tuple(groups))
 
 
-def loop_groups(family: Family, law: LawPolynomials, found: Raw, *, is_deflated: bool) -> tuple[list[DualBall], ...]:
+def loop_groups(family: Family, law: LawPolynomials, found: Raw, *, is_deflated: bool) -> Groups:
     """Return the groups of coefficients that the circle has factors for."""
     d, force, position = found
     if family.is_free_space:

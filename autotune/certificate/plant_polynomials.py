@@ -1,6 +1,6 @@
 """The sampled plants of a cell as polynomials in w = z − 1: in balls, with derivatives by the plant's parameters."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,20 +12,20 @@ from problems.model.plant_parameters import PARAMETERS
 from problems.model.robot import bandwidth_hz
 
 from . import rational
-from .balls import DualBall, as_series, ball, exponential, number, precise
+from .balls import DualBall, as_series, ball, exponential, precise, units
 from .family import LAG, PROVABLE, Family
 
 _ENVIRONMENT_DAMPING = "environment_damping_n_s_per_m"
 
 
 @precise
-def plant_polynomials(family: Family, cell: FloatArray, along: int | None = None) -> tuple[list[Any], ...]:
+def plant_polynomials(family: Family, cell: FloatArray, *, with_derivatives: bool = False) -> tuple[list[Any], ...]:
     """Return d, n_F and n_x in w = z − 1 over a cell (d, 2) of coordinates, ascending, as series.
 
-    X = n_x/(z^c d) X^d and F = n_F/(z^c d) X^d with d = det(zI − φ) and c commands in the delay chain. Every number
-    carries its derivative along coordinate `along`, over the whole cell.
+    X = n_x/(z^c d) X^d and F = n_F/(z^c d) X^d with d = det(zI − φ) and c commands in the delay chain. Asked for them,
+    every number carries its derivatives along the coordinates, over the whole cell.
     """
-    values = parameter_values(family, cell, along)
+    values = parameter_values(family, cell, units(len(cell)) if with_derivatives else [None] * len(cell))
     whole, has_fraction = family.delay()
     augmented, position, force, direct = continuous_plant(family, values)
     size = len(position)
@@ -98,13 +98,16 @@ def _filter_unit(family: Family) -> float:
     return coupling.stiffness_n_per_m + coupling.damping_n_s_per_m / family.sample_time_s
 
 
-def parameter_values(family: Family, cell: FloatArray, along: int | None) -> dict[str, Any]:
-    """Return every parameter as a series; the payload's is 1/M_p, with a bumper that of the rest, 1/(M_p − M_t)."""
+def parameter_values(family: Family, cell: FloatArray, derivatives: Sequence[Any]) -> dict[str, Any]:
+    """Return every parameter as a series, the coordinates with these derivatives or None.
+
+    The payload's is 1/M_p, with a bumper that of the rest, 1/(M_p − M_t).
+    """
     found = {name: as_series(family.range_of(name)[0]) for name in PROVABLE}
     bumper = family.nominal.bumper
     found[MASS] = 1 / (found[MASS] if bumper is None else found[MASS] - as_series(bumper.mass_kg))
-    for i, name in enumerate(family.varying):
-        found[name] = DualBall(ball(float(cell[i, 0]), float(cell[i, 1])), number(1) if i == along else None)
+    for name, (low, high), derivative in zip(family.varying, cell, derivatives, strict=True):
+        found[name] = DualBall(ball(float(low), float(high)), derivative)
     return found
 
 

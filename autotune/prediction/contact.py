@@ -119,6 +119,7 @@ def simulate_on(
         duration_s=count * sample_time_s,
         effects=Nonlinearities(deadband=law.deadband),
         substeps=needed_substeps(plant, sample_time_s),
+        leaps=True,
     )
     return ContactTransient(
         time_s=run.time_s,

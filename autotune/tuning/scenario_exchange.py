@@ -5,9 +5,11 @@ counterexamples: plants at which a proof failed, impacts that bounced for ever, 
 """
 
 import math
-from collections.abc import Callable, Collection, Container, Mapping, Sequence
+from collections.abc import Callable, Collection, Container, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from operator import attrgetter
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -18,12 +20,16 @@ from problems.contact.transient import Approach, SampledContact, build_sampled_c
 from problems.design.evaluation import Evaluation, ExactEvaluation, PlantMargins, build_scenarios
 from problems.design.objectives import CONTACT_FORCE, Objective
 from problems.design.problem import DesignProblem
-from problems.design.stable_design import StableDesign
+from problems.design.requirements.base import LoopRequirement
+from problems.design.stable_design import StableDesign, StableLoop
 from problems.design.uncertainty import Scenario
 from problems.model.controller import AdmittanceController
+from problems.model.plant import FREE_SPACE
 from problems.model.response import hand_force_per_speed
 from problems.model.sampled import build_sampled_plant
-from problems.stability.margins import UnstableLoopError
+from problems.stability.margins import UnstableLoopError, prepare_margins
+
+Place = TypeVar("Place", bound=Hashable)
 
 DENSE_STIFFNESS, DENSE_MASS = 33, 3
 SAMPLES = 128
@@ -99,13 +105,14 @@ class WholeSet:
             return ()
         found: list[Scenario] = []
         for name, value in (*exact.evaluation.requirements.items(), *exact.evaluation.soft.items()):
-            if any(each.ratios.get(name) is None for each in exact.margins):
+            requirement = self.problem.requirements.kind(name)
+            if not isinstance(requirement, LoopRequirement):
                 continue
             starts = _worst_plants(exact.margins, name) if value >= _NEAR or every_margin else []
             free = [each for each in exact.margins if each.free_space]
             starts += _worst_plants(free, name, 0.0 if every_margin else _NOT_FAR)[:1]
-            starts = list(dict.fromkeys(starts))
-            found += [self._climb(start, lambda s, n=name: self._missed(s, controller, n)) for start in starts]  # type: ignore[misc]
+            missed = partial(self._missed, controller, requirement, self.problem.requirements.asked()[name])
+            found += [self._climb(place, partial(missed, is_free)) for place, is_free in dict.fromkeys(starts)]
         # The objective, and the force at the contact, which may be limited whatever the objective is.
         costs: dict[Objective, list[tuple[Scenario, float]]] = {}
         if climbs_objective or self.problem.requirements.max_peak_force_n is not None:
@@ -113,21 +120,31 @@ class WholeSet:
         if climbs_objective:
             costs[self.problem.objective] = [(row.scenario, row.cost) for row in exact.evaluation.objective]
         for objective in sorted(costs, key=lambda each: each is not self.problem.objective):
-            starts = _worst([s for s, _ in costs[objective]], [cost for _, cost in costs[objective]])
-            found += [self._climb(start, lambda s, o=objective: self._cost(s, controller, o)) for start in starts]  # type: ignore[misc]
+            cost = partial(self._cost, controller, objective)
+            worst = _worst([s for s, _ in costs[objective]], [value for _, value in costs[objective]])
+            found += [self._climb(start, cost) for start in worst]
         known = set(self.scenarios)
         return tuple(s for s in dict.fromkeys(found) if s not in known)
 
-    def _missed(self, scenario: Scenario, controller: AdmittanceController, name: str) -> float:
-        """Return required/achieved of one requirement in one scenario; infinite where the loop is unstable."""
-        asked = self.problem.requirements
-        try:
-            design = build_scenarios(self.problem, [scenario]).stable(controller)
-        except UnstableLoopError:
+    def _missed(
+        self,
+        controller: AdmittanceController,
+        requirement: LoopRequirement[Any],
+        asked: Any,
+        free_space: bool,
+        scenario: Scenario,
+    ) -> float:
+        """Return required/achieved of the loop of a scenario, in contact or free; infinite where that is unstable."""
+        plant = self.problem.plant(scenario)
+        sampled = build_sampled_plant(
+            plant.in_contact_with(FREE_SPACE) if free_space else plant, self.problem.sample_time_s
+        )
+        loop = StableLoop(sampled=sampled, controller=controller, prepared=prepare_margins(sampled))
+        if not loop.spectral_radius < 1.0:
             return np.inf
-        return float(np.max(asked.kind(name).ratios(asked.asked()[name], design)))
+        return float(requirement.ratio(asked, requirement.of_loop(asked, loop)))
 
-    def _cost(self, scenario: Scenario, controller: AdmittanceController, objective: Objective) -> float:
+    def _cost(self, controller: AdmittanceController, objective: Objective, scenario: Scenario) -> float:
         """Return the largest cost of an objective in one scenario; infinite where the loop is unstable."""
         try:
             stable = build_scenarios(self.problem, [scenario]).stable(controller)
@@ -155,16 +172,19 @@ class WholeSet:
         return best
 
 
-def _worst_plants(margins: Sequence[PlantMargins], name: str, least: float = 0.0) -> list[Scenario]:
-    """Return the scenarios of the plants that miss a requirement most, of those that use up more than `least` of it."""
+def _worst_plants(margins: Sequence[PlantMargins], name: str, least: float = 0.0) -> list[tuple[Scenario, bool]]:
+    """Return the plants that miss a requirement most, of those that use up more than `least` of it.
+
+    Each as its scenario, and whether in free space.
+    """
     known = [each for each in margins if each.ratios[name] >= least]
-    return _worst([each.scenario for each in known], [each.ratios[name] for each in known])
+    return _worst([(each.scenario, each.free_space) for each in known], [each.ratios[name] for each in known])
 
 
-def _worst(scenarios: Sequence[Scenario], values: Sequence[float]) -> list[Scenario]:
-    """Return the scenarios of the largest values, a different one each."""
+def _worst(places: Sequence[Place], values: Sequence[float]) -> list[Place]:
+    """Return the places of the largest values, a different one each."""
     order = sorted(range(len(values)), key=lambda i: -values[i])
-    return list(dict.fromkeys(scenarios[i] for i in order[: 4 * _STARTS]))[:_STARTS]
+    return list(dict.fromkeys(places[i] for i in order[: 4 * _STARTS]))[:_STARTS]
 
 
 def worst_scenarios(

@@ -19,8 +19,8 @@ from problems.design.hand import HandImpedance
 from problems.design.uncertainty import Scenario
 from problems.errors import ParameterError
 from problems.model.controller import AdmittanceController
+from problems.model.hold import hold
 from problems.model.plant import Environment, PayloadDynamics, Plant, build_plant_matrices
-from problems.model.sampled import hold
 
 from .replay import equation_gains, settling_samples
 from .replay_kernel import EquationGains, difference_step, rest_at

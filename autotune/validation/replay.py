@@ -9,13 +9,13 @@ from scipy.linalg import expm
 from autotune.formats.limits import VariableDampingSettings
 from problems.arrays import FloatArray
 from problems.model.controller import AdmittanceController
+from problems.model.hold import hold
 from problems.model.plant import FREE_SPACE, Coupling, PayloadDynamics, Plant, build_plant_matrices
 from problems.model.robot import RobotModel
 from problems.model.sampled import (
     build_loop,
     build_sampled_plant,
     check_wrench_delay,
-    hold,
     spectral_radius,
     stability_matrix,
 )

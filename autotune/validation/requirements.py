@@ -27,10 +27,11 @@ from problems.design.requirements import (
 )
 from problems.design.uncertainty import PlantSet
 from problems.model.controller import AdmittanceController
+from problems.model.hold import hold
 from problems.model.plant import FREE_SPACE, Plant, WrenchFilter, build_plant_matrices
 from problems.model.robot import RobotModel
 from problems.model.sampled import Controller as LoopController
-from problems.model.sampled import build_sampled_plant, hold
+from problems.model.sampled import build_sampled_plant
 
 from .certified_requirements import asked_of, certified_problem_requirements, describe_soft
 from .margins import SweptMargins

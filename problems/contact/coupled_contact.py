@@ -34,7 +34,7 @@ from ..model.coupled import (
     coupled_poles,
 )
 from ..model.difference import BLOCK_ROWS
-from ..model.sampled import hold
+from ..model.hold import hold
 from ..stability.margins import UnstableLoopError
 from .bouncing import BOUNCING, SETTLED, Ending, judge_window
 from .events import advance

@@ -6,11 +6,19 @@ of one pole), kept in scalars.
 
 from typing import NamedTuple
 
+import numpy as np
+
 from ..arrays import FloatArray
 from ..compiled import compiled, inlined
 from .event_free_steps import FLANGE, PAYLOAD, VELOCITY
-from .events import spring_force
+from .events import SUBSTEPS_PER_RADIAN, spring_force
 from .kernel_types import APART, CONTACT_PEAK, CONTACT_TIME, IN_CONTACT, Wall
+
+# Parts of a sample, before and behind the change of the command.
+EARLY, LATE = 0, 1
+# In a motion this slow (radians or e-foldings) the force turns no oftener than two looks at it show, and as many terms
+# of a series are exact to rounding: ‖A²‖ bounds every second power, and 0.5¹⁶/16! is far below it.
+SLOW, _SERIES_TERMS = 1.0 / SUBSTEPS_PER_RADIAN, 16
 
 
 class Motion(NamedTuple):
@@ -30,6 +38,45 @@ class Motion(NamedTuple):
     fraction: float
     steps: tuple[int, int]
     leap: FloatArray
+
+
+@compiled
+def write_part(flow: FloatArray, duration: float, turn: float, out: FloatArray) -> None:
+    """Write (phi, gamma, gamma_push) of a part of a sample: their series over pieces so short that it is exact.
+
+    `flow` is that of `Motion`, `turn` the bound of its rate, see `rate_bound`.
+    """
+    n, inputs = flow.shape
+    pieces = max(1, int(np.ceil(turn * duration / SLOW)))
+    piece, term, following = np.zeros((n, inputs)), np.zeros((n, inputs)), np.zeros((n, inputs))
+    for i in range(n):
+        for j in range(inputs):
+            term[i, j] = piece[i, j] = (duration / pieces) * flow[i, j]
+            out[i, j] = 0.0
+        piece[i, i], out[i, i] = piece[i, i] + 1.0, 1.0
+    for k in range(2, _SERIES_TERMS + 1):
+        multiply(flow, term, following)
+        for i in range(n):
+            for j in range(inputs):
+                term[i, j] = following[i, j] * (duration / pieces / k)
+                piece[i, j] += term[i, j]
+    for _ in range(pieces):
+        multiply(piece, out, following)
+        for i in range(n):
+            for j in range(inputs):
+                out[i, j] = following[i, j] + (piece[i, j] if j >= n else 0.0)
+
+
+@compiled
+def multiply(left: FloatArray, right: FloatArray, out: FloatArray) -> None:
+    """Write the product of the square part of one (n, n + 2) array with another."""
+    n, inputs = right.shape
+    for i in range(n):
+        for j in range(inputs):
+            total = 0.0
+            for m in range(n):
+                total += left[i, m] * right[m, j]
+            out[i, j] = total
 
 
 @compiled

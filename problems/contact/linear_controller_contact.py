@@ -13,8 +13,9 @@ import numpy as np
 from ..arrays import FloatArray
 from ..compiled import compiled
 from ..errors import ParameterError
+from ..model.hold import hold
 from ..model.linear_controllers import LinearController
-from ..model.sampled import build_loop, hold, spectral_radius
+from ..model.sampled import build_loop, spectral_radius
 from ..stability.margins import UnstableLoopError
 from .events import spring_force
 from .kernel_types import (

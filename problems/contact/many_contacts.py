@@ -24,9 +24,9 @@ from ..stability.polynomials import (
     loop_polynomial,
     plant_polynomials,
 )
-from .events import SUBSTEPS_PER_RADIAN, rate_bound
+from .events import rate_bound
 from .kernel_types import APART, CONTACT_PEAK, IN_CONTACT, POSITION, SENSED, SENSOR_PEAK, Wall
-from .leaps import Motion
+from .leaps import EARLY, LATE, SLOW, Motion, multiply, write_part
 from .nonlinear_kernel import (
     CONTACT,
     FOUND,
@@ -49,14 +49,10 @@ LINEAR_CONTACT, LINEAR_SENSOR, FULL_CONTACT, FULL_SENSOR, PEAKS = 0, 1, 2, 3, 4
 
 # Places of K_e, B_e and M_e among the parameters of a plant.
 _K_E, _B_E, _M_E = ENVIRONMENT_STIFFNESS, 5, 6
-# Parts of a sample, before and behind the change of the command; the row of v h (`Motion.rows`).
-EARLY, LATE = 0, 1
+# The row of v h (`Motion.rows`).
 _VELOCITY = 2
 # The place of the payload in the plant state, from the end.
 _PAYLOAD = -2
-# In a motion this slow (radians or e-foldings) the force turns no oftener than two looks at it show, and as many terms
-# of a series are exact to rounding: ‖A²‖ bounds every second power, and 0.5¹⁶/16! is far below it.
-_SLOW, _SERIES_TERMS = 1.0 / SUBSTEPS_PER_RADIAN, 16
 # As of an exact contact (`transient`): faster motions per sample would take seconds to follow.
 _FASTEST = 1000.0
 
@@ -75,45 +71,6 @@ class Side(NamedTuple):
     parts: FloatArray
     step: tuple[FloatArray, FloatArray, FloatArray, FloatArray]
     turn: float
-
-
-@compiled
-def write_part(flow: FloatArray, duration: float, turn: float, out: FloatArray) -> None:
-    """Write (phi, gamma, gamma_push) of a part of a sample: their series over pieces so short that it is exact.
-
-    `flow` is that of `Motion`, `turn` the bound of its rate, see `rate_bound`.
-    """
-    n, inputs = flow.shape
-    pieces = max(1, int(np.ceil(turn * duration / _SLOW)))
-    piece, term, following = np.zeros((n, inputs)), np.zeros((n, inputs)), np.zeros((n, inputs))
-    for i in range(n):
-        for j in range(inputs):
-            term[i, j] = piece[i, j] = (duration / pieces) * flow[i, j]
-            out[i, j] = 0.0
-        piece[i, i], out[i, i] = piece[i, i] + 1.0, 1.0
-    for k in range(2, _SERIES_TERMS + 1):
-        _times(flow, term, following)
-        for i in range(n):
-            for j in range(inputs):
-                term[i, j] = following[i, j] * (duration / pieces / k)
-                piece[i, j] += term[i, j]
-    for _ in range(pieces):
-        _times(piece, out, following)
-        for i in range(n):
-            for j in range(inputs):
-                out[i, j] = following[i, j] + (piece[i, j] if j >= n else 0.0)
-
-
-@compiled
-def _times(left: FloatArray, right: FloatArray, out: FloatArray) -> None:
-    """Write the product of the square part of one (n, n + 2) array with another."""
-    n, inputs = right.shape
-    for i in range(n):
-        for j in range(inputs):
-            total = 0.0
-            for m in range(n):
-                total += left[i, m] * right[m, j]
-            out[i, j] = total
 
 
 @compiled
@@ -139,7 +96,7 @@ def build_side(
     if turn <= _FASTEST:
         write_part(flow, fraction, turn, parts[EARLY])
         write_part(flow, 1.0 - fraction, turn, parts[LATE])
-    _times(parts[LATE], parts[EARLY], whole)
+    multiply(parts[LATE], parts[EARLY], whole)
     phi, gamma, gamma_old, gamma_push = np.zeros((n, n)), np.zeros(n), np.zeros(n), np.zeros(n)
     for i in range(n):
         gamma[i], gamma_old[i], gamma_push[i] = parts[LATE, i, n], whole[i, n], whole[i, n + 1] + parts[LATE, i, n + 1]
@@ -177,7 +134,7 @@ def build_motion(contact: Side, free: Side, wall: Wall, delay: tuple[int, int, f
     (whole, chain, fraction), n, turn = delay, len(contact.flow), max(contact.turn, free.turn)
     substeps = max(fewest, int(np.ceil(2.0 * turn)))
     before = int(np.ceil(substeps * fraction))
-    leap = np.zeros((2 if turn <= _SLOW else 0, 2, n, n + 2))
+    leap = np.zeros((2 if turn <= SLOW else 0, 2, n, n + 2))
     if len(leap) > 0:
         leap[IN_CONTACT], leap[APART] = contact.parts, free.parts
     return Motion(free.flow, free.rows, wall, whole, chain, fraction, (before, max(1, substeps - before)), leap)

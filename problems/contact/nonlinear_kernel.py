@@ -368,13 +368,13 @@ def advance_plant(
     found: FloatArray,
     work: FloatArray,
 ) -> None:
-    """Advance the plant over one sample, at once where nothing switches in it."""
+    """Advance the plant over one sample; at once where nothing switches in it, under the mean of the pulls."""
     if motion.wall.mass > 0.0:
         cross_with_mass(motion, state, surface, inputs, tick, found, work)
         return
     commands, pushes, pulls = inputs
-    push = pulls.before + (pushes.before if np.isnan(found[IMPACT_TIME]) else pushes.after)
-    leaps = len(motion.leap) > 0 and pulls.before == pulls.after
+    push = 0.5 * (pulls.before + pulls.after) + (pushes.before if np.isnan(found[IMPACT_TIME]) else pushes.after)
+    leaps = len(motion.leap) > 0
     if leaps:
         leaps = (
             leap_three_states(motion, state, commands, push, tick, found)

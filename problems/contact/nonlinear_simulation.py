@@ -17,7 +17,9 @@ from ..model.difference import rest_states
 from ..model.plant import FREE_SPACE, Environment, Plant, build_plant_matrices
 from ..model.sampled import SampledPlant, build_loop, build_sampled_plant, spectral_radius
 from ..stability.margins import UnstableLoopError
-from .leaps import Motion
+from .events import rate_bound
+from .kernel_types import APART, IN_CONTACT
+from .leaps import EARLY, LATE, SLOW, Motion, write_part
 from .nonlinear_kernel import (
     CLIPPED,
     COLLISION_TICK,
@@ -109,9 +111,13 @@ def simulate_nonlinear(
     start_distance_m: float | None = None,
     substeps: int = 10,
     noise: np.random.Generator | DrawnNoise | None = None,
+    leaps: bool = False,
     even_if_unstable: bool = False,
 ) -> NonlinearRun:
     """Simulate an approach and contact with everything in `effects`, by Runge–Kutta steps of order 4.
+
+    With `leaps` a sample in which no contact begins or ends is crossed by the plant's exponential instead, unless the
+    plant turns too fast for that (`leaps.SLOW`); without, this is the second method that such a run is held against.
 
     Without `start_distance_m` the run begins at the impact, in the steady state of the approach (with deadband,
     clipping, speed limit and variable damping in it); with it, at rest at that distance from the wall, when the force
@@ -130,6 +136,8 @@ def simulate_nonlinear(
     if not (radius < 1.0 or even_if_unstable):
         raise UnstableLoopError(radius)
     law, motion = build_controller(controller, effects, h), _motion(pair.contact, substeps)
+    if leaps:
+        motion = motion._replace(leap=_leaps(motion))
     drive = _drive(pair, law, approach)
     start = _steady(pair, law, drive) if start_distance_m is None else _rest(pair.free, law, start_distance_m)
     count = math.ceil(positive("duration_s", duration_s) / h - _WHOLE)
@@ -176,10 +184,12 @@ def simulate_operator(
     sample_time_s: float,
     effects: Nonlinearities = NO_NONLINEARITIES,
     substeps: int = 10,
+    leaps: bool = False,
 ) -> NonlinearRun:
     """Simulate a payload that a person leads to the wall and holds there, from rest where the operator's way begins.
 
-    The run lasts as long as the way. `simulate_nonlinear` says what is simulated, and what is raised; F^d is 0.
+    The run lasts as long as the way. `simulate_nonlinear` says what is simulated, and what is raised; F^d is 0. With
+    `leaps` the hand pulls with its mean over each sample.
     """
     h = positive("sample_time_s", sample_time_s)
     _check_plant(plant, h)
@@ -191,6 +201,8 @@ def simulate_operator(
         raise UnstableLoopError(radius)
     law, count, nothing = build_controller(controller, effects, h), len(operator.path_m) - 1, BeforeAfter(0.0, 0.0)
     motion, recording = _motion(pair.contact, substeps, operator.held(plant)), _recording(count)
+    if leaps:
+        motion = motion._replace(leap=_leaps(motion))
     start = _rest(pair.free, law, -float(operator.path_m[0]))
     draws = _drawn(effects, None, count)
     run_nonlinear(motion, law, start, nothing, nothing, draws.force_n, draws.late, operator.pull(h), recording)
@@ -258,6 +270,23 @@ def _motion(contact: SampledPlant, substeps: int, held: Plant | None = None) -> 
         steps=steps,
         leap=np.zeros((0, 2, len(m.a), len(m.a) + 2)),
     )
+
+
+def _leaps(motion: Motion) -> FloatArray:
+    """Return `Motion.leap` of a plant, in contact and apart; that of one that is crossed in steps where it is fast."""
+    n = len(motion.flow)
+    touching = motion.flow.copy()
+    touching[:, n - 2] -= motion.wall.stiffness * motion.flow[:, n + 1]
+    touching[:, n - 1] -= motion.wall.damping * motion.flow[:, n + 1]
+    flows = {IN_CONTACT: touching, APART: motion.flow}
+    turns = {mode: rate_bound(np.ascontiguousarray(flow[:, :n])) for mode, flow in flows.items()}
+    if max(turns.values()) > SLOW:
+        return motion.leap
+    leap = np.zeros((2, *motion.leap.shape[1:]))
+    for mode, flow in flows.items():
+        write_part(flow, motion.fraction, turns[mode], leap[mode, EARLY])
+        write_part(flow, 1.0 - motion.fraction, turns[mode], leap[mode, LATE])
+    return leap
 
 
 def build_controller(controller: AdmittanceController, effects: Nonlinearities, h: float) -> NonlinearController:

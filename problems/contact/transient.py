@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -11,8 +12,9 @@ from ..arrays import FloatArray
 from ..compiled import equation
 from ..errors import ParameterError
 from ..model.controller import AdmittanceController, controller_blocks
+from ..model.hold import hold
 from ..model.plant import FREE_SPACE
-from ..model.sampled import SampledPlant, build_loop, build_sampled_plant, check_wrench_delay, hold, spectral_radius
+from ..model.sampled import SampledPlant, build_loop, build_sampled_plant, check_wrench_delay, spectral_radius
 from ..stability.margins import UnstableLoopError
 from .events import MOST_SUBSTEPS, SUBSTEPS_PER_RADIAN
 from .kernel import contact_forces, run_contact, steady_start
@@ -100,15 +102,24 @@ class ContactTransient:
 class SampledContact:
     """A plant in contact and the same plant in free space, both sampled.
 
-    `ramp` (2, n + 2): plant state, command and F at a tick with x_p = 0, first moving by one metre per sample without
-    outside force, then resting under an outside force of one newton. `arguments` are the plant's part of what
-    `run_contact` takes.
+    Of many only the loops are looked at, so what their contacts need is computed when it is first asked for.
     """
 
     contact: SampledPlant
     free: SampledPlant
-    ramp: FloatArray
-    arguments: Contact
+
+    @cached_property
+    def ramp(self) -> FloatArray:
+        """Plant state, command and F at a tick with x_p = 0 (2, n + 2).
+
+        First moving by one metre per sample without outside force, then at rest under an outside force of one newton.
+        """
+        return _ramp(self.free)
+
+    @cached_property
+    def arguments(self) -> Contact:
+        """The plant's part of what `run_contact` takes; raises ParameterError for a contact that swings too fast."""
+        return _kernel_arguments(self.contact, self.free)
 
 
 def build_sampled_contact(contact: SampledPlant) -> SampledContact:
@@ -116,7 +127,7 @@ def build_sampled_contact(contact: SampledPlant) -> SampledContact:
     if contact.plant.environment.is_free_space:
         raise ParameterError("environment", contact.plant.environment, "a surface to touch, not free space")
     free = build_sampled_plant(contact.plant.in_contact_with(FREE_SPACE), contact.sample_time_s)
-    return SampledContact(contact=contact, free=free, ramp=_ramp(free), arguments=_kernel_arguments(contact, free))
+    return SampledContact(contact=contact, free=free)
 
 
 def _kernel_arguments(contact: SampledPlant, free: SampledPlant) -> Contact:

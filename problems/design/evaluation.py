@@ -150,16 +150,15 @@ class PreparedScenarios(PreparedPlants):
         along the boundary needs them).
         """
         controller = self.problem.controller(design)
-        radii = self.radii(controller)
-        if not np.max(radii) < 1.0:
+        stable = StableDesign(self, controller)
+        if not np.max(stable.radii) < 1.0:
             return Evaluation(
                 controller=controller,
                 # A radius that is not a number is no smaller than 1 either.
-                spectral_radius=float(np.nan_to_num(np.max(radii), nan=math.inf)),
+                spectral_radius=float(np.nan_to_num(np.max(stable.radii), nan=math.inf)),
                 requirements={},
                 peaks=(),
             )
-        stable = StableDesign(self, controller, radii)
         return self._evaluated(stable, self._margins(stable), peaks_if_missed)
 
     def evaluate_exactly(self, controller: AdmittanceController) -> ExactEvaluation:
@@ -176,10 +175,10 @@ class PreparedScenarios(PreparedPlants):
 
     def stable(self, controller: AdmittanceController) -> StableDesign:
         """Return a controller with its stable loops; raises UnstableLoopError when any of them is not."""
-        radii = self.radii(controller)
-        if not np.max(radii) < 1.0:
-            raise UnstableLoopError(float(np.max(radii)))
-        return StableDesign(self, controller, radii)
+        stable = StableDesign(self, controller)
+        if not np.max(stable.radii) < 1.0:
+            raise UnstableLoopError(float(np.max(stable.radii)))
+        return stable
 
     def margins(self, controller: AdmittanceController) -> tuple[PlantMargins, ...]:
         """Find the margins of every plant's loop; raises UnstableLoopError when any of them is not stable."""

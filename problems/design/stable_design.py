@@ -45,7 +45,6 @@ class StableLoop:
     sampled: SampledPlant
     controller: Controller
     prepared: PreparedMargins | None = None
-    known_radius: float | None = None
 
     @property
     def sample_time_s(self) -> float:
@@ -60,7 +59,7 @@ class StableLoop:
     @cached_property
     def spectral_radius(self) -> float:
         """The largest |z| of the loop."""
-        return spectral_radius(self.matrices) if self.known_radius is None else self.known_radius
+        return spectral_radius(self.matrices)
 
     @cached_property
     def margins(self) -> Margins:
@@ -121,7 +120,7 @@ class PreparedPlants(ABC):
 
     def radii(self, controller: AdmittanceController) -> FloatArray:
         """Return the spectral radius of every plant's loop."""
-        return np.array([spectral_radius(build_loop(plant.sampled, controller)) for plant in self.plants])
+        return StableDesign(self, controller).radii
 
     def peaks(self, controller: AdmittanceController) -> tuple[Peak, ...]:
         """Simulate the contact of every scenario; the loops must be stable."""
@@ -135,31 +134,23 @@ class StableDesign:
         self,
         prepared: PreparedPlants,
         controller: AdmittanceController,
-        radii: FloatArray | None = None,
         peaks: Sequence[Peak] | None = None,
     ) -> None:
-        self.prepared, self.controller, self._radii = prepared, controller, radii
+        self.prepared, self.controller = prepared, controller
         self._loops: dict[int, StableLoop] = {}
         self._given = None if peaks is None else tuple(peaks)
         self._peaks: dict[int, Peak] = {}
 
-    @property
+    @cached_property
     def radii(self) -> FloatArray:
         """The spectral radius of every plant's loop (p,)."""
-        if self._radii is None:
-            self._radii = self.prepared.radii(self.controller)
-        return self._radii
+        return np.array([self.loop(i).spectral_radius for i in range(len(self.prepared.plants))])
 
     def loop(self, plant: int) -> StableLoop:
         """Return the loop of one plant."""
         if plant not in self._loops:
             prepared = self.prepared.plants[plant]
-            self._loops[plant] = StableLoop(
-                sampled=prepared.sampled,
-                controller=self.controller,
-                prepared=prepared,
-                known_radius=None if self._radii is None else float(self._radii[plant]),
-            )
+            self._loops[plant] = StableLoop(sampled=prepared.sampled, controller=self.controller, prepared=prepared)
         return self._loops[plant]
 
     def peak(self, scenario: int) -> Peak:

@@ -18,9 +18,10 @@ from ..contact.transient import Approach
 from ..errors import ParameterError
 from ..model.controller import CONTROLLER_STATES, AdmittanceController, controller_step, write_blocks
 from ..model.difference import ALL_PARAMETERS, BLOCK_ROWS, PLAIN_PARAMETERS
+from ..model.hold import exponential, squarings_for
 from ..model.plant import PLANT_PARAMETERS, Plant, build_plant_matrices, write_plant
 from ..model.response import controller_gains
-from ..model.sampled import SampledPlant, close_loop, exponential, squarings_for, write_open_loop
+from ..model.sampled import SampledPlant, close_loop, write_open_loop
 from .complex_pairs import Pair, pair, solve_resolvent
 
 Arguments = tuple[FloatArray, FloatArray, FloatArray, float, FloatArray]

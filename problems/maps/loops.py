@@ -24,13 +24,13 @@ from ..design.batch_kernel import (
 from ..errors import ParameterError
 from ..model.controller import SMALLEST_FEEDBACK_DAMPING_S, AdmittanceController, blocks_of
 from ..model.difference import DAMPING
+from ..model.hold import hold_columns
 from ..model.plant import ENVIRONMENT_STIFFNESS, FREE_SPACE, OF_FORCE, PLANT_PARAMETERS, Plant, write_plant
 from ..model.sampled import (
     SampledPlant,
     build_loop,
     build_sampled_plant,
     check_wrench_delay,
-    hold_columns,
     spectral_radius,
     split_delay,
 )

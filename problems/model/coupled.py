@@ -15,8 +15,9 @@ from .._checks import frozen_vector
 from ..arrays import ComplexArray, FloatArray, IntArray
 from ..errors import ParameterError
 from .controller import AdmittanceController, controller_blocks, needed_states
+from .hold import hold
 from .plant import FREE_SPACE, Environment, Plant, build_plant_matrices
-from .sampled import close_loop, controller_matrix, controller_rest, hold, split_delay
+from .sampled import close_loop, controller_matrix, controller_rest, split_delay
 
 AXIS_NAMES = ("x", "y", "z", "rx", "ry", "rz")
 

@@ -1,11 +1,11 @@
 """The exact sampled loop: held plant by matrix exponential, delay as a shift chain."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm
 
 from .._checks import positive
 from ..arrays import FloatArray
@@ -13,6 +13,7 @@ from ..compiled import compiled, equation
 from ..errors import ParameterError
 from .controller import CONTROLLER_STATES, AdmittanceController, controller_blocks, controller_step, needed_states
 from .difference import rest_states
+from .hold import hold
 from .linear_controllers import LinearController
 from .plant import Plant, build_plant_matrices
 
@@ -21,9 +22,6 @@ Controller = AdmittanceController | LinearController
 # A delay this close to a whole number of samples (in samples) is that number; it is far below any clock's resolution.
 _WHOLE = 1e-9
 MOST_DELAY_SAMPLES = 1000
-# With a norm of at most 1/2 the series below is exact to rounding.
-_TAYLOR_TERMS = 14
-_MOST_SQUARINGS, _HOPELESS_SQUARINGS = 12, 60
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,52 +83,6 @@ def split_delay(delay_s: float, sample_time_s: float) -> tuple[int, float]:
     whole = int(np.floor(samples + _WHOLE))
     fraction = samples - whole
     return whole, fraction if fraction > _WHOLE else 0.0
-
-
-@equation
-def exponential(matrix: Any, identity: Any, squarings: int) -> Any:
-    """Return exp(matrix): the Taylor series of matrix/2^squarings (norm at most 1/2 for full precision), squared."""
-    small = matrix / 2.0**squarings
-    out = identity + small
-    term = small
-    for k in range(2, _TAYLOR_TERMS + 1):
-        term = (term @ small) / k
-        out = out + term
-    for _ in range(squarings):
-        out = out @ out
-    return out
-
-
-@compiled
-def squarings_for(matrix: FloatArray) -> int:
-    """Return how often the argument of `exponential` must be halved."""
-    largest = 0.0
-    for i in range(len(matrix)):
-        largest = max(largest, np.sum(np.abs(matrix[i])))
-    return max(0, int(np.ceil(np.log2(max(2.0 * largest, 1e-300)))))
-
-
-@compiled
-def hold_columns(a: FloatArray, columns: FloatArray, duration: float) -> FloatArray:
-    """Return exp of (a, columns; 0, 0) times `duration`: its upper part is exp(a·t) beside ∫ exp(a σ) columns dσ."""
-    n, inputs = columns.shape
-    augmented = np.zeros((n + inputs, n + inputs))
-    augmented[:n, :n] = a * duration
-    augmented[:n, n:] = columns * duration
-    whole: FloatArray = exponential(augmented, np.eye(n + inputs), squarings_for(augmented))
-    return whole
-
-
-def hold(a: FloatArray, b: FloatArray, duration: float) -> tuple[FloatArray, FloatArray]:
-    """Return exp(a·duration) and ∫ exp(a σ) b dσ over [0, duration]; `b` is (n,) or (n, inputs)."""
-    n, a, columns = len(a), np.ascontiguousarray(a), np.ascontiguousarray(b).reshape(len(a), -1)
-    if _MOST_SQUARINGS < squarings_for(a) <= _HOPELESS_SQUARINGS:
-        # So stiff a plant loses digits in repeated squaring; scipy scales it more carefully. Beyond all reason the
-        # squaring overflows, and what is not finite is refused.
-        whole = expm(np.pad(np.hstack([a, columns]) * duration, ((0, columns.shape[1]), (0, 0))))
-    else:
-        whole = hold_columns(a, columns, duration)
-    return np.ascontiguousarray(whole[:n, :n]), np.ascontiguousarray(whole[:n, n:]).reshape(b.shape)
 
 
 def build_sampled_plant(plant: Plant, sample_time_s: float) -> SampledPlant:
@@ -319,6 +271,22 @@ def _closed(m: FloatArray, signal: int) -> FloatArray:
     return out
 
 
+@compiled
+def _split(m: FloatArray) -> tuple[FloatArray, ...]:
+    """Close a cut loop at the command, then at the force; return a, b, b_push, c_force, c_command and (d_F, d_x)."""
+    n = len(m) - 2
+    closed = _closed(_closed(m, n + 1), n)
+    direct = np.array([closed[n, n], closed[n + 1, n]])
+    return (
+        closed[:n, :n].copy(),
+        closed[:n, n].copy(),
+        closed[:n, n + 2].copy(),
+        closed[n, :n].copy(),
+        closed[n + 1, :n].copy(),
+        direct,
+    )
+
+
 def check_wrench_delay(plant: Plant, law: Controller) -> None:
     """Raise ParameterError for a law that reads the position beside a wrench that is a delay late.
 
@@ -339,11 +307,22 @@ def check_wrench_delay(plant: Plant, law: Controller) -> None:
 def controller_matrix(law: Controller, sample_time_s: float) -> FloatArray:
     """Return the difference equation at h as `LinearController` holds it; raises ParameterError for another h."""
     if isinstance(law, AdmittanceController):
-        blocks = controller_blocks(law, sample_time_s)
-        return controller_matrices(blocks, needed_states(blocks))
+        matrix, _ = _difference(law, sample_time_s)
+        return matrix
     if law.sample_time_s != sample_time_s:
         raise ParameterError("sample_time_s", law.sample_time_s, f"that of the plant, {sample_time_s:g} s")
     return law.matrix
+
+
+@lru_cache(maxsize=256)
+def _difference(law: AdmittanceController, sample_time_s: float) -> tuple[FloatArray, FloatArray]:
+    """Return the difference equation (`controller_matrices`) and the kept states at rest at one metre, read-only."""
+    blocks = controller_blocks(law, sample_time_s)
+    kept = needed_states(blocks)
+    found = controller_matrices(blocks, kept), controller_rest(blocks)[kept]
+    for each in found:
+        each.setflags(write=False)
+    return found
 
 
 def build_cut_loop(sampled: SampledPlant, controller: Controller) -> CutLoop:
@@ -379,16 +358,15 @@ def _build_whole_cut(sampled: SampledPlant, controller: Controller) -> CutLoop:
 
 def build_loop(sampled: SampledPlant, controller: Controller) -> SampledLoop:
     """Close the loop of `sampled` and the sampled form of `controller`, without approximation."""
-    cut = _build_whole_cut(sampled, controller)
-    m, n = cut.closed_at(cut.command, cut.force), cut.state_count
+    a, b, b_push, c_force, c_command, direct = _split(_build_whole_cut(sampled, controller).matrix)
     return SampledLoop(
-        a=np.ascontiguousarray(m[:n, :n]),
-        b=m[:n, n].copy(),
-        b_push=m[:n, n + 2].copy(),
-        c_force=m[cut.force, :n].copy(),
-        d_force=float(m[cut.force, n]),
-        c_command=m[cut.command, :n].copy(),
-        d_command=float(m[cut.command, n]),
+        a=a,
+        b=b,
+        b_push=b_push,
+        c_force=c_force,
+        d_force=float(direct[0]),
+        c_command=c_command,
+        d_command=float(direct[1]),
         translation=translation_state(sampled, controller),
         sample_time_s=sampled.sample_time_s,
         is_anchored=sampled.plant.environment.is_anchored
@@ -403,8 +381,7 @@ def translation_state(sampled: SampledPlant, controller: Controller) -> FloatArr
     if isinstance(controller, LinearController):
         rest = controller.rest
     else:
-        blocks = controller_blocks(controller, sampled.sample_time_s)
-        rest = controller_rest(blocks)[needed_states(blocks)]
+        _, rest = _difference(controller, sampled.sample_time_s)
     return np.concatenate([plant, np.ones(sampled.chain_length), rest])
 
 
@@ -419,12 +396,33 @@ def stability_matrix(loop: SampledLoop) -> FloatArray:
     Without an anchor position is relative: subtracting the translation from every state by way of the payload position
     removes exactly one eigenvalue, 1, and leaves the others (no rounding decides whether 1.0000001 is unstable).
     """
-    if loop.is_anchored:
-        return loop.a
-    pivot = int(np.argmax(np.abs(loop.translation)))
-    reduced = loop.a - np.outer(loop.translation / loop.translation[pivot], loop.a[pivot])
-    keep = np.arange(len(loop.a)) != pivot
-    return np.ascontiguousarray(reduced[np.ix_(keep, keep)])
+    a, _, _ = relative_loop(loop, loop.c_force)
+    return a
+
+
+def relative_loop(loop: SampledLoop, row: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return a, b and the row (n,) of an output that sees no translation, in coordinates without it where it is free.
+
+    Of such an output row·translation is zero, so that dropping one state loses nothing.
+    """
+    return (loop.a, loop.b, row) if loop.is_anchored else _relative(loop.a, loop.b, row, loop.translation)
+
+
+@compiled
+def _relative(
+    a: FloatArray, b: FloatArray, row: FloatArray, translation: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Take the translation off by way of its largest entry, whose state is dropped."""
+    n, pivot = len(a), int(np.argmax(np.abs(translation)))
+    reduced, drive, output = np.empty((n - 1, n - 1)), np.empty(n - 1), np.empty(n - 1)
+    for i in range(n - 1):
+        of = i + (1 if i >= pivot else 0)
+        share = translation[of] / translation[pivot]
+        drive[i], output[i] = b[of] - share * b[pivot], row[of]
+        for j in range(n - 1):
+            column = j + (1 if j >= pivot else 0)
+            reduced[i, j] = a[of, column] - share * a[pivot, column]
+    return reduced, drive, output
 
 
 def spectral_radius(loop: SampledLoop) -> float:

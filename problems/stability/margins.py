@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import BoolArray, ComplexArray, FloatArray
+from ..compiled import compiled
 from ..errors import AutotuneError, ParameterError
 from ..model.controller import AdmittanceController
 from ..model.response import plant_response
@@ -204,10 +205,22 @@ def find_margins(sampled: SampledPlant, controller: AdmittanceController) -> Mar
     return prepare_margins(sampled).find(controller, radius)
 
 
+@compiled
+def _are_finite(matrix: FloatArray, vectors: tuple[FloatArray, FloatArray, FloatArray, FloatArray]) -> bool:
+    """Return whether every number of a matrix (n, n) and of vectors (n,) is finite."""
+    total = 0.0
+    for i in range(len(matrix)):
+        for j in range(len(matrix)):
+            total += 0.0 * matrix[i, j]
+        for vector in vectors:
+            total += 0.0 * vector[i]
+    return total == 0.0
+
+
 def check_finite(sampled: SampledPlant) -> None:
     """Refuse a plant whose matrices overflow: what is not a number would pass for a margin without limit."""
-    numbers = (sampled.phi, sampled.gamma, sampled.gamma_old, sampled.c_position, sampled.c_force, sampled.d_force)
-    if not all(np.all(np.isfinite(each)) for each in numbers):
+    vectors = (sampled.gamma, sampled.gamma_old, sampled.c_position, sampled.c_force)
+    if not (math.isfinite(sampled.d_force) and _are_finite(sampled.phi, vectors)):
         raise ParameterError("plant", sampled.plant, "one whose motion over one sample is finite")
 
 

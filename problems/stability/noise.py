@@ -7,7 +7,7 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..compiled import compiled
-from ..model.sampled import Controller, SampledLoop, SampledPlant, build_loop
+from ..model.sampled import Controller, SampledLoop, SampledPlant, build_loop, relative_loop
 
 # 2^60 ticks: no stable loop in double precision is slower.
 _DOUBLINGS = 60
@@ -15,13 +15,17 @@ _NOTHING = 1e-30
 
 
 def command_speed_gain(sampled: SampledPlant, controller: Controller) -> float:
+    """Return what `speed_gain_of` does for a plant and its controller."""
+    return speed_gain_of(build_loop(sampled, controller))
+
+
+def speed_gain_of(loop: SampledLoop) -> float:
     """Return the RMS of the commanded speed per RMS of white noise on the force [m/s per N], without a deadband.
 
     The speed is (x^d_k − x^d_{k−1})/h of the sampled loop's stationary covariance; the loop must be stable. The noise
     enters the controller as F^d does. Without an environment that holds a position, the loop is looked at relative to
     its translation, in which its command is the sum of steps that are stationary.
     """
-    loop = build_loop(sampled, controller)
     # x^d_{k+1} − x^d_k = c (a − 1) s_k + (c b − d) n_k + d n_{k+1}.
     row = loop.c_command @ loop.a - loop.c_command
     direct = np.array([float(loop.c_command @ loop.b) - loop.d_command, loop.d_command])
@@ -42,7 +46,7 @@ def felt_noise(sampled: SampledPlant, controller: Controller, correlation: float
     n has this correlation from one tick to the next (of the first order); the loop must be stable.
     """
     loop = build_loop(sampled, controller)
-    a, b, c = _relative(loop, loop.c_force)
+    a, b, c = relative_loop(loop, loop.c_force)
     n = len(a)
     # n_{k+1} = ρ n_k + w_k beside the loop.
     whole, drive = np.zeros((n + 1, n + 1)), np.zeros(n + 1)
@@ -54,21 +58,9 @@ def felt_noise(sampled: SampledPlant, controller: Controller, correlation: float
     return FeltNoise(gain=math.sqrt(variance), correlation=float(row @ whole @ covariance @ row) / variance)
 
 
-def _relative(loop: SampledLoop, row: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return a, b and the row of an output that does not see the translation, in coordinates without it."""
-    if loop.is_anchored:
-        return loop.a, loop.b, row
-    pivot = int(np.argmax(np.abs(loop.translation)))
-    shift = loop.translation / loop.translation[pivot]
-    keep = np.arange(len(loop.a)) != pivot
-    # Of such an output row·shift is zero, and dropping the pivot loses nothing.
-    a = (loop.a - np.outer(shift, loop.a[pivot]))[np.ix_(keep, keep)]
-    return a, (loop.b - shift * loop.b[pivot])[keep], row[keep]
-
-
 def _variance(loop: SampledLoop, row: FloatArray, direct: FloatArray) -> float:
     """Return the variance of an output under white noise of variance 1, in coordinates without translation."""
-    a, b, c = _relative(loop, row)
+    a, b, c = relative_loop(loop, row)
     covariance = _covariance(np.ascontiguousarray(a), np.ascontiguousarray(b))
     return max(0.0, float(c @ covariance @ c)) + float(direct @ direct)
 

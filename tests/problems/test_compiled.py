@@ -20,7 +20,8 @@ from problems import compiled as compiled_module
 from problems import compiling
 from problems.design.batch_kernel import judge_stability
 from problems.model.controller import blocks_of, controller_blocks, needed_states
-from problems.model.sampled import controller_matrices, squarings_for
+from problems.model.hold import squarings_for
+from problems.model.sampled import controller_matrices
 from problems.stability.margin_kernel import (
     EVERY_MARGIN,
     MARGINS,

@@ -6,7 +6,7 @@ from typing import Any
 
 from ..._checks import non_negative, positive
 from ...errors import ParameterError
-from ...stability.noise import command_speed_gain
+from ...stability.noise import speed_gain_of
 from ..stable_design import StableLoop
 from .base import LoopRequirement
 
@@ -72,4 +72,4 @@ class NoiseRequirement(LoopRequirement[NoiseLimit]):
 
     def of_loop(self, asked: NoiseLimit, loop: StableLoop) -> float:
         """Return the speed RMS [m/s]."""
-        return asked.speed_rms_m_s(command_speed_gain(loop.sampled, loop.controller))
+        return asked.speed_rms_m_s(speed_gain_of(loop.matrices))

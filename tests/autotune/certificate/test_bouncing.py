@@ -113,7 +113,7 @@ def test_the_enclosures_hold_the_response_of_every_plant_of_a_cell(law: Admittan
     )
     proof = bouncing._Proof(of, law, SOME, WORK)
     cell, rng = proof.box, np.random.default_rng(5)
-    plants = with_derivatives(cell, [proof._groups(each) for each in coefficients(proof.family, cell)])
+    plants = with_derivatives(cell, *map(proof._groups, coefficients(proof.family, cell)))
     arcs = proof.circle.halves(proof.circle.halves(proof.circle.halves(np.arange(proof.circle.count_of_first))))
     port = proof.response(arcs, cell, plants)
     for i in range(0, len(arcs), 7):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from autotune.certificate import certify as certify_module
-from autotune.certificate.balls import Balls, Jet, exact, jet_exponential
+from autotune.certificate.balls import Balls, DualBall, Jet, exact, exponential, jet_exponential, number, units
 from autotune.certificate.base_plant import fails_at
 from autotune.certificate.bounds import judge
 from autotune.certificate.family import Family
@@ -130,3 +130,23 @@ def test_jets_hold_value_slope_and_half_the_second_derivative() -> None:
         [[1.0, 0.0, -0.5], [0.0, 1.0, 0.0]],
         [[0.0, -1.0, 0.0], [1.0, 0.0, -0.5]],
     ]
+
+
+def test_several_derivatives_at_once_are_those_along_one_after_the_other() -> None:
+    """Through every operation and the exponential, to the last bit; of e^(x y) they are y e^(x y) and x e^(x y)."""
+
+    def work(x: DualBall, y: DualBall) -> DualBall:
+        turned = exponential(np.array([[x, y / 3], [-y, 2 - x]], dtype=object))
+        found: DualBall = (turned[0, 0] / (1 + y * y) - turned[1, 1] ** 3) * x + 2.5 / turned[0, 1]
+        return found
+
+    both = work(*(DualBall(number(at), unit) for at, unit in zip((0.3, 0.7), units(2), strict=True)))
+    for along in range(2):
+        alone = work(*(DualBall(number(at), number(1) if i == along else None) for i, at in enumerate((0.3, 0.7))))
+        assert both.value.mid() == alone.value.mid()
+        assert both.derivative[0, along].mid() == alone.derivative.mid()
+        assert both.derivative[0, along].rad() == alone.derivative.rad()
+    x, y = (DualBall(number(at), unit) for at, unit in zip((0.3, 0.7), units(2), strict=True))
+    (power,) = exponential(np.array([[x * y]], dtype=object))[0]
+    slopes = [float(power.derivative[0, along].mid()) for along in range(2)]
+    assert slopes == pytest.approx([0.7 * math.exp(0.21), 0.3 * math.exp(0.21)], rel=1e-15)

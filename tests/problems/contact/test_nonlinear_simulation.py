@@ -5,14 +5,24 @@ import numpy as np
 import pytest
 
 from problems.contact.nonlinear_simulation import Operator, simulate_nonlinear, simulate_operator
-from problems.contact.nonlinearities import Collision, CommandLimits, Deadband, Nonlinearities, VariableDamping
+from problems.contact.nonlinearities import (
+    NO_NONLINEARITIES,
+    Collision,
+    CommandLimits,
+    Deadband,
+    Nonlinearities,
+    VariableDamping,
+)
 from problems.contact.transient import Approach
 from problems.errors import ParameterError
 from problems.model.plant import Plant
+from problems.model.robot import RobotModel
 from problems.stability.margins import UnstableLoopError
 from tests.problems.axes import PERIOD_S, PRESS, admittance, one_pole, paper_plant
 from tests.problems.nonlinear_runs import FIRM, PRINTED, SUBTRACTIVE, THRESHOLD, light_plant, simulate
 
+TWO_POLES = RobotModel(numerator=np.array([900.0]), denominator=np.array([1.0, 42.0, 900.0]), delay_s=2.3e-3)
+LIMITED = Nonlinearities(limits=CommandLimits(speed_m_s=0.02, acceleration_m_s2=2.0))
 HAND = Approach(force_n=4.0, driven_by="hand")
 FAST = Approach(speed_m_s=0.1)
 
@@ -214,6 +224,58 @@ def test_an_operator_leads_the_payload_to_his_way_and_into_balance_with_the_wall
         assert run.contact_force_n[-1] == pytest.approx(max(0.0, 3e4 * there), rel=1e-3)
         assert run.sensor_force_n[-1] == pytest.approx(0.0, abs=0.1)
         assert (run.impact_time_s is None) == (end < 0.0)
+
+
+@pytest.mark.parametrize(
+    "effects", [NO_NONLINEARITIES, Nonlinearities(deadband=SUBTRACTIVE), LIMITED], ids=["none", "deadband", "limits"]
+)
+def test_leaps_over_samples_in_which_nothing_switches_change_nothing(effects: Nonlinearities) -> None:
+    for plant in (paper_plant(stiffness=3e4), paper_plant(stiffness=1e5, environment_damping=60.0, robot=TWO_POLES)):
+        law = admittance(20.0, 3500.0, 0.013, 0.01)
+        runs = [
+            simulate_nonlinear(
+                plant,
+                law,
+                Approach(force_n=30.0),
+                sample_time_s=PERIOD_S,
+                duration_s=0.6,
+                effects=effects,
+                substeps=40,
+                leaps=leaps,
+            )
+            for leaps in (False, True)
+        ]
+        np.testing.assert_allclose(runs[1].contact_force_n, runs[0].contact_force_n, rtol=0.0, atol=2e-5)
+        assert runs[1].peak_contact_force_n == pytest.approx(runs[0].peak_contact_force_n, rel=1e-7)
+        assert runs[1].impact_speed_m_s == runs[0].impact_speed_m_s
+
+
+def test_a_hand_that_moves_pulls_with_its_mean_over_a_leap() -> None:
+    path = -0.02 + 0.05 * PERIOD_S * np.minimum(np.arange(2500), 1400)
+    hand = Operator(mass_kg=2.0, damping_n_s_per_m=30.0, stiffness_n_per_m=2000.0, path_m=path)
+    plant, law = paper_plant(stiffness=5e4, drag=100.0, coupling_damping=300.0), admittance(20.0, 3500.0, 0.013)
+    runs = [
+        simulate_operator(plant, law, hand, sample_time_s=PERIOD_S, substeps=40, leaps=leaps) for leaps in (False, True)
+    ]
+    assert runs[0].peak_contact_force_n > 30.0
+    assert runs[1].peak_contact_force_n == pytest.approx(runs[0].peak_contact_force_n, rel=1e-5)
+    np.testing.assert_allclose(runs[1].payload_position_m, runs[0].payload_position_m, rtol=0.0, atol=5e-8)
+
+
+def test_a_plant_that_turns_too_fast_is_crossed_in_steps() -> None:
+    run = {}
+    for leaps in (False, True):
+        plant = paper_plant(stiffness=2e6, mass=3.0)
+        run[leaps] = simulate_nonlinear(
+            plant,
+            admittance(20.0, 3500.0, 0.013),
+            Approach(force_n=30.0),
+            sample_time_s=PERIOD_S,
+            duration_s=0.1,
+            leaps=leaps,
+            even_if_unstable=True,
+        )
+    np.testing.assert_array_equal(run[True].contact_force_n, run[False].contact_force_n)
 
 
 def test_a_hand_of_no_impedance_leaves_the_payload_where_it_is() -> None:

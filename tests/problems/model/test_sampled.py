@@ -11,6 +11,7 @@ from scipy.linalg import expm
 from problems.arrays import FloatArray
 from problems.errors import ParameterError
 from problems.model.controller import CONTROLLER_STATES, AdmittanceController, controller_blocks, needed_states
+from problems.model.hold import hold
 from problems.model.plant import FREE_SPACE, Coupling, Environment, PayloadDynamics, Plant, build_plant_matrices
 from problems.model.response import loop_response
 from problems.model.sampled import (
@@ -20,7 +21,6 @@ from problems.model.sampled import (
     build_loop,
     build_sampled_plant,
     controller_matrices,
-    hold,
     spectral_radius,
     split_delay,
     stability_matrix,

@@ -11,8 +11,9 @@ from problems.contact.linear_controller_contact import force_per_speed, simulate
 from problems.contact.transient import Approach, build_sampled_contact
 from problems.errors import ParameterError
 from problems.model.controller import AdmittanceController
+from problems.model.hold import hold
 from problems.model.plant import FREE_SPACE, Plant, build_plant_matrices
-from problems.model.sampled import build_loop, build_sampled_plant, hold, spectral_radius
+from problems.model.sampled import build_loop, build_sampled_plant, spectral_radius
 from problems.model.third_party_controllers import ForwardDynamics, SpringAdmittance, alternates
 from tests.problems.axes import PERIOD_S, one_pole, paper_plant
 from tests.problems.update_rules import Rule, stepped
