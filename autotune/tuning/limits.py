@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from autotune.errors import UsageError
+from autotune.errors import InfeasibleError, UsageError
 from autotune.formats.controller_record import AxisPrediction, Controller
 from autotune.formats.limits import AxisLimits, Limits, LimitsNoise, LimitsSpec, ResidualPeaks
 from autotune.formats.problem import ProblemSpec
@@ -16,6 +16,7 @@ from autotune.validation.limits import (
     choose_limits,
     commanded_motion,
     step_motion,
+    unsafe_speed,
     with_residual,
 )
 from identification.result import Identified
@@ -56,7 +57,8 @@ def limits_settings(identified: Identified, spec: ProblemSpec) -> LimitsSettings
 def with_limits(controller: Controller, settings: LimitsSettings) -> Controller:
     """Return the controller with its limits, and with the worst peaks under the residual weight that they allow.
 
-    Raises UsageError where the problem asks for a limit that the certified contacts reach or that is of no tuned axis.
+    Raises UsageError where the problem asks for a limit that the certified contacts reach or that is of no tuned axis,
+    InfeasibleError where no limit that lets them through keeps a led payload as slow as `contact_at_speed` asks.
     """
     reasons: dict[str, str] = {}
     axes = {
@@ -65,6 +67,7 @@ def with_limits(controller: Controller, settings: LimitsSettings) -> Controller:
     }
     limits = _said(controller, choose_limits(controller, settings.noise, axes, reasons), settings.spec)
     limited = replace(controller, limits=limits)
+    _check_safe(limited)
     predicted = {name: _predicted(limited, name) for name in controller.axes}
     return replace(limited, predicted=predicted)
 
@@ -115,6 +118,26 @@ def _said(controller: Controller, chosen: Limits, spec: LimitsSpec) -> Limits:
     reasons |= dict.fromkeys(spec.values, SAID)
     further: dict[str, Any] = dict(spec.values)
     return replace(chosen, axes=axes, reasons=reasons, **further)
+
+
+def _check_safe(controller: Controller) -> None:
+    """Refuse a limit that was chosen, and not said, above the speed up to which a contact is as gentle as asked.
+
+    Below what the certified contacts command it would stop the robot in them, while the lead takes the command back.
+    """
+    limits = controller.limits
+    for name in controller.axes:
+        unsafe = unsafe_speed(controller, name)
+        if limits is None or not unsafe or limits.reasons.get(f"axes.{name}.speed") == SAID:
+            continue
+        line = f"limits: {{axes: {{{name}: {{speed: {limits.axes[name].speed:g}}}}}}}"
+        raise InfeasibleError(
+            f"Axis {name}: {unsafe}. A lower limit would stop the robot in the certified contacts, which command as "
+            "much for some samples, noise included. Have them command less (a smaller upper bound of lead_s, a slower "
+            "approach), ask less of contact_at_speed, or keep a led payload slower by other means and say the limit in "
+            f"problem.yaml: {line}",
+            to_paste=(line,),
+        )
 
 
 def _check_reached(controller: Controller, name: str, values: Mapping[str, float]) -> None:

@@ -109,6 +109,22 @@ def choose_axis_limits(
     )
 
 
+def unsafe_speed(controller: Controller, name: str) -> str:
+    """Say that the limit of the speed lets a led payload touch faster than `contact_at_speed` allows; empty if not."""
+    asked, limits = asked_of(controller, name).get("contact_at_speed"), controller.limits
+    per_speed, units = controller.predicted[name].peak_per_speed, axis_units(name)
+    if not isinstance(asked, ContactAtSpeed) or per_speed is None or limits is None:
+        return ""
+    safe, limit = rounded_down(per_speed.largest_speed(asked.max_force_n, asked.hand), 3), limits.axes[name].speed
+    if limit <= safe:
+        return ""
+    force = limit * asked.max_force_n / safe
+    return (
+        f"up to {safe:g} {units.speed} no contact exceeds {asked.max_force_n:g} {units.force} (contact_at_speed), and "
+        f"limits.axes.{name}.speed is {limit:g}, at which it may be {force:.3g} {units.force}"
+    )
+
+
 def step_motion(controller: Controller, name: str, force: float) -> tuple[float, float]:
     """Return the speed and acceleration of a command from rest at which a force [N, N·m] comes at once."""
     h = controller.sample_time_s

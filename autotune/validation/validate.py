@@ -22,7 +22,7 @@ from .contacts import verify_led, verify_peaks, verify_response, verify_varied
 from .coupled import check_coupled
 from .coupled_proof import check_proofs
 from .held import check_held
-from .limits import verify_limits
+from .limits import unsafe_speed, verify_limits
 from .margins import SweptMargins, sweep_margins
 from .peak_proof import check_peaks
 from .proof_checks import check_continuous, check_stability, check_statements
@@ -279,6 +279,8 @@ def _together(case: AxisCase) -> Iterator[Check]:
 def _limits(case: AxisCase) -> Iterator[Check]:
     message, wrong = verify_limits(case.controller, case.name, case.domain, case.law)
     yield case.check("limits", "; ".join(wrong), message, warns=case.controller.limits is None)
+    if unsafe := unsafe_speed(case.controller, case.name):
+        yield case.check("speed limit", "", f"{unsafe}: keep a led payload slower by other means", warns=True)
 
 
 def _response(case: AxisCase) -> Iterator[Check]:

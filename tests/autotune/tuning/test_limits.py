@@ -1,13 +1,15 @@
 """The limits that `optimize` chooses, what `problem.yaml` may say of them, and what `validate` refuses."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from autotune.errors import UsageError
+from autotune.errors import InfeasibleError, UsageError
 from autotune.formats.controller_record import Controller, admittance_controller
 from autotune.formats.limits import LimitsSpec, ResidualPeaks
+from autotune.formats.yaml12 import parse_document
 from autotune.tuning.limits import LimitsSettings, largest_motion, limits_settings, with_limits
 from autotune.validation.replay import replay_contact
 from autotune.validation.validate import validate_controller
@@ -143,6 +145,30 @@ def test_a_limit_of_the_force_at_a_speed_sets_the_speed_of_the_command() -> None
     assert limits is not None
     assert 0.9 * fast < limits.axes["x"].speed <= fast
     assert "contact_at_speed" in limits.reasons["axes.x.speed"]
+
+
+def test_a_limit_above_the_speed_that_is_safe_is_not_chosen_and_said_only_with_a_note() -> None:
+    """Half of what the certified contacts command is asked to be safe: no limit holds both."""
+    whole = small_controller()
+    per_speed, reached = whole.predicted["x"].peak_per_speed, largest_motion(whole, "x")[0]
+    assert per_speed is not None
+    asked = ContactAtSpeed(speed_m_s=0.001, max_force_n=0.5 * reached * per_speed.pushes_on)
+    certificate = replace(whole.certificate, requirements={**whole.certificate.requirements, "contact_at_speed": asked})
+    fast = replace(whole, certificate=certificate)
+    with pytest.raises(InfeasibleError, match=r"Axis x: up to [\d.]+ m/s no contact exceeds") as refused:
+        with_limits(fast, LimitsSettings())
+    (line,) = refused.value.to_paste
+    assert line in str(refused.value)
+    said = parse_document(line.encode(), Path("p"), error=UsageError, exact=False).tree["limits"]
+    limited = with_limits(fast, LimitsSettings(spec=LimitsSpec(axes=said["axes"])))
+    assert limited.limits is not None
+    assert limited.limits.axes["x"].speed == said["axes"]["x"]["speed"] > reached
+    (note,) = (each for each in validate_controller(limited, is_short=True).checks if each.name == "speed limit")
+    assert note.passed
+    assert note.warns
+    twice = said["axes"]["x"]["speed"] / (0.5 * reached) * asked.max_force_n
+    assert float(note.message.rpartition("it may be ")[2].split(" N")[0]) == pytest.approx(twice, rel=0.01)
+    assert not [each for each in validate_controller(whole, is_short=True).checks if each.name == "speed limit"]
 
 
 @pytest.mark.parametrize("hand", HANDS)
