@@ -159,9 +159,9 @@ class FrontWriter:
 
     def check(self, spec: "ProblemSpec") -> None:
         """Refuse a front of another structure than four gains, which pareto.yaml does not hold."""
-        if self._prepared is not None and spec.structure not in (None, "gains"):
+        if self._prepared is not None and spec.structure == "biquad":
             raise UsageError(
-                f"A Pareto front is of four gains in their bounds; leave --structure {spec.structure} out."
+                "A Pareto front is of four gains, and pareto.yaml holds no biquad; leave --structure biquad out."
             )
         if self._prepared is not None and spec.bumper is not None:
             raise UsageError("A Pareto front is of a payload in one piece; leave payload.bumper out of problem.yaml.")

@@ -94,6 +94,7 @@ def _tune(
             (ProblemSpec() if problem is None else read_problem(problem)).with_options(
                 payload_mass=others["payload_mass"],
                 environment_stiffness=others["environment_stiffness"],
+                structure=others["structure"],
                 with_unit=fields_with_unit(),
             ),
             classes,
@@ -184,6 +185,8 @@ def print_schedule(tree: Mapping[str, Any]) -> None:
             f"changes while it runs: each controller for {tree['dwell_time_s']:.3g} s at least, then any other may "
             "take over, in free space or while a contact lasts"
         )
+    elif len(tree["classes"]) > 1:
+        print_message("changes while it runs: no waiting time is known to be safe between these controllers")
 
 
 def _numbers(values: Mapping[str, Any]) -> tuple[str, ...]:

@@ -19,6 +19,7 @@ from autotune.processes import map_in_processes
 from autotune.validation.dwell import dwell_time_s
 from identification.errors import EstimateError
 from problems.design.objectives import PeakObjective, force_of
+from problems.design.problem import DesignProblem
 from problems.errors import ParameterError
 from problems.progress import no_progress
 from problems.stability.margins import UnstableLoopError
@@ -145,9 +146,14 @@ def tune_schedule(
 
 def _check(task: _Task) -> None:
     """Refuse now what the search would refuse later: a mass that nobody can compensate, a parameter that is missing."""
-    problems = build_problems(task.identified.result, task.spec)
+    problems = _problems(task)
     asked = task.spec.payload_mass
     runtime_mass_kg(task.identified.result, certified_mass_kg(problems) or asked)
+
+
+def _problems(task: _Task) -> dict[str, DesignProblem]:
+    """Return what is asked of the gains of one task, whatever the structure of its law."""
+    return build_problems(task.identified.result, replace(task.spec, structure=None))
 
 
 def _tune(task: _Task) -> Controller | AutotuneError:
@@ -189,7 +195,7 @@ def _beside(pair: tuple[_Task, Tuned], *, common: str) -> Tuned | AutotuneError:
 def _judge(task: _Task, controller: Controller) -> tuple[dict[str, float], float]:
     """Return the worst peaks of a controller over a class, axis by axis, and by what share it misses what is asked."""
     peaks, missed = {}, 0.0
-    for axis, problem in build_problems(task.identified.result, task.spec).items():
+    for axis, problem in _problems(task).items():
         try:
             exact = WholeSet(problem, task.seed).evaluate(admittance_controller(controller, axis)).evaluation
         except UnstableLoopError as error:

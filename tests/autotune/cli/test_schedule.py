@@ -7,7 +7,11 @@ from pathlib import Path
 
 import pytest
 
+from autotune.cli.main import main
+from autotune.errors import InfeasibleError
+from autotune.formats.problem import ProblemSpec
 from autotune.formats.yaml12 import load_yaml
+from autotune.tuning import schedule as schedule_module
 from tests.autotune.tuning.cases import FAST_PROBLEM_YAML, write_plant
 from tests.next_step import is_next_alone
 
@@ -102,3 +106,18 @@ def test_an_identified_plant_is_not_compared_with_many_controllers(run_cli: RunC
     assert (done.returncode, done.stdout) == (2, "")
     assert "name one that the schedule lists" in done.stderr
     assert run_cli("validate", "schedule.yaml").returncode == 6
+
+
+def test_the_structure_is_that_of_the_command_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    prepare(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    seen = []
+
+    def refused(_plant: object, spec: ProblemSpec, *_args: object, **_options: object) -> None:
+        seen.append(spec.structure)
+        raise InfeasibleError("Not now.")
+
+    monkeypatch.setattr(schedule_module, "tune_schedule", refused)
+    table = [*BASE, "--schedule", "payload=8,16:22"]
+    assert [main(table), main([*table, "--structure", "biquad"])] == [5, 5]
+    assert seen == [None, "biquad"]

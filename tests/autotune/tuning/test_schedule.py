@@ -114,6 +114,16 @@ def test_a_class_has_the_controller_of_an_ordinary_call() -> None:
     assert small_schedule().tuned[0].controller == optimize(PLANT, spec, seed=1).controller
 
 
+def test_classes_have_the_structure_that_an_ordinary_call_has_and_a_biquad_no_dwell_time() -> None:
+    # Room for the biquad: a robot of which little is asked.
+    spec = replace(SPEC, structure="biquad")
+    found = tune_schedule(PLANT, spec, CLASSES[:1], seed=1)
+    alone = optimize(PLANT, of_class(CLASSES[0], spec), seed=1).controller
+    assert found.tuned[0].controller == alone
+    assert alone.axes["x"].biquad is not None
+    assert found.dwell_time_s is None
+
+
 def test_peaks_and_cost_are_those_of_the_exact_transient() -> None:
     schedule = small_schedule()
     assert schedule.common is not None

@@ -190,8 +190,11 @@ def test_elsewhere_a_structure_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="structure: biquad is searched by optimize"):
         build_problems(identified_plant(), spec)
     request = FrontRequest()
+    writer = FrontWriter(request, tmp_path / "controller.yaml")
     with pytest.raises(UsageError, match="leave --structure biquad out"):
-        FrontWriter(request, tmp_path / "controller.yaml").check(spec)
+        writer.check(spec)
+    for each in (None, "gains", "noise"):
+        writer.check(replace(spec, structure=each))
     with pytest.raises(UsageError, match="crisp runs another law"):
         specs_for(TARGETS["crisp"], spec)
 
