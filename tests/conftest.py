@@ -51,10 +51,11 @@ def pytest_collection(session: pytest.Session) -> None:
     """
     worker = getattr(session.config, "workerinput", {}).get("workerid", "gw0")
     if int(worker.removeprefix("gw")) % 2:
-        for path in sorted((ROOT / "tests").rglob("test_*.py"), reverse=True):
+        folders = [each for each in map(Path, session.config.args) if each.is_dir()]
+        for path in sorted((path for each in folders for path in each.rglob("test_*.py")), reverse=True):
             # What cannot be imported is reported where it is collected.
             with contextlib.suppress(Exception, pytest.skip.Exception):
-                importlib.import_module(".".join(path.relative_to(ROOT).with_suffix("").parts))
+                importlib.import_module(".".join(path.resolve().relative_to(ROOT).with_suffix("").parts))
 
 
 def pytest_collection_finish() -> None:
