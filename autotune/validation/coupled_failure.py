@@ -6,7 +6,7 @@ from autotune.formats.coupled_record import Vector
 from autotune.formats.units import axis_units
 from autotune.text import stiffness_text
 from problems.model.coupled import CoupledLoop, CoupledSampledPlant
-from problems.stability.coupled_margins import CoupledMargins, worst_mode
+from problems.stability.coupled_margins import worst_mode
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,6 +88,7 @@ def slowest_mode(case: CoupledCase, *, bounces: bool = False) -> CoupledFailure:
     )
 
 
-def weak_modulus(case: CoupledCase, margins: CoupledMargins, asked: float) -> CoupledFailure:
-    """Return what misses the modulus."""
-    return replace(slowest_mode(case), mode_hz=margins.modulus_hz, modulus=(margins.modulus, asked))
+def weak_modulus(case: CoupledCase, found: tuple[float, float], asked: float) -> CoupledFailure:
+    """Return what misses the modulus: what was `found`, and at how many Hz."""
+    modulus, hz = found
+    return replace(slowest_mode(case), mode_hz=hz, modulus=(modulus, asked))

@@ -12,7 +12,12 @@ from autotune.formats.units import AXES, ROTATIONAL_AXES, axis_units
 from autotune.text import stiffness_text
 from problems.model.coupled import CoupledPlant, Law, build_coupled_loop, build_coupled_sampled_plant
 from problems.model.sampled import build_sampled_plant
-from problems.stability.coupled_margins import CoupledMargins, coupled_sensitivities, find_coupled_margins
+from problems.stability.coupled_margins import (
+    CoupledMargins,
+    coupled_sensitivities,
+    find_coupled_margins,
+    find_coupled_modulus,
+)
 from problems.stability.margins import Margins, find_margins
 
 from .coupled_cell import UNCOUPLED, CoupledCell
@@ -50,7 +55,9 @@ def sweep_coupled(cell: CoupledCell, body: CoupledBody, least_modulus: float | N
     if least_modulus is not None:
         weak = min(found, key=lambda each: each[1].modulus, default=None)
         if weak is not None and weak[1].modulus < least_modulus:
-            return CoupledSweep(certificate=None, failure=weak_modulus(*weak, least_modulus))
+            case, margins = weak
+            missed = weak_modulus(case, (margins.modulus, margins.modulus_hz), least_modulus)
+            return CoupledSweep(certificate=None, failure=missed)
     apart = {name: _apart(cell, name) for name in cell.domains}
     single = [apart[group[0]] for group in cell.groups() if len(group) == 1 and group[0] in apart]
     every: list[Margins | CoupledMargins] = [*single, *(margins for _, margins in found)]
@@ -141,9 +148,9 @@ class CoupledPlants:
             case = CoupledCase(group=group, where=where, sampled=sampled, loop=loop)
             failure = find_failure(case)
             if failure is None and self.least_modulus is not None and group in self._groups:
-                margins = _margins(cell, case)
-                if margins.modulus < self.least_modulus:
-                    failure = weak_modulus(case, margins, self.least_modulus)
+                modulus, hz = find_coupled_modulus(sampled, cell.law(group), cell.scale(group), loop)
+                if modulus < self.least_modulus:
+                    failure = weak_modulus(case, (modulus, hz), self.least_modulus)
             if failure is not None:
                 # The next laws are much like these, and fail at the same plant.
                 self._sampled.insert(0, self._sampled.pop(place))

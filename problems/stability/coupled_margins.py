@@ -133,27 +133,10 @@ def find_coupled_margins(
 
     Raises UnstableLoopError if the loop is not stable, by its eigenvalues, ParameterError without any law.
     """
-    if not any(law is not None for law in laws):
-        raise ParameterError("laws", "none", "at least one")
-    closed = build_coupled_loop(sampled, laws) if loop is None else loop
-    poles, _ = coupled_poles(closed)
-    radius = float(np.max(np.abs(poles)))
-    if not radius < 1.0:
-        raise UnstableLoopError(radius)
-    grid = _grid(poles, sampled.sample_time_s)
+    poles, grid = _stable_grid(sampled, laws, loop)
     values = _values(coupled_sensitivities(sampled, laws, scale, grid))
-    best, places = np.min(values, axis=1), grid[np.argmin(values, axis=1)]
-
-    def refined(row: int) -> Callable[[FloatArray], FloatArray]:
-        return lambda at: _values(coupled_sensitivities(sampled, laws, scale, at), row)[0]
-
-    for row, each in enumerate(values):
-        near = _minima(each)
-        near = near[each[near] < _NEAR * best[row]]
-        low, high = grid[np.maximum(near - 1, 0)], grid[np.minimum(near + 1, len(grid) - 1)]
-        found, place = _lowest(refined(row), low, high)
-        if found < best[row]:
-            best[row], places[row] = found, place
+    found = [_searched(sampled, laws, scale, grid, each, row) for row, each in enumerate(values)]
+    best, places = np.array(found).T
     hz, count = places / (2.0 * np.pi), (len(values) - 2) // 2
     return CoupledMargins(
         modulus=float(best[0]),
@@ -164,8 +147,49 @@ def find_coupled_margins(
             LoopMargins(modulus=float(best[2 + i]), modulus_hz=float(hz[2 + i]), disk=float(best[2 + count + i]))
             for i in range(count)
         ),
-        spectral_radius=radius,
+        spectral_radius=float(np.max(np.abs(poles))),
     )
+
+
+def find_coupled_modulus(
+    sampled: CoupledSampledPlant, laws: Sequence[Law], scale: FloatArray, loop: CoupledLoop | None = None
+) -> tuple[float, float]:
+    """Find `modulus` and `modulus_hz` of `find_coupled_margins` alone, in a fraction of its time; raises as it does."""
+    _, grid = _stable_grid(sampled, laws, loop)
+    (values,) = _values(coupled_sensitivities(sampled, laws, scale, grid), 0)
+    modulus, place = _searched(sampled, laws, scale, grid, values, 0)
+    return modulus, place / (2.0 * np.pi)
+
+
+def _stable_grid(
+    sampled: CoupledSampledPlant, laws: Sequence[Law], loop: CoupledLoop | None
+) -> tuple[ComplexArray, FloatArray]:
+    """Return the poles (m,) of a stable loop and the frequencies (n,) at which its margins are looked for first."""
+    if not any(law is not None for law in laws):
+        raise ParameterError("laws", "none", "at least one")
+    closed = build_coupled_loop(sampled, laws) if loop is None else loop
+    poles, _ = coupled_poles(closed)
+    radius = float(np.max(np.abs(poles)))
+    if not radius < 1.0:
+        raise UnstableLoopError(radius)
+    return poles, _grid(poles, sampled.sample_time_s)
+
+
+def _searched(
+    sampled: CoupledSampledPlant,
+    laws: Sequence[Law],
+    scale: FloatArray,
+    grid: FloatArray,
+    values: FloatArray,
+    row: int,
+) -> tuple[float, float]:
+    """Return the least value of a row and its place, from its values (n,) on the grid."""
+    lowest = int(np.argmin(values))
+    near = _minima(values)
+    near = near[values[near] < _NEAR * values[lowest]]
+    low, high = grid[np.maximum(near - 1, 0)], grid[np.minimum(near + 1, len(grid) - 1)]
+    found, place = _lowest(lambda at: _values(coupled_sensitivities(sampled, laws, scale, at), row)[0], low, high)
+    return (found, place) if found < values[lowest] else (float(values[lowest]), float(grid[lowest]))
 
 
 def _lowest(values: Callable[[FloatArray], FloatArray], low: FloatArray, high: FloatArray) -> tuple[float, float]:

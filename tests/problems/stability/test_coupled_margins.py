@@ -6,6 +6,7 @@ from problems.model.sampled import build_sampled_plant
 from problems.stability.coupled_margins import (
     coupled_sensitivities,
     find_coupled_margins,
+    find_coupled_modulus,
     largest_sensitivity,
     scaled_norm,
     worst_mode,
@@ -31,6 +32,8 @@ def test_the_smallest_singular_value_is_the_one_that_needs_no_grid(surface: Poin
     sampled = build_coupled_sampled_plant(cell(surface=surface), PERIOD_S)
     loop = build_coupled_loop(sampled, LAWS)
     found = find_coupled_margins(sampled, LAWS, SCALE, loop)
+    assert find_coupled_modulus(sampled, LAWS, SCALE) == find_coupled_modulus(sampled, LAWS, SCALE, loop)
+    assert find_coupled_modulus(sampled, LAWS, SCALE) == (found.modulus, found.modulus_hz)
     gain, hz = largest_sensitivity(loop, (0, 1), SCALE)
     # Of the forces alone: the commands may have less.
     assert found.modulus <= 1.0 / gain * (1.0 + 1e-9)
@@ -57,6 +60,8 @@ def test_an_unstable_loop_has_no_margins_and_names_its_mode() -> None:
     sampled = build_coupled_sampled_plant(cell(), PERIOD_S)
     with pytest.raises(UnstableLoopError):
         find_coupled_margins(sampled, softer, SCALE)
+    with pytest.raises(UnstableLoopError):
+        find_coupled_modulus(sampled, softer, SCALE)
     mode = worst_mode(sampled, build_coupled_loop(sampled, softer))
     assert mode.radius > 1.0
     assert 10.0 < mode.frequency_hz < 25.0
