@@ -101,6 +101,7 @@ class ReplayedSurface:
             f"in your log {range_text(low, high)} {unit} ({count} on {predicted.surface}, "
             f"{span_text(speeds, unit)}); with {self.law} {where} "
             f"{predicted.peak_sensor_force:.{digits}f} {unit} [{ends[0]:.{digits}f}, {upper}]{pressed}"
+            f"{_harder_text(predicted.peak_sensor_force, high)}"
         )
 
 
@@ -181,7 +182,10 @@ class BeforeAndAfter(Shown):
             return ""
         if math.isinf(before):
             return f"the gains of today are unstable on a certified plant; {self._law}: at most {after:.1f} {unit}"
-        return f"gains of today: up to {before:.1f} {unit} on a certified plant; {self._law}: {after:.1f} {unit}"
+        harder = _harder_text(after, before)
+        return (
+            f"gains of today: up to {before:.1f} {unit} on a certified plant; {self._law}: {after:.1f} {unit}{harder}"
+        )
 
     def _free_text(self, has_contacts: bool) -> str:
         change = self.free_motion_change
@@ -305,6 +309,11 @@ def compare_before_after(
             as_run_by=target,
         )
     return found
+
+
+def _harder_text(after: float, before: float) -> str:
+    """Say by how much a contact is harder than it was, "" where it is not."""
+    return f", {100.0 * (after / before - 1.0):.0f} % HARDER than before" if after > (1.0 + _SAME_PEAK) * before else ""
 
 
 def _name_of(target: AsRunBy | None) -> str:

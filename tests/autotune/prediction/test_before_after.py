@@ -91,6 +91,19 @@ def test_the_sentence_says_both_peaks_and_by_how_much_free_motion_changes() -> N
     assert found.sentence().endswith(f"free motion {heavier:.0f} % heavier than with {found.label}")
 
 
+def test_a_contact_that_is_harder_than_before_is_said_to_be() -> None:
+    assert "HARDER" not in replayed().sentence()
+    measured = 0.5 * peak_of(8.0, 1200.0, 0.02)
+    found = compare_before_after(source(touch(measured)), controller())["x"]
+    after = found.surfaces[0].after.predicted.peak_sensor_force
+    assert f", {100.0 * (after / measured - 1.0):.0f} % HARDER than before" in found.sentence()
+    # Without a contact in the log it is the certified one.
+    worst = replace(found, surfaces=(), worst=(40.0, 50.0), label="gains", hand=(1.0, 1.0)).sentence()
+    assert worst.startswith(
+        "gains of today: up to 40.0 N on a certified plant; this controller: 50.0 N, 25 % HARDER than"
+    )
+
+
 def test_a_force_that_the_log_does_not_show_is_not_said_to_be_of_the_log() -> None:
     """Without F^d and without a hold what drives the approach under the new law goes on: (B_a + B_p) v."""
     measured = peak_of(13.0, 1000.0, 0.02)
