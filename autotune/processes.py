@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
-from multiprocessing import active_children, get_context, parent_process
+from multiprocessing import get_context, parent_process
 from multiprocessing.process import BaseProcess
 from typing import TypeVar
 
@@ -46,21 +46,28 @@ def map_in_processes(
     count = min(processes, len(tasks))
     if count < 2:
         return [_done(work(task), done) for task in tasks]
-    others = active_children()
+    with worker_pool(count) as pool:
+        futures = [pool.submit(_with_warnings, work, task) for task in tasks]
+        for future in futures:
+            future.add_done_callback(lambda _: done())
+        return [_warned_again(*future.result()) for future in futures]
+
+
+@contextmanager
+def worker_pool(count: int) -> Iterator[ProcessPoolExecutor]:
+    """Yield a pool of processes of this machine; what is raised meanwhile, or an interrupt, ends them at once."""
     # A fork would copy the threads' locks of the libraries that are loaded already.
-    with ProcessPoolExecutor(count, mp_context=get_context("spawn"), initializer=prepare_worker) as pool:
-        try:
-            with worker_environment():
-                futures = [pool.submit(_with_warnings, work, task) for task in tasks]
-            for future in futures:
-                future.add_done_callback(lambda _: done())
-            return [_warned_again(*future.result()) for future in futures]
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            for process in active_children():
-                if process not in others:
-                    process.terminate()
-            raise
+    pool = ProcessPoolExecutor(count, mp_context=get_context("spawn"), initializer=prepare_worker)
+    try:
+        with worker_environment():
+            yield pool
+    except BaseException:
+        processes = list((pool._processes or {}).values())  # noqa: SLF001 - kill_workers() is of Python 3.14
+        pool.shutdown(wait=False, cancel_futures=True)  # which forgets its processes
+        for process in processes:
+            process.terminate()
+        raise
+    pool.shutdown(cancel_futures=True)
 
 
 _Warned = tuple[type[Warning], str, str, int]

@@ -2,13 +2,12 @@
 
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ProcessPoolExecutor, wait
-from contextlib import AbstractContextManager, contextmanager, nullcontext
-from multiprocessing import get_context
+from collections.abc import Callable, Sequence
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
-from autotune.processes import prepare_worker, worker_environment
+from autotune.processes import worker_pool
 from problems.errors import AutotuneError
 
 from .dask_pool import MOST_DEATHS, DaskPool
@@ -133,7 +132,7 @@ class _Work:
         while self.free or suspects:
             # One by one, what had a worker when one died: so only the run that ends its process is counted.
             queue, most = (suspects, 1) if suspects else (self.free, jobs + 1)
-            with _workers(executor, jobs) as workers:
+            with worker_pool(jobs) if executor is None else nullcontext(executor) as workers:
                 for task in self._drain(workers, queue, most):
                     deaths[task.run.name] += most == 1
                     if deaths[task.run.name] < MOST_DEATHS:
@@ -179,25 +178,6 @@ class _Work:
         del self.left[task.run.name]
         self.done[task.run.name] = outcome
         self.advance(1, task.run.name)
-
-
-@contextmanager
-def _workers(executor: Executor | None, jobs: int) -> Iterator[Executor]:
-    """Yield the executor that is given, else processes of this machine; those end with an interrupt."""
-    if executor is not None:
-        yield executor
-        return
-    # A fork would copy the threads' locks of the libraries that are loaded already.
-    pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=prepare_worker)
-    try:
-        with worker_environment():
-            yield pool
-    except BaseException:
-        pool.shutdown(wait=False, cancel_futures=True)
-        for process in list((pool._processes or {}).values()):  # noqa: SLF001 - kill_workers() is of Python 3.14
-            process.terminate()
-        raise
-    pool.shutdown(cancel_futures=True)
 
 
 def _look_after(workers: Executor) -> tuple[Future[RunOutcome], ...]:

@@ -6,17 +6,19 @@ import subprocess
 import sys
 import time
 import warnings
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 import pytest
 
-from autotune.processes import count_processors, map_in_processes
+from autotune.processes import count_processors, map_in_processes, worker_pool
 from identification.errors import EstimateError
 from problems.frozen import FrozenDict
 
 # Work that another process can import: at the top of a module, and of none that pytest rewrites.
 _PIDS = """
 import os, sys, time
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from autotune.processes import map_in_processes
 
@@ -159,3 +161,22 @@ def test_each_finished_task_is_reported(processes: int) -> None:
     reported: list[int] = []
     map_in_processes(abs, [1, 2, 3], processes, each=lambda: reported.append(1))
     assert len(reported) == 3
+
+
+def test_workers_end_with_an_interrupt_in_the_midst_of_their_work() -> None:
+    """A worker leaves the interrupt to the process that waits, which then ends it."""
+    workers: list[BaseProcess] = []
+
+    def interrupted() -> None:
+        with worker_pool(1) as pool:
+            future = pool.submit(time.sleep, 600.0)
+            while not future.running():
+                time.sleep(0.01)
+            workers.extend(pool._processes.values())
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    (worker,) = workers
+    worker.join(60.0)
+    assert worker.exitcode == -signal.SIGTERM

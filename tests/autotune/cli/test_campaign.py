@@ -24,7 +24,7 @@ def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
     def workers(*_: object) -> Iterator[Executor]:
         yield Counting()
 
-    monkeypatch.setattr(run, "_workers", workers)
+    monkeypatch.setattr(run, "worker_pool", workers)
 
 
 @pytest.fixture
