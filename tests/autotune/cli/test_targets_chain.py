@@ -12,7 +12,7 @@ from autotune.export.designing import lacking_gains
 from autotune.export.targets import TARGETS
 from autotune.formats.controller import read_controller
 from autotune.prediction.as_run_by import as_run_by
-from tests.autotune.tuning.cases import shorten_proofs
+from tests.autotune.tuning.cases import shorten_checks
 from tests.conftest import RunCli
 
 # What only an installation knows: the certificate does not depend on it.
@@ -41,7 +41,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         torque_bias=NONE,
     )
     plant.save(folder / "plant.yaml")
-    design = at.optimize(folder / "plant.yaml")
+    with pytest.MonkeyPatch.context() as patch:
+        shorten_checks(patch)
+        design = at.optimize(folder / "plant.yaml")
     design.save(folder / "controller.yaml")
     return folder
 
@@ -51,7 +53,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_controller_reaches_every_target_by_the_commands_that_a_refusal_names(
     target: str, folder: Path, run_cli: RunCli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    shorten_proofs(monkeypatch)
+    shorten_checks(monkeypatch)
     source, out = folder / "controller.yaml", OUT.get(target, "out.txt")
     done = run_cli("export", str(source), "--target", target, *NAMES.get(target, ()), "-o", out, "--json")
     if TARGETS[target].runs_same_law:
@@ -103,7 +105,7 @@ def test_a_controller_reaches_every_target_by_the_commands_that_a_refusal_names(
 def test_without_an_orientation_the_last_two_commands_lead_there_for_a_tool_that_points_down(
     folder: Path, run_cli: RunCli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    shorten_proofs(monkeypatch)
+    shorten_checks(monkeypatch)
     done = run_cli("export", str(folder / "controller.yaml"), "--target", "fzi_cartesian", "-o", "out.txt")
     assert done.returncode == 2
     *_, design, export = (line for line in done.stderr.splitlines() if line.startswith("    autotune "))
@@ -119,7 +121,7 @@ def test_without_an_orientation_the_last_two_commands_lead_there_for_a_tool_that
 def test_the_replay_of_a_log_is_that_of_the_law_which_will_run(
     good_log: Path, run_cli: RunCli, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    shorten_proofs(monkeypatch)
+    shorten_checks(monkeypatch)
     assert run_cli("identify", good_log).returncode == 0
     # Surfaces near each other and one mass make for a short search; the contacts of the log are among them.
     done = run_cli("optimize", "identified.yaml", "--for", "urscript", *NEAR)
