@@ -25,6 +25,7 @@ from problems.model.plant import FREE_SPACE
 from problems.model.robot import bandwidth_hz
 from problems.model.sampled import build_loop, build_sampled_plant, spectral_radius
 from problems.progress import Progress
+from tests.autotune.tuning.cases import shorten_checks
 
 RunCli = Callable[..., "subprocess.CompletedProcess[str]"]
 EARLIER = "from an earlier run\n"
@@ -43,7 +44,7 @@ class Whole:
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Whole:
-    """The demo as users run it (`make demo` is its own process), over a file of an earlier run."""
+    """The demo with fewer impacts and plants (`make demo` is as users run it), over a file of an earlier run."""
     folder = tmp_path_factory.mktemp("demo") / "deep"
     folder.mkdir()
     (folder / "controller.yaml").write_text(EARLIER, encoding="utf-8")
@@ -60,6 +61,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Whole:
 
     out, err = io.StringIO(), io.StringIO()
     with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        shorten_checks(patch)
         patch.setattr(demo_module, "run_demo", watched)
         assert main(["demo", str(folder), "--seed", "3", "--json"]) == 0
     notes = err.getvalue().splitlines()
