@@ -64,7 +64,7 @@ class RestOutcome:
 def prove_rest(
     family: Family,
     law: Controller,
-    multiplier: Multiplier,
+    multiplier: Multiplier | None,
     *,
     work: int,
     progress: Callable[[float], None] | None = None,
@@ -78,7 +78,7 @@ def prove_rest(
     law
         The control law under the hold of the family; not one that holds a position, or follows it.
     multiplier
-        What it is proved by.
+        What it is proved by; None is passivity, M = s: the surface may then be any passive one, with a mass.
     work
         Bound of the effort, as for `certify`.
     progress
@@ -142,9 +142,11 @@ class _Part:
 class _Proof:
     """The cells of plants in free space that wait, and what was counted."""
 
-    def __init__(self, family: Family, law: Controller, multiplier: Multiplier, work: int) -> None:
+    def __init__(self, family: Family, law: Controller, multiplier: Multiplier | None, work: int) -> None:
         self.law = check_covered(family, law)
-        self.stiffness, self.damping = family.range_of(STIFFNESS)[1], family.range_of(DAMPING)[1]
+        self.compliance, self.damping = 1.0 / family.range_of(STIFFNESS)[1], family.range_of(DAMPING)[1]
+        if multiplier is None:
+            self.compliance = self.damping = 0.0
         self.family, self.multiplier, self.h = family.in_free_space(), multiplier, family.sample_time_s
         self.box = self.family.box()
         whole, has_fraction = self.family.delay()
@@ -152,7 +154,11 @@ class _Proof:
         groups = self._groups(plant_polynomials(self.family, self.box))
         sizes = tuple(len(part) for part in groups)
         self.circle = Circle(self.law, self.chain, sizes, is_deflated=True, pull=True)
-        self.others = OtherFrequencies.of(self.family, multiplier, self.stiffness, self.damping)
+        self.others = (
+            OtherFrequencies.of_velocity(self.family)
+            if multiplier is None
+            else OtherFrequencies.of(self.family, multiplier, family.range_of(STIFFNESS)[1], self.damping)
+        )
         first = np.arange(self.circle.count_of_first)
         self.waiting = [_Part(cell=self.box, arcs=first, share=1.0)]
         self.most, self.work, self.cells, self.arcs, self.share = work, 0, 0, 0, 0.0
@@ -231,7 +237,12 @@ class _Proof:
         through = taylor_of(linear_part(parts[-1:], (1.0,), found.half)) * closed.inverse()
         middle = np.mean(self.circle.angles(arcs), axis=1)
         values = _Values(self.family, cell, middle, found.half)
-        over_s = values.widened(multiplier_over_s(self.multiplier, middle, found.half, self.h))
+        one = values.s.times(0.0).plus(1.0)
+        over_s = (
+            one
+            if self.multiplier is None
+            else values.widened(multiplier_over_s(self.multiplier, middle, found.half, self.h))
+        )
         stiff = values["coupling_stiffness_n_per_m"] + values["coupling_damping_n_s_per_m"] * values.s
         payload = values.payload()
         moved = (payload * stiff * values.robot() * values.late(self.chain - 1) * through).times(1.0 / self.h)
@@ -239,9 +250,9 @@ class _Proof:
         if LAG in self.family.varying or self.family.nominal.wrench_filter.time_constant_s > 0.0:
             sensed = sensed * (values[LAG] * values.s).plus(1.0).inverse()
         driven, multiplied = over_s * moved, values.s * over_s
-        spring = payload.plus(1.0 / self.stiffness) * multiplied + driven * sensed
+        spring = payload.plus(self.compliance) * multiplied + driven * sensed
         velocity = across = moved.times(0.0)
-        if self.damping > 0.0:
+        if self.damping > 0.0 and self.multiplier is not None:
             velocity = moved * sensed + values.s * payload
             turned_back = velocity.conjugate().times(self.multiplier.damper_s)
             across = (multiplied * payload + driven * sensed + turned_back).times(0.5)

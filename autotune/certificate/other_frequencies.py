@@ -11,11 +11,20 @@ from problems.contact.multiplier import Multiplier
 from problems.design.uncertainty import MASS
 from problems.model.robot import bandwidth_hz
 
-from .family import Family
+from .family import LAG, Family
 
 _OUT = 1.0 + 1e-9
 # ζ(2) and ζ(4) bound the sums over the frequencies that the sampler mixes: they are at least mπ/h for m = 1, 2, …
 _SUM_OF_SQUARES, _SUM_OF_FOURTH = math.pi**2 / 6.0, math.pi**4 / 90.0
+
+
+def _robot_bound(family: Family, omega: float) -> float:
+    """Return a bound of |r| from a frequency [rad/s] on, at which it is the largest; infinite where there is none."""
+    numerator, denominator = family.nominal.robot.ascending()
+    faster = family.range_of("robot_bandwidth_hz")[1] / bandwidth_hz(family.nominal.robot)
+    powers = (omega / faster / _OUT) ** np.arange(len(denominator))
+    least = powers[-1] - float(np.sum(np.abs(denominator[:-1]) * powers[:-1])) * _OUT
+    return float(np.sum(np.abs(numerator) * powers[: len(numerator)])) / least if least > 0.0 else math.inf
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,15 +49,12 @@ class OtherFrequencies:
         omega, ranges = math.pi / family.sample_time_s, family.range_of
         k_s, b_s = ranges("coupling_stiffness_n_per_m")[1], ranges("coupling_damping_n_s_per_m")[1]
         payload = ranges(MASS)[0] * omega**2 / _OUT - k_s
-        numerator, denominator = family.nominal.robot.ascending()
-        faster = ranges("robot_bandwidth_hz")[1] / bandwidth_hz(family.nominal.robot)
-        powers = (omega / faster / _OUT) ** np.arange(len(denominator))
-        robot = powers[-1] - float(np.sum(np.abs(denominator[:-1]) * powers[:-1])) * _OUT
-        if not (payload > 0.0 and robot > 0.0):
+        robot = _robot_bound(family, omega)
+        if not (payload > 0.0 and math.isfinite(robot)):
             return nothing
         gain = (k_s + b_s * omega) / payload
         real = multiplier.least_real(omega) / stiffness / _OUT - multiplier.weight / payload * _OUT
-        moved = gain * float(np.sum(np.abs(numerator) * powers[: len(numerator)])) / robot / family.sample_time_s
+        moved = gain * robot / family.sample_time_s
         size = multiplier.rate_s + multiplier.weight / omega
         if not real > 0.0:
             return nothing
@@ -69,6 +75,34 @@ class OtherFrequencies:
             senses=gain * math.sqrt(_SUM_OF_SQUARES * (1.0 / real + 1.0 / lossy)) * _OUT,
             damper=damper,
             compliance=1.0 / damping,
+        )
+
+    @classmethod
+    def of_velocity(cls, family: Family) -> "OtherFrequencies":
+        """Return them for M = s and no spring, over plants of a family in free space; infinite where there are none.
+
+        Re jωP = ω² B/|K_s + jωB − M_p ω²|² with B = B_p + B_s is at least β/ω². A force that is no more than the
+        derivative of a function of finite energy, as impulses are, is only felt where sampling it is bounded: without
+        damping in the coupling, or through a filter.
+        """
+        nothing = cls(drives=math.inf, senses=math.inf)
+        omega, ranges = math.pi / family.sample_time_s, family.range_of
+        k_s, b_s = ranges("coupling_stiffness_n_per_m")[1], ranges("coupling_damping_n_s_per_m")
+        lag = min(ranges(LAG)[0], family.nominal.wrench_filter.time_constant_s)
+        (light, heavy), drag = ranges(MASS), ranges("drag_n_s_per_m")
+        payload = light * omega**2 / _OUT - k_s
+        robot = _robot_bound(family, omega)
+        lossy = (drag[0] + b_s[0]) / (heavy**2 + ((drag[1] + b_s[1]) / omega) ** 2) / _OUT
+        if not (payload > 0.0 and lossy > 0.0 and math.isfinite(robot) and (b_s[1] == 0.0 or lag > 0.0)):
+            return nothing
+        gain = (k_s + b_s[1] * omega) / payload
+        moved = gain * robot / family.sample_time_s
+        # Without damping the coupling's force falls with the square of the frequency, else with it alone.
+        falls = _SUM_OF_FOURTH if b_s[1] == 0.0 else _SUM_OF_SQUARES
+        felt = omega if b_s[1] == 0.0 else 1.0 / lag
+        return cls(
+            drives=moved * omega * math.sqrt(falls / lossy) * _OUT,
+            senses=gain * felt * math.sqrt(_SUM_OF_SQUARES / lossy) * _OUT,
         )
 
     # What is not bounded overflows, and compares as false.

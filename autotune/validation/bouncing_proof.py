@@ -22,24 +22,26 @@ from .bouncing import BounceSearch, RefutedError, search_bouncing
 from .report import Check
 
 METHOD = "Popov and Zames-Falb multiplier of the contact spring in the sampled loop, in ball arithmetic"
+PASSIVE = "passivity of the sampled loop at the contact, on every passive surface, in ball arithmetic"
 _SAME_NUMBER = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
 class _RestClaim:
-    """That by this multiplier every contact of a set comes to rest."""
+    """That by this multiplier, or None by passivity, every contact of a set comes to rest."""
 
     plants: PlantSet
     over: tuple[str, ...]
     law: AdmittanceController
     sample_time_s: float
-    multiplier: Multiplier
+    multiplier: Multiplier | None
     work: int
 
     def prove(self) -> RestOutcome:
         """Return what comes of it; raises ParameterError for what this proof does not cover."""
         box = self.plants.only(self.over)
-        _check_massless(box)
+        if self.multiplier is not None:
+            _check_massless(box)
         parts: list[RestOutcome] = []
         for family in build_families(box.nominal, box.ranges, self.sample_time_s):
             left = max(self.work - sum(part.work for part in parts), 0)
@@ -122,27 +124,30 @@ def _proved(
     prover: Prover, plants: PlantSet, law: AdmittanceController, sample_time_s: float, options: ProofOptions
 ) -> BouncingProof | None:
     """Return the widest set for which a multiplier is found that proves it; None where there is none."""
-    further = tuple(key for key in plants.further if key in PROVABLE and key != ENVIRONMENT_MASS)
-    undamped = tuple(key for key in further if key != DAMPING)
+    further = tuple(key for key in plants.further if key in PROVABLE)
+    # A surface with a mass is no spring: on it the loop's passivity decides, whatever else the surface is.
+    has_mass = plants.range_of(ENVIRONMENT_MASS)[1] > 0.0
+    undamped, mass = tuple(key for key in further if key != DAMPING), tuple(k for k in further if k == ENVIRONMENT_MASS)
     work = int(options.further_s * WORK_PER_SECOND)
-    for over in dict.fromkeys((*ALWAYS_UNCERTAIN, *each) for each in (further, undamped, ())):
+    for over in dict.fromkeys((*ALWAYS_UNCERTAIN, *each) for each in (further, undamped, mass)):
         box = plants.only(over)
         try:
-            _check_massless(box)
-            multiplier = find_multiplier(build_families(box.nominal, box.ranges, sample_time_s), law)
-            if multiplier is None:
-                continue
+            multiplier = None
+            if not has_mass:
+                multiplier = find_multiplier(build_families(box.nominal, box.ranges, sample_time_s), law)
+                if multiplier is None:
+                    continue
             claim = _RestClaim(
                 plants=plants, over=over, law=law, sample_time_s=sample_time_s, multiplier=multiplier, work=work
             )
             found = prover.once(claim, claim.prove)
         except ParameterError:
-            # A late wrench beside a law that reads the position, or a surface with mass.
+            # A late wrench beside a law that reads the position.
             continue
         if found.holds:
             return BouncingProof(
                 over=over,
-                method=METHOD,
+                method=PASSIVE if multiplier is None else METHOD,
                 share=found.share,
                 multiplier=multiplier,
                 impacts=0.0,
@@ -178,7 +183,7 @@ def _check_proof(
 ) -> tuple[str, str]:
     """Return what is wrong with what the file states, and what is proved."""
     bound = f"every contact comes to rest, over {', '.join(SYMBOLS.get(each, each) for each in stated.over)}"
-    if stated.multiplier is None or stated.method != METHOD:
+    if stated.method != (PASSIVE if stated.multiplier is None else METHOD):
         return f"{bound}: stated without a multiplier, or by a method that is not {METHOD!r}", ""
     if not set(ALWAYS_UNCERTAIN) <= set(stated.over):
         return f"{bound}: K_e and M_p must be among what it is proved over", ""

@@ -260,3 +260,56 @@ def test_what_it_does_not_cover_is_refused() -> None:
 def test_a_multiplier_has_no_negative_coefficient(changes: dict[str, object], reported: str) -> None:
     with pytest.raises(ParameterError, match=reported):
         replace(SOME, **changes)  # type: ignore[arg-type]
+
+
+def least_passive(plant: Plant, law: AdmittanceController) -> float:
+    """Return the least eigenvalue of the Hermitian part of s G on 31 mixed frequencies, each scaled to Re jωP = 1."""
+    found = []
+    for omega in np.concatenate([np.geomspace(0.05, 3900.0, 400), np.linspace(20.0, 3900.0, 400)]):
+        s, given, moved, sensed, closed = lifted(plant, law, float(omega), 15)
+        answer = s[:, None] * (np.diag(given) + np.outer(moved, sensed) * closed / PERIOD_S)
+        size = 1.0 / np.sqrt(np.real(s * given))
+        matrix = size[:, None] * answer * size[None, :]
+        found.append(np.linalg.eigvalsh(0.5 * (matrix + matrix.conj().T))[0])
+    return float(min(found))
+
+
+@pytest.mark.parametrize("filtered", [False, True])
+def test_passivity_is_proved_where_the_mixed_frequencies_have_it_and_never_where_not(filtered: bool) -> None:
+    """40 drawn laws and payloads: M = s, by the eigenvalues of the lifted loop in plain floats."""
+    rng, proved, passive = np.random.default_rng(11), 0, 0
+    for _ in range(40):
+        mass, drag = float(rng.uniform(6.0, 25.0)), float(rng.uniform(50.0, 800.0))
+        plant = paper_plant(stiffness=1.3e5, mass=mass, drag=drag, coupling_damping=100.0 if filtered else 0.0)
+        plant = replace(plant, wrench_filter=WrenchFilter(time_constant_s=1e-3)) if filtered else plant
+        law = admittance(
+            float(rng.uniform(5.0, 40.0)), float(rng.uniform(600.0, 3000.0)), float(rng.uniform(0.0, 0.06))
+        )
+        (of,) = build_families(plant, {"payload_mass_kg": (mass, mass)}, PERIOD_S)
+        holds, least = prove_rest(of, law, None, work=WORK).holds, least_passive(plant, law)
+        assert not (holds and least <= 0.0), (mass, drag, law)
+        proved, passive = proved + holds, passive + (least > 0.02)
+    assert 3 < passive < 37
+    assert proved >= 0.8 * passive
+
+
+def test_contacts_with_moving_surfaces_come_to_rest_where_passivity_is_proved() -> None:
+    """Every mass, spring and damper: of drawn ones each contact ends; a coupling with damping is not proved."""
+    plant, law = paper_plant(stiffness=1.3e5), admittance(20.0, 1500.0, 0.03)
+    (of,) = build_families(plant, {"payload_mass_kg": (15.0, 17.0)}, PERIOD_S)
+    assert prove_rest(of, law, None, work=WORK).holds
+    rng = np.random.default_rng(3)
+    for _ in range(12):
+        surface = Environment(
+            stiffness_n_per_m=float(np.exp(rng.uniform(np.log(2e4), np.log(5e5)))),
+            damping_n_s_per_m=float(rng.uniform(0.0, 100.0)),
+            mass_kg=float(rng.uniform(0.5, 6.0)),
+        )
+        pair = build_sampled_contact(build_sampled_plant(plant.in_contact_with(surface), PERIOD_S))
+        for speed in (0.02, 0.2):
+            seen = follow_contact(
+                pair, law, Approach(speed_m_s=speed, after_impact_n=10.0), window=settling_window(pair, law)
+            )
+            assert seen.ending is not Ending.BOUNCING, surface
+    (rough,) = build_families(paper_plant(stiffness=1.3e5, coupling_damping=50.0), {}, PERIOD_S)
+    assert not prove_rest(rough, law, None, work=WORK).holds

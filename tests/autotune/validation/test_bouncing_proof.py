@@ -10,7 +10,7 @@ from autotune.formats.proof_records import BouncingProof
 from autotune.validation import bouncing
 from autotune.validation.axis_proof import ProofOptions, Prover
 from autotune.validation.bouncing import RUNS, RefutedError, drawn_plants, drawn_ratios
-from autotune.validation.bouncing_proof import check_bouncing, covers, prove_bouncing
+from autotune.validation.bouncing_proof import PASSIVE, check_bouncing, covers, prove_bouncing
 from autotune.validation.report import Check
 from problems.contact.multiplier import Multiplier
 from problems.design.uncertainty import ALWAYS_UNCERTAIN
@@ -119,3 +119,24 @@ def test_where_only_stiffness_and_mass_are_proved_fewer_impacts_are_followed() -
     proved, searched = checks(of, replace(said, impacts=float(followed)))
     assert proved.passed
     assert searched.message.startswith(f"none found: {followed} impacts on {len(plants)} plants")
+
+
+def test_a_surface_with_a_mass_is_proved_by_passivity_and_that_again_from_the_file() -> None:
+    of = small_controller()
+    domain, law = of.certificate.domain["x"], admittance_controller(of, "x")
+    moved = replace(domain, coupling_damping_n_s_per_m=0.0, uncertain={"environment_mass_kg": (0.0, 3.0)})
+    found = prove_bouncing(Prover(), moved, law, 8e-4, "x", ProofOptions())
+    assert found.method == PASSIVE
+    assert found.multiplier is None
+    assert found.over == (*ALWAYS_UNCERTAIN, "environment_mass_kg")
+    assert covers(found, moved)
+    assert found.impacts == 0.0
+    file = replace(of, certificate=replace(of.certificate, domain={"x": moved}, bouncing={"x": found}))
+    (check,) = check_bouncing(file, "x", law, Prover())
+    assert check.passed
+    assert "over K_e, M_p, M_e" in check.message
+    # With damping in the coupling the force that is sampled is not bounded: impacts are followed.
+    rough = replace(moved, coupling_damping_n_s_per_m=150.0)
+    assert prove_bouncing(Prover(), rough, law, 8e-4, "x", ProofOptions()).impacts > 0.0
+    forged = replace(file, certificate=replace(file.certificate, domain={"x": rough}))
+    assert "proved for 0" in next(check_bouncing(forged, "x", law, Prover())).message
