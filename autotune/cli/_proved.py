@@ -61,7 +61,8 @@ def _bumper_lines(controller: "Controller") -> Iterator[str]:
             f"{each.peak_sensor_force_n:.4g} N at the sensor, |1 + L| at least {each.modulus:.3g}, "
             f"{each.plants:g} plants sampled"
         )
-        yield f"axis {name}, with the bumper: {_proved(f'stable, |1 + L| > {each.proved_modulus:.3g}', each.share)}"
+        claimed = each.proved_modulus or each.modulus
+        yield f"axis {name}, with the bumper: {_proved(f'stable, |1 + L| > {claimed:.3g}', each.share)}"
 
 
 def led_lines(controller: "Controller", limit: tuple[float, str] | None = None) -> Iterator[str]:

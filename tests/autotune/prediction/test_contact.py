@@ -36,6 +36,8 @@ from problems.model.robot import RobotModel
 from problems.model.sampled import build_loop, build_sampled_plant, spectral_radius
 from tests.autotune.formats.samples import make_controller, make_identified
 from tests.autotune.prediction.pressing import Cell, contact_peak
+from tests.problems.axes import DELAY_S, PERIOD_S
+from tests.problems.contact.test_bumper import bumped, stepped
 
 GAINS = {"mass": 13.0, "damping": 1000.0, "lead": 0.02}
 PLAIN = AdmittanceController(mass_kg=13.0, damping_n_s_per_m=1000.0, lead_s=0.02)
@@ -63,6 +65,31 @@ def test_a_peak_is_that_of_another_integrator(wall: float, force: float) -> None
     found = at.predict(plant_of(cell), gains=GAINS, approach_force=force)
     expected = contact_peak(cell, mass=13.0, damping=1000.0, lead=0.02, force=force)
     assert found.peak_sensor_force == pytest.approx(expected, rel=0.01)
+
+
+def test_a_contact_with_a_bumper_is_that_of_two_masses_in_fine_steps() -> None:
+    soft = bumped(2.0, 1e5, 90.0, 1e5)
+    plant = at.Plant(
+        mass=16,
+        coupling_stiffness=3e5,
+        drag=630,
+        robot=at.Robot(numerator=(20.0,), denominator=(1.0, 20.0), delay=DELAY_S),
+        environment_stiffness=1e5,
+        sample_time=PERIOD_S,
+    )
+    gains, bumper = {"mass": 10, "damping": 1600, "lead": 0.02, "feedback_damping": 0.01}, soft.bumper
+    found = at.predict(plant, gains=gains, approach_force=30.0, bumper=bumper)
+    at_wall, at_sensor = stepped(soft, 40)
+    assert found.peak_force == pytest.approx(at_wall, rel=5e-3)
+    assert found.peak_sensor_force == pytest.approx(at_sensor, rel=5e-3)
+    assert "the payload touches with a bumper of 2 kg on 100 N/mm and 90 N·s/m" in found.neglected
+    with pytest.raises(at.ParameterError, match="none beside a deadband"):
+        at.predict(plant, gains={**gains, "deadband": 5.0}, approach_force=30.0, bumper=bumper)
+    heavy = at.Bumper(mass_kg=16.0, stiffness_n_per_m=1e5)
+    with pytest.raises(at.ParameterError, match="below the payload's 16 kg"):
+        at.predict(plant, gains=gains, approach_force=30.0, bumper=heavy)
+    with pytest.raises(at.ParameterError, match=r"must be at\.Bumper"):
+        at.predict(plant, gains=gains, approach_force=30.0, bumper=(0.5, 1e5))  # type: ignore[arg-type]
 
 
 def test_a_speed_with_another_force_after_the_touch() -> None:
