@@ -16,17 +16,23 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
+import numpy as np
+
+from autotune.charts.chart import Chart, Line, Panel, Points, Role, Scale
+from autotune.charts.matplotlib_renderer import render
 from autotune.errors import InfeasibleError
+from autotune.formats.kinds import PICTURE_MARK
 from autotune.formats.problem import Structure
 from autotune.limit.limit import LimitResult, find_limit, hardest
-from autotune.tuning.search import solve_design
-from autotune.tuning.structure import choose_structure
+from autotune.tuning.search import SearchResult, solve_design
+from autotune.tuning.structure import choose_structure, equal_noise, limited_problem, solve_limited
 from benchmarks.tuning_problems import draw_problem, paper_cell
 from problems.design.hand import HandImpedance
 from problems.design.problem import DesignProblem
 
 _NOMINAL = paper_cell((5e5, 5e5), (16.0, 16.0))
 _GRID = (3, 2)
+_FACTORS = (0.5, 0.7, 1.0, 1.5, 2.0, 3.0, 5.0)
 
 
 def _cases(drawn: int) -> Iterator[tuple[str, DesignProblem, float]]:
@@ -64,10 +70,51 @@ def _row(name: str, problem: DesignProblem, noise: float) -> tuple[str, LimitRes
     return f"| {name} | {' | '.join(columns)} |", limit, (min(shares[0], 1.0), min(*shares, 1.0))
 
 
+def draw_trade(path: Path) -> None:
+    """Draw what the paper's nominal cell reaches with more and less noise of the command, and print the numbers."""
+    found = solve_design(_NOMINAL)
+    law, noise, peak = _NOMINAL.controller(found.design), equal_noise(found), found.evaluation.cost
+    worst = hardest(_NOMINAL, law, _NOMINAL.scenarios(*_GRID), 1)
+    rows: list[tuple[float, ...]] = []
+    known = list[SearchResult]()
+    for factor in _FACTORS:
+        peaks = []
+        for has_biquad in (False, True):
+            asked = limited_problem(_NOMINAL, factor * noise, has_biquad=has_biquad)
+            # What is quiet enough for less noise is so for more.
+            result = solve_limited(found, asked, HandImpedance(), known, seed=0)
+            known += [] if result is None or has_biquad else [result]
+            peaks.append(math.nan if result is None else result.evaluation.cost)
+        limit = find_limit(_NOMINAL, law, worst, noise_factor=factor)
+        reached = math.nan if limit.attained is None else limit.attained.peak_force_n
+        rows.append((1e3 * factor * noise, *peaks, reached, limit.bound.force_n))
+        print(" | ".join(f"{each:.2f}" for each in rows[-1]), flush=True)
+    numbers = np.array(rows)
+    names = ("four gains", "and a biquad", "any order", "none below")
+    roles: tuple[Role, ...] = ("model", "after", "measured", "target")
+    lines = [
+        Line(x=numbers[:, 0], y=numbers[:, index + 1], label=name, role=role, dashed=index == 3)
+        for index, (name, role) in enumerate(zip(names, roles, strict=True))
+    ]
+    design = Points(x=np.array([1e3 * noise]), y=np.array([peak]), label="in their bounds", role="before")
+    panel = Panel(
+        x=Scale(label="noise of the command [mm/s per N]", spacing="log"),
+        y=Scale(label="worst peak [N]"),
+        elements=(*lines, design),
+    )
+    alternative = "Worst peak over the noise of the command; each curve falls, that of more freedom lies lower."
+    chart = Chart(key="structures", title="Peak against noise", alternative=alternative, panels=(panel,))
+    path.write_bytes(render(chart, path.suffix, mark=PICTURE_MARK))
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--drawn", type=int, default=20, help="how many drawn problems")
+    parser.add_argument("--picture", type=Path, help="draw peak against noise of the paper's nominal cell there")
     options = parser.parse_args()
+    if options.picture is not None:
+        draw_trade(options.picture)
+        return 0
     print(
         "| problem | four gains [N] | at their noise [N] | and a biquad [N] | any order reaches [N] | none below [N] "
         "| noise [mm/s/N] | search [s] | structures [s] | limit [s] |"
