@@ -23,7 +23,6 @@ from problems.design.problem import (
     Requirements,
 )
 from problems.errors import ParameterError
-from problems.model.plant import Bumper
 from tests.problems.axes import LAW
 
 WHOLE = """\
@@ -83,20 +82,11 @@ def test_the_schema_is_one() -> None:
         ({"bounds": {"mas": (1.0, 2.0)}}, "bounds must be given for mass, damping, .* found 'mas'"),
         ({"uncertain": {"delay_s": "identfied"}}, r"uncertain\['delay_s'\] must be a range"),
         ({"axes": "q"}, "axes must be names among x, y"),
-        ({"bumper": (0.5, 1e5)}, "bumper must be at.Bumper"),
-        ({"bumper": Bumper(mass_kg=0.5, stiffness_n_per_m=100.0)}, r"30 N press this one 0\.3 m deep .* 100000"),
     ],
 )
 def test_what_is_no_value_of_a_problem_is_refused_where_it_is_made(wrong: dict[str, Any], said: str) -> None:
     with pytest.raises(ParameterError, match=said):
         ProblemSpec(**wrong)
-
-
-def test_a_payload_that_is_soft_inside_is_read(path: Path) -> None:
-    path.write_text("payload:\n  bumper: {mass_kg: 0.5, stiffness_n_per_m: 1e5, damping_n_s_per_m: 50}\n")
-    assert read_problem(path).bumper == Bumper(mass_kg=0.5, stiffness_n_per_m=1e5, damping_n_s_per_m=50.0)
-    path.write_text("payload: {contact_points_m: [[0, 0, 0]]}\n")
-    assert read_problem(path).bumper is None
 
 
 def test_everything_can_be_said(path: Path) -> None:
@@ -215,14 +205,6 @@ def test_null_asks_for_nothing_and_absence_for_the_default(path: Path) -> None:
         ("requirements:\n  modulus_margin: 1\n", 2, "less than 1"),
         ("requirements:\n  modulus_margin: 0,5\n", 2, "comma"),
         ("requirements:\n  modulus: 0.5\n", 2, "requirements.modulus must be one of"),
-        (
-            "payload:\n  bumper: {mass_kg: -1, stiffness_n_per_m: 1e5}\n",
-            2,
-            "payload.bumper.mass_kg must be greater than 0",
-        ),
-        ("payload:\n  bumper: {mass_kg: .nan, stiffness_n_per_m: 1e5}\n", 2, "not a finite number"),
-        ("payload:\n  bumper: {mass_kg: 1}\n", 2, "payload.bumper.stiffness_n_per_m must be present"),
-        ("payload:\n  bumper: {mass: 1, stiffness_n_per_m: 1e5}\n", 2, "payload.bumper.mass must be one of"),
         ("requirements:\n  free_space_admittance: {min_m_s_per_n: 1e-3}\n", 2, "band_hz"),
         (
             "requirements:\n  free_space_admittance:\n    min_m_s_per_n: 1e-3\n    band_hz: [2, 1]\n",
