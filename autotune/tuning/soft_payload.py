@@ -58,7 +58,10 @@ class _Found:
 
 
 class _Axis:
-    """One axis of the payload in two parts: its whole set, and the plants that a search asks."""
+    """One axis of the payload in two parts: its whole set, and the plants that a search asks.
+
+    Raises ParameterError for contacts that swing too fast to be followed.
+    """
 
     def __init__(self, problem: DesignProblem, bumper: Bumper, seed: int) -> None:
         self.of, plants = problem, problem.plants
@@ -68,6 +71,9 @@ class _Axis:
         self.problem = replace(problem, plants=soft)
         self.whole = WholeSet(self.problem, seed)
         self.asked: PreparedScenarios = build_scenarios(self.problem, self.problem.scenarios(3, 2))
+        # The ends of K_e are among them: what swings too fast to be followed is refused before any search.
+        for pair in self.asked.pairs:
+            _ = pair.arguments
 
     def goes(self, law: AdmittanceController) -> bool:
         """Return whether a law passes on the plants that are asked; raises InfeasibleError where none did for long."""
