@@ -293,7 +293,11 @@ _Target = (
     | Annotated[
         NoiseLimit,
         Rule(
-            properties={"max_speed_rms_m_s": _ABOVE_ZERO, "force_noise_rms_n": Rule(minimum=0)},
+            properties={
+                "max_speed_rms_m_s": _ABOVE_ZERO,
+                "force_noise_rms_n": Rule(minimum=0),
+                "position_noise_rms_m": Rule(minimum=0),
+            },
             required=["max_speed_rms_m_s", "force_noise_rms_n"],
         ),
     ]
@@ -305,13 +309,13 @@ _Target = (
 Requirement = Annotated[
     float | bool | _Target,
     Rule(
-        description="a number, true or false, {min_m_s_per_n, band_hz}, {max_speed_rms_m_s, force_noise_rms_n}, "
-        "{passive_below_hz}, {min_modulus, points}, {max_force_n, speed_m_s, hand} or {min_modulus, mass_kg, "
-        "damping_n_s_per_m, stiffness_n_per_m}",
+        description="a number, true or false, {min_m_s_per_n, band_hz}, {max_speed_rms_m_s, force_noise_rms_n, "
+        "position_noise_rms_m}, {passive_below_hz}, {min_modulus, points}, {max_force_n, speed_m_s, hand} or "
+        "{min_modulus, mass_kg, damping_n_s_per_m, stiffness_n_per_m}",
         turning=Rule(
             description="a number, true or false, {min_rad_s_per_n_m, band_hz}, {max_speed_rms_rad_s, "
-            "torque_noise_rms_n_m}, {passive_below_hz}, {min_modulus, points}, {max_torque_n_m, speed_rad_s, hand, "
-            "hand_inertia_kg_m2} or "
+            "torque_noise_rms_n_m, angle_noise_rms_rad}, {passive_below_hz}, {min_modulus, points}, {max_torque_n_m, "
+            "speed_rad_s, hand, hand_inertia_kg_m2} or "
             "{min_modulus, inertia_kg_m2, damping_n_m_s_per_rad, stiffness_n_m_per_rad}"
         ),
     ),

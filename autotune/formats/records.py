@@ -21,6 +21,7 @@ _RENAMED = (
     *("stiffness_n_per_m", "secant_stiffness_n_per_m", "relaxed_stiffness_n_per_m"),
     *("damping_n_s_per_m", "impact_n_s_per_m", "mass_kg", "hand_mass_kg"),
     *("force_n", "speed_m_s", "approach_force_n", "approach_speed_m_s", "force_noise_rms_n", "max_speed_rms_m_s"),
+    "position_noise_rms_m",
     *("peak_force_n", "peak_sensor_force_n", "peak_contact_force_n", "max_peak_force_n", "peak_with_common_n"),
     *("cost_n", "soft_n", "min_m_s_per_n", "hand_force_n_per_m_s", "coupling_friction_n", "max_force_n"),
 )

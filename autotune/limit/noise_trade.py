@@ -63,15 +63,19 @@ def trade_noise(
     """Search four gains for each of `factors` times the noise that `law` makes over `scenarios`.
 
     Everything else is asked as in `problem`; M_a may be a fifth of its lower bound, K_l five times and
-    B_fb twice the upper ones.
+    B_fb twice the upper ones. The pose's noise counts as where `problem` limits that of the command.
     """
     report, h = progress or no_progress, problem.sample_time_s
     plants = [problem.plant(each) for each in scenarios]
     plants += [each.in_contact_with(FREE_SPACE) for each in plants]
     present = max(command_speed_gain(build_sampled_plant(each, h), law) for each in plants)
     bounds, points, known = loosened_bounds(problem), list[NoisePoint](), list[FloatArray]()
+    known_noise = problem.requirements.command_noise
+    of_pose = None
+    if known_noise is not None and known_noise.position_noise_rms_m and known_noise.force_noise_rms_n:
+        of_pose = known_noise.position_noise_rms_m / known_noise.force_noise_rms_n
     for factor in factors:
-        limit = NoiseLimit(max_speed_rms_m_s=factor * present, force_noise_rms_n=1.0)
+        limit = NoiseLimit(max_speed_rms_m_s=factor * present, force_noise_rms_n=1.0, position_noise_rms_m=of_pose)
         asked = replace(problem, bounds=bounds, requirements=replace(problem.requirements, command_noise=limit))
         try:
             # A law that is quiet enough for less noise is one for more.

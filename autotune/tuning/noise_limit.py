@@ -23,8 +23,12 @@ def with_noise(spec: ProblemSpec, identified: Identified, name: str, sample_time
     limit = asked.command_noise
     if spec.share_of_jitter is not None:
         limit = NoiseLimit(max_speed_rms_m_s=_jitter_speed(spec.share_of_jitter, identified, name, sample_time_s))
-    if limit is None or limit.force_noise_rms_n is not None:
+    if limit is None:
         return asked
+    if limit.position_noise_rms_m is None:
+        limit = replace(limit, position_noise_rms_m=find_position_noise(identified, name))
+    if limit.force_noise_rms_n is not None:
+        return replace(asked, command_noise=limit)
     noise = find_sensor_noise(identified, name)
     if noise is None:
         key, said = ("torque_noise_rms_n_m", _TURNING) if is_turning else ("force_noise_rms_n", _STRAIGHT)
@@ -49,15 +53,20 @@ def _jitter_speed(share: float, identified: Identified, name: str, sample_time_s
 
     σ is the noise of one sample of the pose as logged; about an axis of rotation at a lever of 0.2 m.
     """
-    noise = _pose_noise(identified)
+    noise = find_position_noise(identified, name)
     if noise is None:
         key, said = ("max_speed_rms_rad_s", _TURNING) if name in ROTATIONAL_AXES else ("max_speed_rms_m_s", _STRAIGHT)
         raise EstimateError(
             "sensor.position_noise_rms_m is not identified, and share_of_jitter asks for a share of it; "
             f"say {key} in {said} of problem.yaml."
         )
-    lever = LEVER_M if name in ROTATIONAL_AXES else 1.0
-    return float(f"{share * math.sqrt(2.0) * noise / sample_time_s / lever:.6g}")
+    return float(f"{share * math.sqrt(2.0) * noise / sample_time_s:.6g}")
+
+
+def find_position_noise(identified: Identified, name: str) -> float | None:
+    """Return the identified RMS [m, or rad at a lever of 0.2 m] of the pose's noise, None where it is not known."""
+    noise = _pose_noise(identified)
+    return None if noise is None else noise / (LEVER_M if name in ROTATIONAL_AXES else 1.0)
 
 
 def _pose_noise(identified: Identified) -> float | None:

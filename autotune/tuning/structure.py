@@ -3,6 +3,7 @@
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from problems.model.sampled import build_sampled_plant
 from problems.stability.noise import command_speed_gain
 
 from .bounds import loosened_bounds
-from .noise_limit import find_sensor_noise
+from .noise_limit import find_position_noise, find_sensor_noise
 from .record import certified_hand
 from .search import SearchResult, solve_design
 
@@ -45,13 +46,14 @@ class StructureChoice:
     """The objective's cost of each structure that was searched, None where no design was found, and the one taken.
 
     All make the commanded speed's noise at most `noise_m_s_per_n` per newton of the force's: that of four gains in
-    their bounds, or what `is_asked` in problem.yaml.
+    their bounds, or what `is_asked` in problem.yaml. It `counts_pose` where the pose's noise is part of that.
     """
 
     costs: Mapping[Structure, float | None]
     taken: Structure
     noise_m_s_per_n: float
     is_asked: bool = False
+    counts_pose: bool = False
 
     def message(self, name: str, problem: DesignProblem) -> str:
         """Return a sentence on what the structures do for an axis."""
@@ -62,7 +64,8 @@ class StructureChoice:
             cost = self.costs[structure]
             return "no design" if cost is None else f"{objective.value(cost):.4g} {unit}".rstrip()
 
-        noise = f"{1e3 * self.noise_m_s_per_n:.3g} m{units.speed} per {units.force}"
+        also = ", the pose's counted too" if self.counts_pose else ""
+        noise = f"{1e3 * self.noise_m_s_per_n:.3g} m{units.speed} per {units.force}{also}"
         said = f"Axis {name}: {objective.title} {shown('gains')} with four gains in their bounds"
         if "noise" in self.costs:
             whose = "the noise of the command that is asked" if self.is_asked else "their noise of the command"
@@ -73,6 +76,16 @@ class StructureChoice:
         is_last = self.taken == list(self.costs)[-1]
         kept = "" if is_last else f", since more saves less than {100.0 * PRICE:g} %"
         return f"{said}. Taken: {words[self.taken]}{kept}; margins, admittance and a hand are asked for alike."
+
+
+class NoiseOf(NamedTuple):
+    """RMS of the measured noise of a sensor [N, N·m] and of the pose [m, rad], None where it is not known."""
+
+    force: float | None
+    position: float | None
+
+
+UNKNOWN = NoiseOf(None, None)
 
 
 class StructureSearch:
@@ -94,9 +107,9 @@ class StructureSearch:
         for name, each in plain.items():
             hand = certified_hand(name, each.problem)
             said = self._said_turning if name in ROTATIONAL_AXES else self._said
-            noise = find_sensor_noise(self._identified, name)
+            noise = NoiseOf(find_sensor_noise(self._identified, name), find_position_noise(self._identified, name))
             found[name], choice = choose_structure(
-                each, self._structure, hand, seed=self._seed, said=said, sensor_noise=noise
+                each, self._structure, hand, seed=self._seed, said=said, measured=noise
             )
             if len(choice.costs) > 1:
                 self.choices[name] = choice
@@ -114,7 +127,7 @@ def choose_structure(
     *,
     seed: int,
     said: Collection[str] = (),
-    sensor_noise: float | None = None,
+    measured: NoiseOf = UNKNOWN,
 ) -> tuple[SearchResult, StructureChoice]:
     """Return the best law up to a structure, and what was compared; `plain` are four gains in their bounds.
 
@@ -127,9 +140,7 @@ def choose_structure(
     noise = equal_noise(plain) if asked is None else asked.max_speed_rms_m_s / (asked.force_noise_rms_n or math.nan)
     found: dict[Structure, SearchResult | None] = {"gains": plain}
     for each in _ORDER[1 : _ORDER.index(structure) + 1]:
-        problem = limited_problem(
-            plain.problem, noise, has_biquad=each == "biquad", said=said, sensor_noise=sensor_noise
-        )
+        problem = limited_problem(plain.problem, noise, has_biquad=each == "biquad", said=said, measured=measured)
         if problem.bounds != plain.problem.bounds:
             found[each] = solve_limited(
                 plain, problem, hand, [at for at in found.values() if at is not None], seed=seed
@@ -140,7 +151,10 @@ def choose_structure(
         if result is not None and result.evaluation.cost < (1.0 - PRICE) * best.evaluation.cost:
             taken, best = name, result
     costs = {name: None if result is None else result.evaluation.cost for name, result in found.items()}
-    return best, StructureChoice(costs=costs, taken=taken, noise_m_s_per_n=noise, is_asked=asked is not None)
+    counts_pose = bool(measured.force and measured.position) if asked is None else bool(asked.position_noise_rms_m)
+    return best, StructureChoice(
+        costs=costs, taken=taken, noise_m_s_per_n=noise, is_asked=asked is not None, counts_pose=counts_pose
+    )
 
 
 def solve_limited(
@@ -162,16 +176,21 @@ def limited_problem(
     *,
     has_biquad: bool,
     said: Collection[str] = (),
-    sensor_noise: float | None = None,
+    measured: NoiseOf = UNKNOWN,
 ) -> DesignProblem:
     """Return the problem with the noise of the command limited, unless it is already, in the place of bounds.
 
-    The limit is a speed under the sensor's noise [N or N·m RMS], or under 1 where that is not known.
+    The limit is a speed under the noise that was measured, or under 1 N or N·m where that of the sensor is not known.
+    The pose's noise, which B_fb brings into the command, has to find room in what the sensor's alone makes.
     """
     asked = plain.requirements
     if asked.command_noise is None:
-        rms = sensor_noise or 1.0
-        limit = NoiseLimit(max_speed_rms_m_s=float(f"{rms * noise_m_s_per_n:.6g}"), force_noise_rms_n=rms)
+        rms = measured.force or 1.0
+        limit = NoiseLimit(
+            max_speed_rms_m_s=float(f"{rms * noise_m_s_per_n:.6g}"),
+            force_noise_rms_n=rms,
+            position_noise_rms_m=measured.position if measured.force else None,
+        )
         asked = replace(asked, command_noise=limit)
     target = asked.free_space_admittance
     slowest = 2.0 * math.pi * (_SLOWEST_HZ if target is None else target.band_hz[1])

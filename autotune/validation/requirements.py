@@ -141,7 +141,7 @@ def check_further(
         if isinstance(requirement, Margin | DecayRate | PeakForceLimit | AdmittanceRequirement | None):
             continue  # margins are swept, peaks and the admittance have checks of their own
         if isinstance(required, NoiseLimit):
-            reached = required.speed_rms_m_s(worst_speed_rms(_loop_plants(plants, others), law, h))
+            reached = worst_noise(required, _loop_plants(plants, others), law, h)
         elif isinstance(required, PassivityTarget):
             ports = (plants.nominal.port, *others.extreme_ports())
             reached = min(passive_band_hz(port, law, h, required.passive_below_hz) for port in ports)
@@ -243,18 +243,23 @@ _NOT_SETTLED = 1e-6
 _NOTHING = 1e-9
 
 
-def worst_speed_rms(plants: Sequence[Plant], law: AdmittanceController, sample_time_s: float) -> float:
-    """Return the largest RMS of the commanded speed per RMS of white force noise [m/s per N], in contact and free.
-
-    The squares of the response to a single tick of force add up to the variance under noise.
-    """
+def worst_noise(asked: NoiseLimit, plants: Sequence[Plant], law: AdmittanceController, sample_time_s: float) -> float:
+    """Return the largest RMS of the commanded speed [m/s] under the noise that is asked for, in contact and free."""
     both = tuple(dict.fromkeys((*plants, *(plant.in_contact_with(FREE_SPACE) for plant in plants))))
-    return float(np.max(speed_rms(both, law, sample_time_s)))
+    of_force = speed_rms(both, law, sample_time_s)
+    of_position = speed_rms(both, law, sample_time_s, on_position=True) if asked.position_noise_rms_m else 0.0
+    return float(np.max(asked.speed_rms_m_s(of_force, of_position)))
 
 
-def speed_rms(plants: Sequence[Plant], law: AdmittanceController, sample_time_s: float) -> FloatArray:
-    """Return the same for each plant (p,), touching all the time if it touches at all; the loops must be stable."""
-    h = sample_time_s
+def speed_rms(
+    plants: Sequence[Plant], law: AdmittanceController, sample_time_s: float, *, on_position: bool = False
+) -> FloatArray:
+    """Return the RMS of the commanded speed (p,) per RMS of white noise on the force, or the position that is read.
+
+    The squares of the response to a single tick of it add up to the variance under noise. Each plant touches all the
+    time if it touches at all; the loops must be stable.
+    """
+    h, (of_force, of_position) = sample_time_s, (0.0, 1.0) if on_position else (1.0, 0.0)
     plant = _Plants(plants, h)
     # The difference equation adds and multiplies only: what it does to a number it does to each plant's.
     past: Any = rest_at(0.0)
@@ -263,7 +268,7 @@ def speed_rms(plants: Sequence[Plant], law: AdmittanceController, sample_time_s:
     last = squares = np.zeros(len(plants))
     for k in range(max(settling_samples(each, law, h, _SHORTEST_S) for each in plants)):
         tick = 1.0 if k == 0 else 0.0
-        force, position = plant.force() + tick, plant.position()
+        force, position = plant.force() + of_force * tick, plant.position() + of_position * tick
         if np.any(plant.direct != 0.0):
             tried = step(gains, past, force, position, False).sent
             force = force + plant.direct * tried / (1.0 - direct * plant.direct)

@@ -12,10 +12,11 @@ _ENDINGS = (
     ("_n_s_per_m", "_n_m_s_per_rad"),
     ("_n_per_m", "_n_m_per_rad"),
     ("_kg", "_kg_m2"),
+    ("_rms_m", "_rms_rad"),
     ("_m_s", "_rad_s"),
     ("_n", "_n_m"),
 )
-_NOUNS = {"force": "torque", "mass": "inertia"}
+_NOUNS = {"force": "torque", "mass": "inertia", "position": "angle"}
 
 LEVER_M = 0.2
 """Where an angle is counted as a path: the deadbands of the paper, 5 N and 1 N·m, are one at this distance."""

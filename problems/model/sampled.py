@@ -374,6 +374,17 @@ def build_loop(sampled: SampledPlant, controller: Controller) -> SampledLoop:
     )
 
 
+def position_input(sampled: SampledPlant, controller: Controller) -> tuple[FloatArray, float]:
+    """Return b (n,) and d of what is added to the position that the controller reads, as of F^d in `SampledLoop`."""
+    matrix, cut = controller_matrix(controller, sampled.sample_time_s), _build_whole_cut(sampled, controller)
+    r, n = len(matrix) - 1, cut.state_count
+    column = np.zeros(n + 2)
+    column[n - r : n], column[cut.command] = matrix[:r, r + 1], matrix[r, r + 1]
+    whole = np.column_stack([cut.matrix, column])
+    closed = _closed(_closed(whole, cut.command), cut.force)
+    return closed[:n, n + 3].copy(), float(closed[cut.command, n + 3])
+
+
 def translation_state(sampled: SampledPlant, controller: Controller) -> FloatArray:
     """Return the loop state in which flange, payload and command all rest at one metre and F = 0."""
     plant = np.zeros(sampled.state_count)

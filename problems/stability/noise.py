@@ -1,13 +1,13 @@
-"""How much of the force sensor's noise reaches the position command, and what of it comes back to the sensor."""
+"""How much of the noise of force and position reaches the command, and what of it comes back to the sensor."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..arrays import FloatArray
 from ..compiled import compiled
-from ..model.sampled import Controller, SampledLoop, SampledPlant, build_loop, relative_loop
+from ..model.sampled import Controller, SampledLoop, SampledPlant, build_loop, position_input, relative_loop
 
 # 2^60 ticks: no stable loop in double precision is slower.
 _DOUBLINGS = 60
@@ -30,6 +30,14 @@ def speed_gain_of(loop: SampledLoop) -> float:
     row = loop.c_command @ loop.a - loop.c_command
     direct = np.array([float(loop.c_command @ loop.b) - loop.d_command, loop.d_command])
     return math.sqrt(_variance(loop, row, direct)) / loop.sample_time_s
+
+
+def position_speed_gain(sampled: SampledPlant, controller: Controller) -> float:
+    """Return the RMS of the commanded speed per RMS of white noise on the position that the controller reads [1/s]."""
+    b, d = position_input(sampled, controller)
+    if d == 0.0 and not np.any(b):
+        return 0.0
+    return speed_gain_of(replace(build_loop(sampled, controller), b=b, d_command=d))
 
 
 @dataclass(frozen=True, kw_only=True)

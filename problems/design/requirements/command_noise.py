@@ -1,34 +1,41 @@
-"""The noise of the velocity command: what white noise on the force signal makes of it."""
+"""The noise of the velocity command: what white noise on force and position makes of it."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
 from ..._checks import non_negative, positive
+from ...arrays import FloatArray
 from ...errors import ParameterError
-from ...stability.noise import speed_gain_of
+from ...stability.noise import position_speed_gain, speed_gain_of
 from ..stable_design import StableLoop
 from .base import LoopRequirement
 
 
 @dataclass(frozen=True, kw_only=True)
 class NoiseLimit:
-    """The commanded speed's RMS [m/s] under white force noise of `force_noise_rms_n`, at most `max_speed_rms_m_s`.
+    """The commanded speed's RMS [m/s], at most `max_speed_rms_m_s` under white noise of `force_noise_rms_n`.
 
-    The noise is None until somebody knows the sensor; a problem needs the number. (`problems.stability.noise`)
+    That noise is None until somebody knows the sensor; a problem needs the number. White noise of the position that
+    the controller reads, `position_noise_rms_m`, comes on top where it is known. (`problems.stability.noise`)
     """
 
     max_speed_rms_m_s: float
     force_noise_rms_n: float | None = None
+    position_noise_rms_m: float | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "max_speed_rms_m_s", positive("max_speed_rms_m_s", self.max_speed_rms_m_s))
-        if self.force_noise_rms_n is not None:
-            object.__setattr__(self, "force_noise_rms_n", non_negative("force_noise_rms_n", self.force_noise_rms_n))
+        for name in ("force_noise_rms_n", "position_noise_rms_m"):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, non_negative(name, getattr(self, name)))
 
-    def speed_rms_m_s(self, gain_m_s_per_n: float) -> float:
-        """Return the speed RMS for a speed RMS per newton of noise."""
-        return (self.force_noise_rms_n or 0.0) * gain_m_s_per_n
+    def speed_rms_m_s(self, gain_m_s_per_n: FloatArray | float, gain_per_s: FloatArray | float) -> FloatArray | float:
+        """Return the speed RMS for the speed RMS per newton and per metre of noise."""
+        force, position = self.force_noise_rms_n or 0.0, self.position_noise_rms_m or 0.0
+        return np.hypot(force * gain_m_s_per_n, position * gain_per_s)
 
 
 class NoiseRequirement(LoopRequirement[NoiseLimit]):
@@ -49,8 +56,8 @@ class NoiseRequirement(LoopRequirement[NoiseLimit]):
         return replace(asked, max_speed_rms_m_s=threshold)
 
     def turned(self, asked: NoiseLimit, lever: float) -> NoiseLimit:
-        """Return the limit about an axis; the torque's noise is the sensor's and still to be said."""
-        return replace(super().turned(asked, lever), force_noise_rms_n=None)
+        """Return the limit about an axis; the torque's noise is the sensor's and still to be said, as the angle's."""
+        return replace(super().turned(asked, lever), force_noise_rms_n=None, position_noise_rms_m=None)
 
     def read(self, entry: Mapping[str, Any]) -> NoiseLimit:
         """Return what plain data asks."""
@@ -65,11 +72,14 @@ class NoiseRequirement(LoopRequirement[NoiseLimit]):
     def describe(self, asked: NoiseLimit, *, turning: bool = False) -> str:
         """Return the limit in words."""
         limit = f"speed RMS at most {asked.max_speed_rms_m_s:.4g} {self.unit_on(turning=turning)}"
-        force = "N·m" if turning else "N"
-        return (
-            limit if asked.force_noise_rms_n is None else f"{limit} under noise of {asked.force_noise_rms_n:g} {force}"
-        )
+        if asked.force_noise_rms_n is None:
+            return limit
+        force, place = ("N·m", "µrad") if turning else ("N", "µm")
+        position = asked.position_noise_rms_m
+        also = f" and {1e6 * position:.3g} {place}" if position else ""
+        return f"{limit} under noise of {asked.force_noise_rms_n:g} {force}{also}"
 
     def of_loop(self, asked: NoiseLimit, loop: StableLoop) -> float:
         """Return the speed RMS [m/s]."""
-        return asked.speed_rms_m_s(speed_gain_of(loop.matrices))
+        of_position = position_speed_gain(loop.sampled, loop.controller) if asked.position_noise_rms_m else 0.0
+        return float(asked.speed_rms_m_s(speed_gain_of(loop.matrices), of_position))

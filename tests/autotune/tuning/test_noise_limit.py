@@ -37,6 +37,7 @@ def test_a_share_of_the_jitter_is_one_of_the_speed_that_poses_at_rest_seem_to_ha
     limit = problems["x"].requirements.command_noise
     assert limit is not None
     assert limit.force_noise_rms_n == 0.14
+    assert limit.position_noise_rms_m == SIGMA
     # Another way: poses of a robot that stands still, and the speed from each to the next.
     poses = SIGMA * np.random.default_rng(4).standard_normal(200_000)
     seeming = float(np.sqrt(np.mean((np.diff(poses) / PERIOD) ** 2)))
@@ -49,12 +50,25 @@ def test_a_share_of_the_jitter_is_one_of_the_speed_that_poses_at_rest_seem_to_ha
     assert not list(jitter_notes(build_problems(plant, ProblemSpec()), plant, ProblemSpec()))
 
 
+def test_the_noise_of_the_pose_counts_unless_it_is_said() -> None:
+    asked = NoiseLimit(max_speed_rms_m_s=2e-3, force_noise_rms_n=0.2)
+    for plant, said, counted in (
+        (shaking(identified_plant()), None, SIGMA),
+        (shaking(identified_plant()), 0.0, 0.0),
+        (identified_plant(), None, None),
+    ):
+        limit = replace(asked, position_noise_rms_m=said)
+        problem = build_problems(plant, ProblemSpec(requirements=Requirements(command_noise=limit)))["x"]
+        assert problem.requirements.command_noise == replace(asked, position_noise_rms_m=counted)
+
+
 def test_it_goes_through_the_lever_unless_the_turning_axes_say_their_own() -> None:
     plant = shaking(two_axes())
     problems = build_problems(plant, SPEC)
     limit = problems["ry"].requirements.command_noise
     assert limit is not None
     assert limit.force_noise_rms_n == 0.03
+    assert limit.position_noise_rms_m == pytest.approx(SIGMA / 0.2)
     assert limit.max_speed_rms_m_s == pytest.approx(0.5 * 2.0**0.5 * SIGMA / PERIOD / 0.2, rel=1e-5)
     _, turning = jitter_notes(problems, plant, SPEC)
     assert "13.3 mrad/s RMS" in turning
@@ -62,7 +76,7 @@ def test_it_goes_through_the_lever_unless_the_turning_axes_say_their_own() -> No
     own = NoiseLimit(max_speed_rms_m_s=0.02, force_noise_rms_n=0.05)
     said = replace(SPEC, rotational=RotationalSpec(requirements={"command_noise": own}))
     problems = build_problems(plant, said)
-    assert problems["ry"].requirements.command_noise == own
+    assert problems["ry"].requirements.command_noise == replace(own, position_noise_rms_m=SIGMA / 0.2)
     assert problems["x"].requirements.command_noise is not None
     (note,) = jitter_notes(problems, plant, said)
     assert note.startswith("Axis x: ")

@@ -25,7 +25,7 @@ from autotune.tuning import structure as structure_module
 from autotune.tuning.optimize import optimize
 from autotune.tuning.problems import build_problems
 from autotune.tuning.search import SearchResult, solve_design
-from autotune.tuning.structure import PRICE, StructureChoice, choose_structure, limited_problem
+from autotune.tuning.structure import PRICE, NoiseOf, StructureChoice, choose_structure, limited_problem
 from autotune.validation.axis_proof import ProofOptions
 from autotune.validation.requirements import speed_rms
 from benchmarks.tuning_problems import paper_cell
@@ -115,6 +115,22 @@ def test_a_noise_that_is_asked_is_the_limit_that_is_said() -> None:
     assert noise is not None
     assert less is not None
     assert noise < less
+
+
+def test_what_feedback_of_a_noisy_pose_makes_of_the_command_counts() -> None:
+    """Of a pose without noise B_fb is free, and most of what wider bounds save is its."""
+    silent, _ = chosen()
+    found, choice = choose_structure(plain(), "noise", HAND, seed=0, measured=NoiseOf(force=0.14, position=2e-6))
+    assert choice.costs["noise"] is not None
+    assert law_of(silent).feedback_damping_s > 0.05
+    plant = found.problem.plant(found.problem.scenarios(2, 2)[0])
+    both = [plant, plant.in_contact_with(FREE_SPACE)]
+    total = np.hypot(
+        0.14 * speed_rms(both, law_of(found), H), 2e-6 * speed_rms(both, law_of(found), H, on_position=True)
+    )
+    assert float(np.max(total)) <= 0.14 * choice.noise_m_s_per_n * (1.0 + 1e-4)
+    assert law_of(found).feedback_damping_s < 0.1 * law_of(silent).feedback_damping_s
+    assert "per N, the pose's counted too) in the place of" in choice.message("x", found.problem)
 
 
 def test_bounds_that_somebody_said_hold() -> None:

@@ -1,16 +1,18 @@
 """The command's noise and the passive band by playing impulses: another road to the numbers of `problems`."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from autotune.validation.requirements import passive_band_hz, speed_rms, worst_speed_rms
+from autotune.validation.requirements import passive_band_hz, speed_rms, worst_noise
+from problems.design.problem import NoiseLimit
 from problems.model.controller import AdmittanceController
 from problems.model.plant import FREE_SPACE, Plant, WrenchFilter
 from problems.model.robot import RobotModel
-from problems.model.sampled import build_sampled_plant
-from problems.stability.noise import command_speed_gain
+from problems.model.sampled import build_cut_loop, build_sampled_plant, controller_matrix
+from problems.stability.noise import command_speed_gain, position_speed_gain
 from problems.stability.passivity import prepare_port
 from tests.autotune.tuning.cases import design_problem
 
@@ -49,7 +51,37 @@ def test_squares_of_an_impulse_response_add_up_to_the_variance(delay: float, law
     reported = [command_speed_gain(build_sampled_plant(plant, H), law) for plant in set_]
     # The response is followed until a thousandth is left, whose square is a millionth.
     assert found == pytest.approx(reported, rel=1e-6)
-    assert worst_speed_rms(set_[:6], law, H) == pytest.approx(max(reported), rel=1e-6)
+    on_position = [position_speed_gain(build_sampled_plant(plant, H), law) for plant in set_]
+    assert speed_rms(set_, law, H, on_position=True) == pytest.approx(on_position, rel=1e-6)
+    for position in (None, 3e-6):
+        asked = NoiseLimit(max_speed_rms_m_s=1.0, force_noise_rms_n=0.2, position_noise_rms_m=position)
+        both = [math.hypot(0.2 * a, (position or 0.0) * b) for a, b in zip(reported, on_position, strict=True)]
+        assert worst_noise(asked, set_[:6], law, H) == pytest.approx(max(both), rel=1e-6)
+
+
+def test_noise_of_the_pose_is_that_of_a_loop_that_is_simulated_with_it() -> None:
+    """Drawn noise on the position that the controller reads, and nothing else: the command's speed is measured."""
+    law, plant = LAWS["lead and feedback"], plants(2.4e-3)[0]
+    for each in (plant, plant.in_contact_with(FREE_SPACE)):
+        sampled = build_sampled_plant(each, H)
+        cut = build_cut_loop(sampled, law)
+        m, n, noise = cut.matrix, cut.state_count, 1e-6 * np.random.default_rng(3).standard_normal(400_000)
+        matrix, r = controller_matrix(law, H), len(controller_matrix(law, H)) - 1
+        states, command, commands = np.zeros(n), 0.0, np.empty(len(noise))
+        for k, off in enumerate(noise):
+            # Behind a delay F hangs on the states alone; the command follows from it and from what is read.
+            force = float(m[cut.force, :n] @ states)
+            command = float(m[cut.command, :n] @ states + m[cut.command, n] * force + matrix[r, r + 1] * off)
+            commands[k] = command
+            states = m[:n, :n] @ states + m[:n, n] * force + m[:n, n + 1] * command
+            states[n - r :] += matrix[:r, r + 1] * off
+        measured = float(np.std(np.diff(commands[2_000:]))) / H
+        assert measured == pytest.approx(1e-6 * position_speed_gain(sampled, law), rel=0.01)
+
+
+def test_a_law_that_does_not_read_the_position_makes_nothing_of_its_noise() -> None:
+    law = AdmittanceController(mass_kg=5.0, damping_n_s_per_m=3000.0, lead_s=0.02)
+    assert position_speed_gain(build_sampled_plant(plants(2.4e-3)[0], H), law) == 0.0
 
 
 def test_plants_with_different_delays_are_played_together() -> None:
