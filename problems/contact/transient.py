@@ -118,14 +118,15 @@ class SampledContact:
 
     @cached_property
     def arguments(self) -> Contact:
-        """The plant's part of what `run_contact` takes; raises ParameterError for a contact that swings too fast."""
+        """The plant's part of what `run_contact` takes."""
         return _kernel_arguments(self.contact, self.free)
 
 
 def build_sampled_contact(contact: SampledPlant) -> SampledContact:
-    """Pair a sampled plant in contact with its free-space twin."""
+    """Pair a sampled plant in contact with its free-space twin; raises ParameterError where it swings too fast."""
     if contact.plant.environment.is_free_space:
         raise ParameterError("environment", contact.plant.environment, "a surface to touch, not free space")
+    _fastest_swing(contact)
     free = build_sampled_plant(contact.plant.in_contact_with(FREE_SPACE), contact.sample_time_s)
     return SampledContact(contact=contact, free=free)
 
@@ -181,9 +182,8 @@ def steady_ramp(matrices: Any, delay: tuple[int, int], c_force: Any, d_force: fl
     return out
 
 
-def _inside(contact: SampledPlant) -> FloatArray:
-    """Return F_e at equal parts of a sample, for contacts so stiff that they swing between the ticks."""
-    n = contact.state_count
+def _fastest_swing(contact: SampledPlant) -> float:
+    """Return the fastest swing [rad in a sample]; raises ParameterError for one that cannot be followed."""
     poles = np.linalg.eigvals(contact.rate)
     fastest = float(np.max(np.abs(poles.imag)))
     if not (fastest <= _FASTEST_SWING and np.max(np.abs(poles)) <= _FASTEST_DECAY):
@@ -194,6 +194,12 @@ def _inside(contact: SampledPlant) -> FloatArray:
             f"{stiffness:g} N/m on {mass:g} kg",
             f"so that the contact swings at most {_FASTEST_SWING:g} rad in a sample (softer, or heavier)",
         )
+    return fastest
+
+
+def _inside(contact: SampledPlant) -> FloatArray:
+    """Return F_e at equal parts of a sample, for contacts so stiff that they swing between the ticks."""
+    n, fastest = contact.state_count, _fastest_swing(contact)
     substeps = min(MOST_SUBSTEPS, max(1, math.ceil(SUBSTEPS_PER_RADIAN * fastest)))
     rows = np.zeros((substeps - 1, n + 3))
     inputs = np.stack([contact.drive, contact.push], axis=1)

@@ -32,7 +32,9 @@ class NoiseLimit:
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, non_negative(name, getattr(self, name)))
 
-    def speed_rms_m_s(self, gain_m_s_per_n: FloatArray | float, gain_per_s: FloatArray | float) -> FloatArray | float:
+    def speed_rms_m_s(
+        self, gain_m_s_per_n: FloatArray | float, gain_per_s: FloatArray | float = 0.0
+    ) -> FloatArray | float:
         """Return the speed RMS for the speed RMS per newton and per metre of noise."""
         force, position = self.force_noise_rms_n or 0.0, self.position_noise_rms_m or 0.0
         return np.hypot(force * gain_m_s_per_n, position * gain_per_s)
