@@ -273,18 +273,23 @@ def _closed(m: FloatArray, signal: int) -> FloatArray:
 
 @compiled
 def _split(m: FloatArray) -> tuple[FloatArray, ...]:
-    """Close a cut loop at the command, then at the force; return a, b, b_push, c_force, c_command and (d_F, d_x)."""
+    """Close a cut loop at the command, then at the force; return a, b, b_push and F's and x^d's rows with F^d's d."""
     n = len(m) - 2
     closed = _closed(_closed(m, n + 1), n)
-    direct = np.array([closed[n, n], closed[n + 1, n]])
-    return (
-        closed[:n, :n].copy(),
-        closed[:n, n].copy(),
-        closed[:n, n + 2].copy(),
-        closed[n, :n].copy(),
-        closed[n + 1, :n].copy(),
-        direct,
-    )
+    return closed[:n, :n].copy(), closed[:n, n].copy(), closed[:n, n + 2].copy(), closed[n:, : n + 1].copy()
+
+
+@compiled
+def _position_input(cut: FloatArray, controller: FloatArray) -> tuple[FloatArray, float]:
+    """Close a cut loop with a further input beside the position, and return the states' and the command's entries."""
+    n, r = len(cut) - 2, len(controller) - 1
+    whole = np.zeros((n + 2, n + 4))
+    whole[:, : n + 3] = cut
+    for i in range(r):
+        whole[n - r + i, n + 3] = controller[i, r + 1]
+    whole[n + 1, n + 3] = controller[r, r + 1]
+    closed = _closed(_closed(whole, n + 1), n)
+    return closed[:n, n + 3].copy(), closed[n + 1, n + 3]
 
 
 def check_wrench_delay(plant: Plant, law: Controller) -> None:
@@ -358,15 +363,15 @@ def _build_whole_cut(sampled: SampledPlant, controller: Controller) -> CutLoop:
 
 def build_loop(sampled: SampledPlant, controller: Controller) -> SampledLoop:
     """Close the loop of `sampled` and the sampled form of `controller`, without approximation."""
-    a, b, b_push, c_force, c_command, direct = _split(_build_whole_cut(sampled, controller).matrix)
+    a, b, b_push, (force, command) = _split(_build_whole_cut(sampled, controller).matrix)
     return SampledLoop(
         a=a,
         b=b,
         b_push=b_push,
-        c_force=c_force,
-        d_force=float(direct[0]),
-        c_command=c_command,
-        d_command=float(direct[1]),
+        c_force=force[:-1],
+        d_force=float(force[-1]),
+        c_command=command[:-1],
+        d_command=float(command[-1]),
         translation=translation_state(sampled, controller),
         sample_time_s=sampled.sample_time_s,
         is_anchored=sampled.plant.environment.is_anchored
@@ -376,13 +381,9 @@ def build_loop(sampled: SampledPlant, controller: Controller) -> SampledLoop:
 
 def position_input(sampled: SampledPlant, controller: Controller) -> tuple[FloatArray, float]:
     """Return b (n,) and d of what is added to the position that the controller reads, as of F^d in `SampledLoop`."""
-    matrix, cut = controller_matrix(controller, sampled.sample_time_s), _build_whole_cut(sampled, controller)
-    r, n = len(matrix) - 1, cut.state_count
-    column = np.zeros(n + 2)
-    column[n - r : n], column[cut.command] = matrix[:r, r + 1], matrix[r, r + 1]
-    whole = np.column_stack([cut.matrix, column])
-    closed = _closed(_closed(whole, cut.command), cut.force)
-    return closed[:n, n + 3].copy(), float(closed[cut.command, n + 3])
+    matrix = controller_matrix(controller, sampled.sample_time_s)
+    b, d = _position_input(_build_whole_cut(sampled, controller).matrix, matrix)
+    return b, float(d)
 
 
 def translation_state(sampled: SampledPlant, controller: Controller) -> FloatArray:
@@ -411,12 +412,16 @@ def stability_matrix(loop: SampledLoop) -> FloatArray:
     return a
 
 
-def relative_loop(loop: SampledLoop, row: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return a, b and the row (n,) of an output that sees no translation, in coordinates without it where it is free.
+def relative_loop(
+    loop: SampledLoop, row: FloatArray, drive: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return a, an input's b and the row (n,) of an output that sees no translation, without it where it is free.
 
-    Of such an output row·translation is zero, so that dropping one state loses nothing.
+    Of such an output row·translation is zero, so that dropping one state loses nothing. The input is F^d unless a
+    `drive` (n,) is given.
     """
-    return (loop.a, loop.b, row) if loop.is_anchored else _relative(loop.a, loop.b, row, loop.translation)
+    b = loop.b if drive is None else drive
+    return (loop.a, b, row) if loop.is_anchored else _relative(loop.a, b, row, loop.translation)
 
 
 @compiled

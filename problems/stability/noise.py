@@ -1,7 +1,8 @@
 """How much of the noise of force and position reaches the command, and what of it comes back to the sensor."""
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,30 +15,35 @@ _DOUBLINGS = 60
 _NOTHING = 1e-30
 
 
+Noise = tuple[FloatArray, float, float]
+"""White noise that enters a loop: b (n,) and d of its input as `SampledLoop` has them of F^d, and its RMS."""
+
+
 def command_speed_gain(sampled: SampledPlant, controller: Controller) -> float:
-    """Return what `speed_gain_of` does for a plant and its controller."""
-    return speed_gain_of(build_loop(sampled, controller))
-
-
-def speed_gain_of(loop: SampledLoop) -> float:
-    """Return the RMS of the commanded speed per RMS of white noise on the force [m/s per N], without a deadband.
-
-    The speed is (x^d_k − x^d_{k−1})/h of the sampled loop's stationary covariance; the loop must be stable. The noise
-    enters the controller as F^d does. Without an environment that holds a position, the loop is looked at relative to
-    its translation, in which its command is the sum of steps that are stationary.
-    """
-    # x^d_{k+1} − x^d_k = c (a − 1) s_k + (c b − d) n_k + d n_{k+1}.
-    row = loop.c_command @ loop.a - loop.c_command
-    direct = np.array([float(loop.c_command @ loop.b) - loop.d_command, loop.d_command])
-    return math.sqrt(_variance(loop, row, direct)) / loop.sample_time_s
+    """Return the RMS of the commanded speed per RMS of white noise on the force [m/s per N], see `speed_rms`."""
+    loop = build_loop(sampled, controller)
+    return speed_rms(loop, [(loop.b, loop.d_command, 1.0)])
 
 
 def position_speed_gain(sampled: SampledPlant, controller: Controller) -> float:
     """Return the RMS of the commanded speed per RMS of white noise on the position that the controller reads [1/s]."""
-    b, d = position_input(sampled, controller)
-    if d == 0.0 and not np.any(b):
-        return 0.0
-    return speed_gain_of(replace(build_loop(sampled, controller), b=b, d_command=d))
+    return speed_rms(build_loop(sampled, controller), [(*position_input(sampled, controller), 1.0)])
+
+
+def speed_rms(loop: SampledLoop, noises: Sequence[Noise]) -> float:
+    """Return the RMS of the commanded speed [m/s] under independent white noises, without a deadband.
+
+    The speed is (x^d_k − x^d_{k−1})/h of the sampled loop's stationary covariance; the loop must be stable. Noise of
+    the force enters the controller as F^d does. Without an environment that holds a position, the loop is looked at
+    relative to its translation, in which its command is the sum of steps that are stationary.
+    """
+    # x^d_{k+1} − x^d_k = c (a − 1) s_k + (c b − d) n_k + d n_{k+1}.
+    row = loop.c_command @ loop.a - loop.c_command
+    parts = [relative_loop(loop, row, rms * b) for b, _, rms in noises]
+    a, _, c = parts[0]
+    covariance = _covariance(a, np.stack([b for _, b, _ in parts], axis=1))
+    direct = sum(rms**2 * ((float(loop.c_command @ b) - d) ** 2 + d**2) for b, d, rms in noises)
+    return math.sqrt(max(0.0, float(c @ covariance @ c)) + direct) / loop.sample_time_s
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,26 +67,19 @@ def felt_noise(sampled: SampledPlant, controller: Controller, correlation: float
     whole[:n, :n], whole[:n, n], whole[n, n] = a, b, correlation
     drive[n] = math.sqrt(1.0 - correlation**2)
     row = np.append(c, 1.0 + loop.d_force)
-    covariance = _covariance(np.ascontiguousarray(whole), drive)
+    covariance = _covariance(whole, drive[:, None])
     variance = float(row @ covariance @ row)
     return FeltNoise(gain=math.sqrt(variance), correlation=float(row @ whole @ covariance @ row) / variance)
 
 
-def _variance(loop: SampledLoop, row: FloatArray, direct: FloatArray) -> float:
-    """Return the variance of an output under white noise of variance 1, in coordinates without translation."""
-    a, b, c = relative_loop(loop, row)
-    covariance = _covariance(np.ascontiguousarray(a), np.ascontiguousarray(b))
-    return max(0.0, float(c @ covariance @ c)) + float(direct @ direct)
-
-
 @compiled
 def _covariance(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return Σ aᵏ b bᵀ (aᵏ)ᵀ over k ≥ 0, twice as many terms each time.
+    """Return Σ aᵏ b bᵀ (aᵏ)ᵀ over k ≥ 0 for b (n, k), twice as many terms each time.
 
     Sums of squares lose no digits, however differently the states are scaled; a linear solve for the whole does.
     """
     n = len(b)
-    covariance, power = np.outer(b, b), a
+    covariance, power = b @ np.ascontiguousarray(b.T), a
     for _ in range(_DOUBLINGS):
         covariance = covariance + power @ covariance @ np.ascontiguousarray(power.T)
         power = power @ power

@@ -9,7 +9,8 @@ import numpy as np
 from ..._checks import non_negative, positive
 from ...arrays import FloatArray
 from ...errors import ParameterError
-from ...stability.noise import position_speed_gain, speed_gain_of
+from ...model.sampled import position_input
+from ...stability.noise import speed_rms
 from ..stable_design import StableLoop
 from .base import LoopRequirement
 
@@ -83,5 +84,7 @@ class NoiseRequirement(LoopRequirement[NoiseLimit]):
 
     def of_loop(self, asked: NoiseLimit, loop: StableLoop) -> float:
         """Return the speed RMS [m/s]."""
-        of_position = position_speed_gain(loop.sampled, loop.controller) if asked.position_noise_rms_m else 0.0
-        return float(asked.speed_rms_m_s(speed_gain_of(loop.matrices), of_position))
+        noises = [(loop.matrices.b, loop.matrices.d_command, asked.force_noise_rms_n or 0.0)]
+        if asked.position_noise_rms_m:
+            noises.append((*position_input(loop.sampled, loop.controller), asked.position_noise_rms_m))
+        return speed_rms(loop.matrices, noises)
