@@ -8,7 +8,7 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..compiled import compiled
-from ..model.sampled import Controller, SampledLoop, SampledPlant, build_loop, position_input, relative_loop
+from ..model.sampled import Controller, SampledLoop, SampledPlant, build_loop, relative_loop
 
 # 2^60 ticks: no stable loop in double precision is slower.
 _DOUBLINGS = 60
@@ -23,11 +23,6 @@ def command_speed_gain(sampled: SampledPlant, controller: Controller) -> float:
     """Return the RMS of the commanded speed per RMS of white noise on the force [m/s per N], see `speed_rms`."""
     loop = build_loop(sampled, controller)
     return speed_rms(loop, [(loop.b, loop.d_command, 1.0)])
-
-
-def position_speed_gain(sampled: SampledPlant, controller: Controller) -> float:
-    """Return the RMS of the commanded speed per RMS of white noise on the position that the controller reads [1/s]."""
-    return speed_rms(build_loop(sampled, controller), [(*position_input(sampled, controller), 1.0)])
 
 
 def speed_rms(loop: SampledLoop, noises: Sequence[Noise]) -> float:

@@ -11,8 +11,16 @@ from problems.design.problem import NoiseLimit
 from problems.model.controller import AdmittanceController
 from problems.model.plant import FREE_SPACE, Plant, WrenchFilter
 from problems.model.robot import RobotModel
-from problems.model.sampled import build_cut_loop, build_sampled_plant, controller_matrix
-from problems.stability.noise import command_speed_gain, position_speed_gain
+from problems.model.sampled import (
+    SampledPlant,
+    build_cut_loop,
+    build_loop,
+    build_sampled_plant,
+    controller_matrix,
+    position_input,
+)
+from problems.stability.noise import command_speed_gain
+from problems.stability.noise import speed_rms as exact_speed_rms
 from problems.stability.passivity import prepare_port
 from tests.autotune.tuning.cases import design_problem
 
@@ -43,6 +51,11 @@ def plants(delay_s: float) -> tuple[Plant, ...]:
     return (*touching, *(plant.in_contact_with(FREE_SPACE) for plant in touching[::3]))
 
 
+def of_position_noise(sampled: SampledPlant, law: AdmittanceController) -> float:
+    """Return the speed RMS per RMS of noise on the position that is read [1/s]."""
+    return exact_speed_rms(build_loop(sampled, law), [(*position_input(sampled, law), 1.0)])
+
+
 @pytest.mark.parametrize("law", list(LAWS.values()), ids=list(LAWS))
 @pytest.mark.parametrize("delay", DELAYS)
 def test_squares_of_an_impulse_response_add_up_to_the_variance(delay: float, law: AdmittanceController) -> None:
@@ -51,7 +64,7 @@ def test_squares_of_an_impulse_response_add_up_to_the_variance(delay: float, law
     reported = [command_speed_gain(build_sampled_plant(plant, H), law) for plant in set_]
     # The response is followed until a thousandth is left, whose square is a millionth.
     assert found == pytest.approx(reported, rel=1e-6)
-    on_position = [position_speed_gain(build_sampled_plant(plant, H), law) for plant in set_]
+    on_position = [of_position_noise(build_sampled_plant(plant, H), law) for plant in set_]
     assert speed_rms(set_, law, H, on_position=True) == pytest.approx(on_position, rel=1e-6)
     for position in (None, 3e-6):
         asked = NoiseLimit(max_speed_rms_m_s=1.0, force_noise_rms_n=0.2, position_noise_rms_m=position)
@@ -76,12 +89,12 @@ def test_noise_of_the_pose_is_that_of_a_loop_that_is_simulated_with_it() -> None
             states = m[:n, :n] @ states + m[:n, n] * force + m[:n, n + 1] * command
             states[n - r :] += matrix[:r, r + 1] * off
         measured = float(np.std(np.diff(commands[2_000:]))) / H
-        assert measured == pytest.approx(1e-6 * position_speed_gain(sampled, law), rel=0.01)
+        assert measured == pytest.approx(1e-6 * of_position_noise(sampled, law), rel=0.01)
 
 
 def test_a_law_that_does_not_read_the_position_makes_nothing_of_its_noise() -> None:
     law = AdmittanceController(mass_kg=5.0, damping_n_s_per_m=3000.0, lead_s=0.02)
-    assert position_speed_gain(build_sampled_plant(plants(2.4e-3)[0], H), law) == 0.0
+    assert of_position_noise(build_sampled_plant(plants(2.4e-3)[0], H), law) == 0.0
 
 
 def test_plants_with_different_delays_are_played_together() -> None:
