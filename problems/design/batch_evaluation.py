@@ -37,6 +37,7 @@ from .batch_kernel import (
     Plants,
     evaluate_designs,
     find_moduli,
+    find_speed_noises,
     stack_contacts,
     stack_grids,
     stack_loops,
@@ -44,7 +45,7 @@ from .batch_kernel import (
 )
 from .evaluation import Evaluation, PreparedScenarios
 from .objectives import admittance_target
-from .requirements import HeldByHand, Requirements, target_response
+from .requirements import HeldByHand, NoiseLimit, Requirements, target_response
 from .requirements.held_by_hand import held_plants
 from .stable_design import StableDesign
 
@@ -56,8 +57,8 @@ _MARGINS = {
 }
 EVERY_REQUIREMENT = "all requirements"
 """The goal that combines all requirements: the worst required/achieved of any."""
-_HELD = "held_by_hand"
-_FAST = (*_MARGINS, "free_space_admittance", "max_peak_force_n", _HELD)
+_HELD, _NOISE = "held_by_hand", "command_noise"
+_FAST = (*_MARGINS, "free_space_admittance", "max_peak_force_n", _HELD, _NOISE)
 _CROSSOVERS = ("gain_margin_db", "phase_margin_deg", "delay_margin_s")
 
 _KIND = attrgetter("discretization", "compensation", "compensation_mass_kg")
@@ -198,6 +199,8 @@ class BatchEvaluator:
             soft_rows=soft,
             asked=problem.requirements,
         )
+        if problem.requirements.command_noise is not None:
+            self._ask_noise(problem.requirements.command_noise, found, controllers, everywhere=margins_if_missed)
         if self.held is not None:
             self._ask_hands(self.held, found, numbers, (h, theta, ideal), everywhere=margins_if_missed)
         missed, is_slow = found.violation > 0.0, bool(self.slow) or self._has_slow_objective
@@ -209,6 +212,29 @@ class BatchEvaluator:
         if self.slow and not peaks_if_missed:
             found.objective_rows[found.violation > 0.0] = np.inf
         return found if self.goal is None else found.towards(self.goal)
+
+    def _ask_noise(
+        self,
+        limit: NoiseLimit,
+        found: BatchEvaluation,
+        controllers: Sequence[AdmittanceController],
+        *,
+        everywhere: bool,
+    ) -> None:
+        """Write the command's noise of stable designs, of those that miss something only `everywhere`."""
+        asked = self.prepared.problem.requirements
+        looked_at = np.flatnonzero(found.is_stable if everywhere else found.violation == 0.0)
+        if not len(looked_at):
+            return
+        loops, _, _ = self.plants
+        numbers, theta, ideal = controller_numbers([controllers[i] for i in looked_at.tolist()])
+        speeds = np.empty((len(looked_at), len(self.prepared.plants)))
+        noises = limit.force_noise_rms_n or 0.0, limit.position_noise_rms_m or 0.0
+        find_speed_noises(loops, numbers, (self.prepared.problem.sample_time_s, theta, ideal), noises, speeds)
+        rows = found.soft_rows if _NOISE in asked.soft_n else found.rows
+        rows[_NOISE][looked_at] = speeds / limit.max_speed_rms_m_s
+        for i in looked_at[np.isnan(speeds).any(axis=1)].tolist():
+            rows[_NOISE][i] = asked.kind(_NOISE).ratios(limit, StableDesign(self.prepared, controllers[i]))
 
     def _ask_hands(
         self,
@@ -288,7 +314,7 @@ class BatchEvaluator:
         if asked.max_peak_force_n is not None:
             # Without a peak another requirement is missed anyway.
             rows["max_peak_force_n"] = np.nan_to_num(by_pair[:, :, PEAK_CONTACT] / asked.max_peak_force_n, nan=0.0)
-        written_later = self.slow if self.held is None else (*self.slow, _HELD)
+        written_later = [each for each in asked.asked() if each in (*self.slow, _HELD, _NOISE)]
         rows |= {name: np.zeros((len(whole), asked.kind(name).count(self.prepared))) for name in written_later}
         for value in rows.values():
             value[unstable] = np.nan

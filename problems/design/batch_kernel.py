@@ -27,6 +27,7 @@ from ..model.sampled import SampledPlant
 from ..stability import margin_kernel
 from ..stability.margin_kernel import MARGINS, MODULUS_ALONE, WITH_CROSSOVERS, PolynomialLoop, find_loop_margins
 from ..stability.margins import PreparedMargins, loop_polynomials
+from ..stability.polynomial_noise import command_speed_rms
 from ..stability.polynomials import (
     CONTROLLER_POWERS,
     DOUBTFUL,
@@ -199,6 +200,21 @@ def find_moduli(plants: Plants, designs: FloatArray, sampling: tuple[float, floa
             loop = PolynomialLoop(responses[j], controller, degree, h, theta)
             find_loop_margins(loop, grid_of(grids, j), MODULUS_ALONE, found)
             out[i, j] = found[_OF_LOOP[MODULUS]]
+
+
+@released
+def find_speed_noises(
+    loops: Loops, designs: FloatArray, sampling: tuple[float, float, bool], noises: tuple[float, float], out: FloatArray
+) -> None:
+    """Fill `out` (m, p) with the commanded speed's RMS of designs that are stable on all plants, NaN where doubtful."""
+    polynomials, sizes, first = loops
+    h, theta, ideal = sampling
+    controller = np.zeros((3, CONTROLLER_POWERS))
+    for i in range(len(designs)):
+        degree = controller_polynomials(designs[i], ideal, controller)
+        for j in range(len(sizes)):
+            plant = polynomials[j, :, : sizes[j]]
+            out[i, j] = command_speed_rms(plant, first[j], controller, degree, (h, theta), noises)
 
 
 @compiled

@@ -174,11 +174,8 @@ def _times_filter(out: FloatArray, row: int, corner: float) -> None:
 
 
 @compiled
-def loop_polynomial(
-    plant: FloatArray, controller: FloatArray, degree: int, h: float, theta: float, out: FloatArray
-) -> int:
-    """Write the characteristic polynomial of the closed loop into `out`, ascending powers of w; return its degree."""
-    order = int(plant.shape[1] - 1)
+def controller_in_w(controller: FloatArray, degree: int, h: float, theta: float) -> FloatArray:
+    """Return a controller's polynomials (3, CONTROLLER_POWERS) in w, all times the same power of h/2 and ρ."""
     in_w, power = np.zeros((3, CONTROLLER_POWERS)), np.zeros(CONTROLLER_POWERS)
     slope, scale = 2.0 * theta - 1.0, 2.0 / h
     for k in range(degree + 1):
@@ -191,6 +188,16 @@ def loop_polynomial(
         for row in range(3):
             for i in range(k, degree + 1):
                 in_w[row, i] += controller[row, k] * power[i]
+    return in_w
+
+
+@compiled
+def loop_polynomial(
+    plant: FloatArray, controller: FloatArray, degree: int, h: float, theta: float, out: FloatArray
+) -> int:
+    """Write the characteristic polynomial of the closed loop into `out`, ascending powers of w; return its degree."""
+    order = int(plant.shape[1] - 1)
+    in_w = controller_in_w(controller, degree, h, theta)
     out[: order + degree + 1] = 0.0
     for i in range(degree + 1):
         for j in range(order + 1):
