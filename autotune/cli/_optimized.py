@@ -392,10 +392,7 @@ def limit_lines(controller: "Controller") -> Iterator[str]:
     limits = controller.limits
     if limits is None:
         return
-    commands = ", ".join(
-        f"{name} {each.speed:g} {axis_units(name).speed} and {each.acceleration:g} {axis_units(name).speed}²"
-        for name, each in limits.axes.items()
-    )
+    commands = ", ".join(f"{name} {each.describe(axis_units(name).speed)}" for name, each in limits.axes.items())
     yield f"limits of the runtime: sensor ±{limits.force_n:g} N and ±{limits.torque_n_m:g} N·m; command {commands}"
     yield (
         f"  pose {limits.pose_speed_m_s:g} m/s and {limits.pose_speed_rad_s:g} rad/s; unchanged under a moving command "

@@ -61,7 +61,9 @@ def render_c(
         "head": short(controller.checksum),
         "tuned": len(controller.axes),
         "response": _RESPONSES.index(controller.response),
-        "laws": ",\n".join(map(_law, controller.axes, guard.speeds, guard.changes)),
+        "laws": ",\n".join(
+            map(_law, controller.axes, zip(guard.speeds, guard.changes, guard.followed, guard.weights, strict=True))
+        ),
         "threshold": _number(0.0 if controller.response is CollisionResponse.NONE else threshold),
         "sample_time": _number(controller.sample_time_s),
         "mass": _number(payload.mass_kg),
@@ -144,9 +146,9 @@ def _mapping(value: Any) -> dict[str, Any]:
     return dict(value)
 
 
-def _law(axis: AxisLaw, speed: float, change: float) -> str:
+def _law(axis: AxisLaw, limits: tuple[float, float, float, float]) -> str:
     rows = ",\n".join(f"            {{{_numbers(axis.blocks[row, i] for i in range(3))}}}" for row in range(BLOCK_ROWS))
-    numbers = _numbers((axis.deadband, *axis.payload_range, speed, change))
+    numbers = _numbers((axis.deadband, *axis.payload_range, *limits))
     start = f"    {{{axis.index}, {int(axis.is_subtractive)}, {numbers}, /* {axis.name} */"
     variable, periods, vary = axis.variable_damping, 0, (0.0, 0.0, 0.0, 0.0)
     if variable is not None:

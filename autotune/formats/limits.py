@@ -92,15 +92,30 @@ class AxisLimits:
     """Largest commanded speed (m/s, rad/s) and acceleration (m/s², rad/s²) of one axis.
 
     Speed is |x^d_k − x^d_{k−1}|/h, acceleration the change of the speed from one period to the next, per h.
+    `followed_speed` is the largest speed behind a first-order lag of `followed_lag_s`: that of a robot which follows
+    the command so; None for no such limit.
 
-    Raises ParameterError unless both are positive and finite.
+    Raises ParameterError unless all are positive and finite, and those of the lag given together.
     """
 
     speed: Annotated[float, Rule(exclusiveMinimum=0, maximum=20)]
     acceleration: Annotated[float, Rule(exclusiveMinimum=0, maximum=100_000)]
+    followed_speed: Annotated[float, Rule(exclusiveMinimum=0, maximum=20)] | None = None
+    followed_lag_s: Annotated[float, Rule(exclusiveMinimum=0, maximum=10)] | None = None
 
     def __post_init__(self) -> None:
         _check_positive(self)
+        if (self.followed_speed is None) != (self.followed_lag_s is None):
+            raise ParameterError("followed_lag_s", self.followed_lag_s, "given with followed_speed, and only with it")
+
+    def describe(self, unit: str) -> str:
+        """Return the limits in words; `unit` is that of the speed."""
+        lag = f" ({self.followed_speed:g} behind the robot's lag)" if self.followed_speed is not None else ""
+        return f"{self.speed:g} {unit}{lag} and {self.acceleration:g} {unit}²"
+
+    def followed_weight(self, sample_time_s: float) -> float:
+        """Return by how much of what is missing the followed speed goes on in a period; 1 without a lag."""
+        return 1.0 if self.followed_lag_s is None else -math.expm1(-sample_time_s / self.followed_lag_s)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -176,8 +191,9 @@ class LimitsSpec:
 def _check_positive(record: AxisLimits | Limits) -> None:
     """Make a float of each that is declared as one; raises ParameterError unless it is positive and finite."""
     for name, kind in get_type_hints(type(record)).items():
-        if kind is float:
-            value = float(getattr(record, name))
+        given = getattr(record, name)
+        if kind is float or (kind == float | None and given is not None):
+            value = float(given)
             if not 0.0 < value < math.inf:
                 raise ParameterError(name, value, "greater than 0")
             object.__setattr__(record, name, value)

@@ -345,6 +345,8 @@ def _limits_schema() -> dict[str, Any]:
     known = load_schema("controller")["$defs"]
     entries = {name: each for name, each in known["Limits"]["properties"].items() if name not in ("noise", "reasons")}
     axis = {**known["AxisLimits"], "required": [], "minProperties": 1}
+    # The lag is that of the robot.
+    axis["properties"] = {name: each for name, each in axis["properties"].items() if name != "followed_lag_s"}
     entries["axes"] = {"type": "object", "properties": dict.fromkeys(AXES, axis), "additionalProperties": False}
     return {"type": "object", "properties": entries, "additionalProperties": False}
 

@@ -24,14 +24,16 @@ ACROSS = 0.03125
 # Smaller ones are left alone: this share of the mass that is compensated, and twice the smallest deadband.
 LEAST_SHARE, LEAST_DEADBANDS = 0.1, 2.0
 MOST_PERIODS = 2**30
+UNLIMITED = 1e300
 
 
 @dataclass(frozen=True, kw_only=True)
 class Guard:
     """The limits of a controller in its periods: ways per period, numbers of periods, squares of magnitudes.
 
-    `speeds` and `changes` of the tuned axes are the largest speed and its largest change in a period. `least_weight`
-    is (N)² below which no missing weight is looked for.
+    `speeds` and `changes` of the tuned axes are the largest speed and its largest change in a period, `followed` the
+    largest speed behind a lag, `weights` what a period adds to it (`UNLIMITED` and 1 without such a limit).
+    `least_weight` is (N)² below which no missing weight is looked for.
     """
 
     limits: Limits
@@ -47,9 +49,12 @@ class Guard:
     least_weight: float = field(init=False)
     speeds: tuple[float, ...] = field(init=False)
     changes: tuple[float, ...] = field(init=False)
+    followed: tuple[float, ...] = field(init=False)
+    weights: tuple[float, ...] = field(init=False)
 
     def __post_init__(self) -> None:
         limits, h = self.limits, self.sample_time_s
+        commands = [limits.axes[axis.name] for axis in self.axes]
         least = LEAST_DEADBANDS * max(limits.rest_force_n, _smallest_deadband(self.axes))
         derived = {
             "way_m": limits.pose_speed_m_s * h,
@@ -60,8 +65,10 @@ class Guard:
             "rest_force": limits.rest_force_n * limits.rest_force_n,
             "rest_torque": limits.rest_torque_n_m * limits.rest_torque_n_m,
             "least_weight": least * least,
-            "speeds": tuple(limits.axes[axis.name].speed for axis in self.axes),
-            "changes": tuple(limits.axes[axis.name].acceleration * h for axis in self.axes),
+            "speeds": tuple(each.speed for each in commands),
+            "changes": tuple(each.acceleration * h for each in commands),
+            "followed": tuple(each.followed_speed or UNLIMITED for each in commands),
+            "weights": tuple(each.followed_weight(h) for each in commands),
         }
         for name, value in derived.items():
             object.__setattr__(self, name, value)

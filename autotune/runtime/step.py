@@ -49,7 +49,7 @@ class Fault(IntEnum):
     TORQUE_RANGE = 5
     """A component of the raw torque reached `limits.torque_n_m`."""
     SPEED = 6
-    """The command of an axis would be faster than `limits.axes.<axis>.speed`."""
+    """The command of an axis would be faster than `limits.axes.<axis>.speed`, or behind the lag `followed_speed`."""
     ACCELERATION = 7
     """The speed of the command of an axis would change faster than `limits.axes.<axis>.acceleration`."""
     STALE_WRENCH = 8
@@ -95,8 +95,8 @@ class AxisState(NamedTuple):
 class State(NamedTuple):
     """What the controller keeps from one period to the next; x and x^d count from the pose at the start.
 
-    `twist` is the command's last speed, `tick` the caller's last count, None without one; `since_change` periods ago
-    another controller took over (`change`).
+    `twist` is the command's last speed, `followed` that behind the lag of `limits.axes`; `tick` is the caller's last
+    count, None without one; `since_change` periods ago another controller took over (`change`).
     """
 
     place: Place | None = None
@@ -104,6 +104,7 @@ class State(NamedTuple):
     phase: Phase = Phase.WATCHING
     fault: Fault = Fault.NONE
     twist: Six = NOTHING
+    followed: Six = NOTHING
     watch: Watch = Watch()
     tick: int | None = None
     since_change: int = MOST_PERIODS
@@ -212,7 +213,8 @@ def _moved(controller: RuntimeController, state: State, desired: Six, external: 
     twist = each_of(value / controller.sample_time_s for value in increment)
     if not all(map(math.isfinite, (*twist, *(each for axis in axes for each in axis.control)))):
         return _held(state, Fault.NOT_FINITE)
-    fault = Fault.NONE if resting else _too_fast(controller, twist, state.twist)
+    followed = _followed(controller, twist, state.followed)
+    fault = Fault.NONE if resting else _too_fast(controller, twist, state.twist, followed)
     watch, is_other = state.watch, False
     if fault is Fault.NONE and state.place is not None:
         watch, is_other = weigh(controller.guard, controller.payload, watch, external, state.place[1], increment)
@@ -221,7 +223,12 @@ def _moved(controller: RuntimeController, state: State, desired: Six, external: 
         return _held(state, fault or Fault.OTHER_PAYLOAD)
     since = state.since_change if state.since_change >= MOST_PERIODS else state.since_change + 1
     following = state._replace(
-        axes=tuple(axes), phase=phase, twist=twist, watch=send(watch, increment), since_change=since
+        axes=tuple(axes),
+        phase=phase,
+        twist=twist,
+        followed=followed,
+        watch=send(watch, increment),
+        since_change=since,
     )
     return following, Command(increment, twist, external, phase, Fault.NONE, True, watch.missing_kg)
 
@@ -269,10 +276,20 @@ def _stale(guard: Guard, watch: Watch) -> Fault:
     return Fault.NONE
 
 
-def _too_fast(controller: RuntimeController, twist: Six, before: Six) -> Fault:
+def _followed(controller: RuntimeController, twist: Six, before: Six) -> Six:
+    """Return the speeds behind the lags of the limits."""
+    found = list(before)
+    for axis, weight in zip(controller.axes, controller.guard.weights, strict=True):
+        found[axis.index] = before[axis.index] + weight * (twist[axis.index] - before[axis.index])
+    return each_of(found)
+
+
+def _too_fast(controller: RuntimeController, twist: Six, before: Six, followed: Six) -> Fault:
     """Return which limit of the command a twist breaks."""
     guard, places = controller.guard, [axis.index for axis in controller.axes]
     if any(abs(twist[i]) > speed for i, speed in zip(places, guard.speeds, strict=True)):
+        return Fault.SPEED
+    if any(abs(followed[i]) > speed for i, speed in zip(places, guard.followed, strict=True)):
         return Fault.SPEED
     if any(abs(twist[i] - before[i]) > change for i, change in zip(places, guard.changes, strict=True)):
         return Fault.ACCELERATION

@@ -10,16 +10,21 @@ from autotune.errors import InfeasibleError, UsageError
 from autotune.formats.controller_record import AxisPrediction, Controller
 from autotune.formats.limits import AxisLimits, Limits, LimitsNoise, LimitsSpec, ResidualPeaks
 from autotune.formats.problem import ProblemSpec
+from autotune.formats.units import axis_units
+from autotune.validation.followed_speed import NOISE_DEVIATIONS, FollowedSpeed, choose_followed, safe_speed
 from autotune.validation.limits import (
     SAID,
     choose_axis_limits,
     choose_limits,
     commanded_motion,
+    rounded_up,
     step_motion,
     unsafe_speed,
     with_residual,
 )
 from identification.result import Identified
+from problems.arrays import FloatArray
+from problems.text import rounded_down
 
 from .first_contacts import FirstContacts, contacts_of
 from .threshold import ASSUMED_NOISE_N
@@ -61,15 +66,34 @@ def with_limits(controller: Controller, settings: LimitsSettings) -> Controller:
     InfeasibleError where no limit that lets them through keeps a led payload as slow as `contact_at_speed` asks.
     """
     reasons: dict[str, str] = {}
-    axes = {
-        name: choose_axis_limits(controller, name, settings.noise, largest_motion(controller, name), reasons)
-        for name in controller.axes
-    }
+    axes = {name: _axis_limits(controller, name, settings.noise, reasons) for name in controller.axes}
     limits = _said(controller, choose_limits(controller, settings.noise, axes, reasons), settings.spec)
     limited = replace(controller, limits=limits)
     _check_safe(limited)
     predicted = {name: _predicted(limited, name) for name in controller.axes}
     return replace(limited, predicted=predicted)
+
+
+def _axis_limits(controller: Controller, name: str, noise: LimitsNoise, reasons: dict[str, str]) -> AxisLimits:
+    """Return the limits of one axis; where `contact_at_speed` is asked, the robot is kept below the speed of that."""
+    chosen = choose_axis_limits(controller, name, noise, largest_motion(controller, name), reasons)
+    safe, units = safe_speed(controller, name), axis_units(name)
+    if safe is None:
+        return chosen
+    speed, asked = safe
+    found = _found_followed(controller, name, noise)
+    reasons[f"axes.{name}.followed_speed"] = (
+        f"up to {rounded_down(speed, 3):g} {units.speed} no contact exceeds {asked.max_force_n:g} {units.force} "
+        f"(contact_at_speed), and the robot goes at most {found.share:.4g} times as fast; certified contacts reach "
+        f"{found.contacts:.3g}, and {NOISE_DEVIATIONS:g} deviations of the noise {found.noise:.2g}"
+    )
+    reasons[f"axes.{name}.followed_lag_s"] = "of the lags around the robot's, that behind which these contacts go least"
+    limit = max(rounded_down(speed / found.share, 3), rounded_up(found.reached))
+    return replace(chosen, followed_speed=limit, followed_lag_s=found.lag_s)
+
+
+def _found_followed(controller: Controller, name: str, noise: LimitsNoise) -> FollowedSpeed:
+    return choose_followed(controller, name, noise, _commands(contacts_of(controller, name), controller, name))
 
 
 def _predicted(controller: Controller, name: str) -> AxisPrediction:
@@ -94,12 +118,17 @@ def largest_motion(controller: Controller, name: str) -> tuple[float, float]:
     return max(speed for speed, _ in found), max(acceleration for _, acceleration in found)
 
 
-def _motions(contacts: FirstContacts, controller: Controller, name: str) -> Iterator[tuple[float, float]]:
-    h, scenarios = controller.sample_time_s, [each.scenario() for each in controller.predicted[name].scenarios]
+def _commands(contacts: FirstContacts, controller: Controller, name: str) -> Iterator[FloatArray]:
+    scenarios = [each.scenario() for each in controller.predicted[name].scenarios]
     for scenario in dict.fromkeys(scenarios):
-        yield commanded_motion(contacts.run(scenario, None).command_m, h)
+        yield contacts.run(scenario, None).command_m
     for command in contacts.starts(scenarios[:1]):
-        yield commanded_motion(np.concatenate([command[:1], command]), h)
+        yield np.concatenate([command[:1], command])
+
+
+def _motions(contacts: FirstContacts, controller: Controller, name: str) -> Iterator[tuple[float, float]]:
+    for command in _commands(contacts, controller, name):
+        yield commanded_motion(command, controller.sample_time_s)
     # What passes the deadband at once, as a hand's force does.
     yield step_motion(controller, name, controller.axes[name].deadband)
 
@@ -113,7 +142,10 @@ def _said(controller: Controller, chosen: Limits, spec: LimitsSpec) -> Limits:
     axes: dict[str, AxisLimits] = dict(chosen.axes)
     for name, asked in spec.axes.items():
         _check_reached(controller, name, asked)
-        axes[name] = replace(axes[name], **asked)
+        lag = axes[name].followed_lag_s
+        if lag is None and "followed_speed" in asked:
+            lag = _found_followed(controller, name, (chosen.noise or LimitsNoise())).lag_s
+        axes[name] = replace(axes[name], **asked, followed_lag_s=lag)
         reasons |= {f"axes.{name}.{key}": SAID for key in asked}
     reasons |= dict.fromkeys(spec.values, SAID)
     further: dict[str, Any] = dict(spec.values)
@@ -121,20 +153,18 @@ def _said(controller: Controller, chosen: Limits, spec: LimitsSpec) -> Limits:
 
 
 def _check_safe(controller: Controller) -> None:
-    """Refuse a limit that was chosen, and not said, above the speed up to which a contact is as gentle as asked.
-
-    Below what the certified contacts command it would stop the robot in them, while the lead takes the command back.
-    """
+    """Refuse limits that were chosen, and not said, above the speed up to which a contact is as gentle as asked."""
     limits = controller.limits
     for name in controller.axes:
         unsafe = unsafe_speed(controller, name)
-        if limits is None or not unsafe or limits.reasons.get(f"axes.{name}.speed") == SAID:
+        said = {limits.reasons.get(f"axes.{name}.{key}") for key in ("speed", "followed_speed")} if limits else {SAID}
+        if limits is None or not unsafe or SAID in said:
             continue
-        line = f"limits: {{axes: {{{name}: {{speed: {limits.axes[name].speed:g}}}}}}}"
+        line = f"limits: {{axes: {{{name}: {{followed_speed: {limits.axes[name].followed_speed:g}}}}}}}"
         raise InfeasibleError(
-            f"Axis {name}: {unsafe}. A lower limit would stop the robot in the certified contacts, which command as "
-            "much for some samples, noise included. Have them command less (a smaller upper bound of lead_s, a slower "
-            "approach), ask less of contact_at_speed, or keep a led payload slower by other means and say the limit in "
+            f"Axis {name}: {unsafe}. A lower limit would stop the robot in the certified contacts, in which it goes as "
+            "fast, noise included. Have them go slower (a slower approach, a smaller upper bound of lead_s), ask less "
+            "of contact_at_speed, or keep a led payload slower by other means and say the limit in "
             f"problem.yaml: {line}",
             to_paste=(line,),
         )
@@ -143,6 +173,8 @@ def _check_safe(controller: Controller) -> None:
 def _check_reached(controller: Controller, name: str, values: Mapping[str, float]) -> None:
     """Refuse a limit that the certified contacts reach."""
     reached = dict(zip(("speed", "acceleration"), largest_motion(controller, name), strict=True))
+    if "followed_speed" in values:
+        reached["followed_speed"] = _found_followed(controller, name, LimitsNoise()).contacts
     for key, value in values.items():
         if value <= reached[key]:
             raise UsageError(

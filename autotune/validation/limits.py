@@ -12,17 +12,14 @@ from autotune.formats.units import ROTATIONAL_AXES, axis_units
 from autotune.runtime.law import STANDARD_GRAVITY_M_S2
 from autotune.runtime.load import LEVER_M, REDUCED_SPEED_M_S
 from problems.arrays import FloatArray
-from problems.design.requirements import ContactAtSpeed
 from problems.model.controller import AdmittanceController, controller_blocks
 from problems.model.difference import BIQUAD_0, INTEGRATOR_DIRECT, LAG_DIRECT
 from problems.text import rounded_down
 
-from .certified_requirements import asked_of
 from .contacts import Replays
+from .followed_speed import NOISE_DEVIATIONS, largest_share, safe_speed
 from .replay import Strategy
 
-NOISE_DEVIATIONS = 6.0
-"""A limit lies this many deviations of the noise above what is reached: one tick in 1e9 is beyond it."""
 SAID = "said in problem.yaml"
 """The reason of a limit that does not follow from the controller."""
 # Room above what the certified contacts command, and what weight, bias and contact put on the sensor.
@@ -62,8 +59,8 @@ def choose_limits(
         force_n=force,
         torque_n_m=torque,
         axes=axes,
-        pose_speed_m_s=_rounded_up(pose + shaken),
-        pose_speed_rad_s=_rounded_up(turn + shaken / LEVER_M),
+        pose_speed_m_s=rounded_up(pose + shaken),
+        pose_speed_rad_s=rounded_up(turn + shaken / LEVER_M),
         stale_wrench_s=max(_STALE_WRENCH_S, _STALE_PERIODS * h),
         stale_pose_s=max(_STALE_POSE_S, _STALE_PERIODS * h),
         rest_samples=max(1, min(MOST_REST_SAMPLES, round(_REST_S / h))),
@@ -94,34 +91,28 @@ def choose_axis_limits(
     reasons[f"axes.{name}.acceleration"] = (
         f"{said}, {acceleration:.3g} {units.speed}², and {shaken}, {noisy_acceleration:.2g}"
     )
-    largest = _rounded_up(max(_ROOM * speed + noisy_speed, least))
-    asked, per_speed = asked_of(controller, name).get("contact_at_speed"), controller.predicted[name].peak_per_speed
-    if isinstance(asked, ContactAtSpeed) and per_speed is not None:
-        safe, reached = per_speed.largest_speed(asked.max_force_n, asked.hand), speed + noisy_speed
-        largest = min(largest, max(rounded_down(safe), _rounded_up(reached)))
-        reasons[f"axes.{name}.speed"] = (
-            f"up to {rounded_down(safe, 3):g} {units.speed} no contact exceeds {asked.max_force_n:g} {units.force} "
-            f"(contact_at_speed); certified contacts command {speed:.3g}, and {shaken}, {noisy_speed:.2g}"
-        )
     return AxisLimits(
-        speed=largest,
-        acceleration=_rounded_up(_ROOM * acceleration + noisy_acceleration),
+        speed=rounded_up(max(_ROOM * speed + noisy_speed, least)),
+        acceleration=rounded_up(_ROOM * acceleration + noisy_acceleration),
     )
 
 
 def unsafe_speed(controller: Controller, name: str) -> str:
-    """Say that the limit of the speed lets a led payload touch faster than `contact_at_speed` allows; empty if not."""
-    asked, limits = asked_of(controller, name).get("contact_at_speed"), controller.limits
-    per_speed, units = controller.predicted[name].peak_per_speed, axis_units(name)
-    if not isinstance(asked, ContactAtSpeed) or per_speed is None or limits is None:
+    """Say that the limits let a led payload touch faster than `contact_at_speed` allows; empty if not."""
+    limits, units, found = controller.limits, axis_units(name), safe_speed(controller, name)
+    if found is None or limits is None:
         return ""
-    safe, limit = rounded_down(per_speed.largest_speed(asked.max_force_n, asked.hand), 3), limits.axes[name].speed
-    if limit <= safe:
+    (speed, asked), each = found, limits.axes[name]
+    safe, limit, key = rounded_down(speed, 3), each.speed, "speed"
+    if each.followed_speed is not None and each.followed_lag_s is not None:
+        goes = each.followed_speed * largest_share(controller, name, each.followed_lag_s)
+        limit, key = (goes, "followed_speed") if goes < limit else (limit, key)
+    if limit <= speed * (1.0 + _SAME_NUMBER):
         return ""
-    force = limit * asked.max_force_n / safe
+    force = limit * asked.max_force_n / speed
     return (
         f"up to {safe:g} {units.speed} no contact exceeds {asked.max_force_n:g} {units.force} (contact_at_speed), and "
-        f"limits.axes.{name}.speed is {limit:g}, at which it may be {force:.3g} {units.force}"
+        f"limits.axes.{name}.{key} lets the robot go at {limit:.3g}, at which it may be {force:.3g} {units.force}"
     )
 
 
@@ -169,7 +160,7 @@ def _ranges(controller: Controller, reasons: dict[str, str]) -> tuple[float, flo
     )
     if payload.set_in_cell:
         reasons["torque_n_m"] += "; centre of mass and bias are not known and count as 0, so a heavy tool needs more"
-    return _rounded_up(_ROOM * force), _rounded_up(max(_ROOM * torque, _LEAST_REST_N_M))
+    return rounded_up(_ROOM * force), rounded_up(max(_ROOM * torque, _LEAST_REST_N_M))
 
 
 def _worst(controller: Controller, *, turning: bool) -> float:
@@ -191,17 +182,17 @@ def _rest(controller: Controller, noise: LimitsNoise, reasons: dict[str, str]) -
         return force, _within_deadband(controller, _LEAST_REST_N_M, turning=True)
     weight = STANDARD_GRAVITY_M_S2 * controller.payload.mass_kg
     reasons["rest_torque_n_m"] = f"no axis turns; the weight at {_COM_OFF_M:g} m from its centre, at least 1 N·m"
-    return force, _rounded_up(max(1.0, _COM_OFF_M * weight))
+    return force, rounded_up(max(1.0, _COM_OFF_M * weight))
 
 
 def _within_deadband(controller: Controller, least: float, *, turning: bool) -> float:
     widths = [each.deadband for name, each in controller.axes.items() if (name in ROTATIONAL_AXES) == turning]
     width = min(widths, default=0.0)
     wanted = max(_REST_SHARE * width, least)
-    return _rounded_up(min(wanted, width) if width > 0.0 else wanted)
+    return rounded_up(min(wanted, width) if width > 0.0 else wanted)
 
 
-def _rounded_up(value: float) -> float:
+def rounded_up(value: float) -> float:
     """Return a number of two digits that is not below `value`."""
     scale = 10.0 ** (math.floor(math.log10(value)) - 1)
     return float(f"{math.ceil(value / scale * (1.0 - 1e-9)) * scale:.2g}")
@@ -240,24 +231,30 @@ def verify_limits(
     if not scenarios:
         return "", []
     wrong = [*_sensor(controller), *_residual(controller, name)]
-    replays = Replays(domain, law, controller.sample_time_s, Strategy(variable=controller.damping_of(name)))
+    h, asked = controller.sample_time_s, limits.axes[name]
+    watched = Strategy(variable=controller.damping_of(name), followed_weight=asked.followed_weight(h))
+    replays = Replays(domain, law, h, watched)
     seen = [replays.play(each) for each in dict.fromkeys(each.scenario() for each in scenarios)]
     speed = max(each.largest_speed_m_s for each in seen)
     acceleration = max(each.largest_acceleration_m_s2 for each in seen)
-    asked = limits.axes[name]
+    followed = max(each.largest_followed_m_s for each in seen)
     wrong += [
         f"limits.axes.{name}.{what} is {limit:.4g} {unit}, and certified contacts command {found:.4g}"
         for what, limit, found, unit in (
             ("speed", asked.speed, speed, units.speed),
             ("acceleration", asked.acceleration, acceleration, f"{units.speed}²"),
+            ("followed_speed", asked.followed_speed or math.inf, followed, units.speed),
         )
         if found >= limit
     ]
     wrong += _too_wide(controller, name, (speed, acceleration))
     force, share = with_residual(controller, name)
     worst = share * max(each.peak_contact_force_n for each in scenarios)
+    robot = ""
+    if asked.followed_speed is not None:
+        robot = f", {followed:.3g} of {asked.followed_speed:g} {units.speed} behind the lag"
     return (
-        f"certified contacts command {speed:.3g} of {asked.speed:g} {units.speed} and {acceleration:.3g} of "
+        f"certified contacts command {speed:.3g} of {asked.speed:g} {units.speed}{robot} and {acceleration:.3g} of "
         f"{asked.acceleration:g} {units.speed}²; with {force:g} {units.force} of weight left over the worst peak is "
         f"{worst:.1f} {units.force}{_not_recomputed(limits)}"
     ), wrong
@@ -280,13 +277,18 @@ def _too_wide(controller: Controller, name: str, replayed: tuple[float, float]) 
         for what in ("speed", "acceleration"):
             stated[f"{place}.{what}"] = getattr(limits.axes[name], what)
             follows[f"{place}.{what}"] = getattr(chosen, what)
+    safe, lag = safe_speed(controller, name), limits.axes[name].followed_lag_s
+    if safe is not None and lag is not None:
+        key = f"axes.{name}.followed_speed"
+        stated[key] = limits.axes[name].followed_speed or 0.0
+        follows[key] = safe[0] / largest_share(controller, name, lag)
     if name == next(iter(controller.axes)):
         whole = choose_limits(controller, noise, limits.axes, {})
         for key, value in vars(whole).items():
             if isinstance(value, int | float) and key not in skipped:
                 stated[key], follows[key] = getattr(limits, key), value
     for key, value in follows.items():
-        if limits.reasons.get(key) != SAID and stated[key] > _rounded_up((1.0 + _SAME_LIMIT) * value):
+        if limits.reasons.get(key) != SAID and stated[key] > rounded_up((1.0 + _SAME_LIMIT) * value):
             yield f"limits.{key} is {stated[key]:.4g}, and what the file holds makes it {value:.4g}"
 
 

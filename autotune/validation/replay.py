@@ -42,11 +42,15 @@ _BISECTIONS = 60
 
 @dataclass(frozen=True, kw_only=True)
 class Strategy:
-    """What a replayed law does beside its gains: at the threshold a reset, or with `stops` a full stop; its B_a."""
+    """What a replayed law does beside its gains: at the threshold a reset, or with `stops` a full stop; its B_a.
+
+    `followed_weight` is that of the lag behind which the command's speed is watched (`AxisLimits`).
+    """
 
     threshold_n: float = math.inf
     stops: bool = False
     variable: VariableDampingSettings | None = None
+    followed_weight: float = 1.0
 
     def schedule(self) -> DampingSchedule:
         """Return the variable damping as the kernel takes it; a period of 0 is none."""
@@ -84,8 +88,8 @@ class Replay:
     """Peaks of one replayed contact, at the sensor (pressing positive) and at the surface.
 
     `detected_after_s` counts from the tick that first saw the touch, below 0 for a detection in free motion; None
-    without one. `largest_speed_m_s` and `largest_acceleration_m_s2` are those of the command, the start from rest
-    included. `opposed_n` is the largest force against the motion before the touch.
+    without one. `largest_speed_m_s`, `largest_acceleration_m_s2` and `largest_followed_m_s`, behind the lag, are those
+    of the command, the start from rest included. `opposed_n` is the largest force against the motion before the touch.
     """
 
     peak_sensor_force_n: float
@@ -93,6 +97,7 @@ class Replay:
     detected_after_s: float | None = None
     largest_speed_m_s: float = 0.0
     largest_acceleration_m_s2: float = 0.0
+    largest_followed_m_s: float = 0.0
     opposed_n: float = 0.0
 
 
@@ -131,6 +136,7 @@ def replay_contact(
         strategy.stops,
         strategy.schedule(),
         float(_FAR_SAMPLES),
+        float(strategy.followed_weight),
     )
     sensor, contact, detected_after_s = found.sensor, found.contact, None
     if found.detection >= 0 and found.touch >= 0:
@@ -145,6 +151,7 @@ def replay_contact(
         detected_after_s=detected_after_s,
         largest_speed_m_s=found.fastest / sample_time_s,
         largest_acceleration_m_s2=found.hardest / sample_time_s**2,
+        largest_followed_m_s=found.followed / sample_time_s,
         opposed_n=found.opposed,
     )
 
@@ -243,18 +250,24 @@ def _biquad(law: AdmittanceController, h: float) -> tuple[tuple[float, float, fl
     return (b_0, b_1, b_2), (a_1, a_2)
 
 
-def robot_alone(robot: RobotModel, sample_time_s: float) -> RobotAlone:
-    """Return the robot without payload, stepped exactly over samples."""
+def robot_rates(robot: RobotModel, sample_time_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return dynamics, drive and position output of the robot without payload, per sample."""
     alone = Plant(
         robot=robot,
         coupling=Coupling(stiffness_n_per_m=1.0, damping_n_s_per_m=0.0),
         payload=PayloadDynamics(mass_kg=1.0, drag_n_s_per_m=0.0),
     )
     matrices, order = build_plant_matrices(alone, sample_time_s), robot.order
+    return matrices.a[:order, :order], matrices.b[:order], matrices.c_position[:order]
+
+
+def robot_alone(robot: RobotModel, sample_time_s: float) -> RobotAlone:
+    """Return the robot without payload, stepped exactly over samples."""
+    rate, drive, output = robot_rates(robot, sample_time_s)
     late = robot.delay_s / sample_time_s
     whole = math.floor(late)
     return RobotAlone(
-        sample=_sample_step(matrices.a[:order, :order], matrices.b[:order], late - whole),
-        output=matrices.c_position[:order],
+        sample=_sample_step(rate, drive, late - whole),
+        output=output,
         whole=whole,
     )

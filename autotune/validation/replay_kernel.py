@@ -119,7 +119,7 @@ class RobotAlone(NamedTuple):
 class ReplayedContact(NamedTuple):
     """Peaks and largest steps of a replayed contact; `touch` and `detection` are ticks, -1 for none.
 
-    `opposed` is the largest force against the motion before the touch.
+    `opposed` is the largest force against the motion before the touch, `followed` the largest step behind the lag.
     """
 
     sensor: float
@@ -130,6 +130,7 @@ class ReplayedContact(NamedTuple):
     hardest: float
     is_touching: bool
     opposed: float
+    followed: float
 
 
 @equation
@@ -295,6 +296,7 @@ def replay_ticks(
     stops: bool,
     schedule: DampingSchedule,
     far_samples: float,
+    followed_weight: float,
 ) -> ReplayedContact:
     """Follow a contact from rest at `start`, before the wall, for so many ticks (`replay_contact`)."""
     state = np.zeros(len(contact.c_force))
@@ -303,7 +305,7 @@ def replay_ticks(
     past = rest_at(start)
     # What acts at the end of a tick is a command of `whole` ticks before; before the first tick the robot rests.
     sent = np.full(contact.whole + 1 + ticks, start)
-    sensor = peak = speed = fastest = hardest = opposed = 0.0
+    sensor = peak = speed = fastest = hardest = opposed = behind = followed = 0.0
     touch = detection = -1
     # M_a is in the gain of the equation, h²/(4 M_a), and B_a in its first two coefficients.
     mass, damping = gains.h * gains.h / (4.0 * gains.gain), schedule.highest
@@ -332,7 +334,8 @@ def replay_ticks(
         newest = contact.whole + 1 + tick
         sent[newest] = past.sent
         slower, speed = speed, sent[newest] - sent[newest - 1]
-        fastest = max(fastest, abs(speed))
+        behind = behind + followed_weight * (speed - behind)
+        fastest, followed = max(fastest, abs(speed)), max(followed, abs(behind))
         # That a response stops the command is not limited.
         hardest = hardest if is_held else max(hardest, abs(speed - slower))
         if moves:
@@ -340,7 +343,7 @@ def replay_ticks(
         else:
             state = contact_sample(contact, state, sent[tick], sent[tick + 1], far_samples)
     pressing = presses(contact, state, wall)
-    return ReplayedContact(sensor, peak, touch, detection, fastest, hardest, pressing, opposed)
+    return ReplayedContact(sensor, peak, touch, detection, fastest, hardest, pressing, opposed, followed)
 
 
 @compiled

@@ -60,6 +60,7 @@ class CState(Structure):
         ("position_W_m", c_double * 3),
         ("R_WS", c_double * 9),
         ("twist", c_double * 6),
+        ("followed", c_double * 6),
         ("wrench", c_double * 6),
         ("sums", c_double * 6),
         ("wrench_way", c_double),

@@ -14,7 +14,7 @@ from autotune.export.export import export_controller
 from autotune.formats.controller import write_controller
 from autotune.formats.controller_record import ControllerStatus
 from autotune.formats.limits import Biquad
-from autotune.runtime import AXES, CollisionResponse, Command, RuntimeController, change, rearm, step
+from autotune.runtime import AXES, CollisionResponse, Command, Fault, RuntimeController, change, rearm, step
 from autotune.runtime.load import read_law
 from tests.autotune.export.c_twin import CPayload, Twin, compile_c, numbers
 from tests.autotune.formats.samples import make_controller
@@ -126,6 +126,28 @@ def test_c_is_the_python_step_in_contact_with_the_cell_in_the_loop(response: Col
     assert (np.max(np.array(commands)[:, -2]) == 1.0) == (response is CollisionResponse.RESET)
     np.testing.assert_allclose(c.command_m, python.command_m, rtol=0.0, atol=1e-12)
     np.testing.assert_allclose(c.sensor_n, python.sensor_n, rtol=0.0, atol=1e-7)  # 1e-12 m times the stiffness 1e5 N/m
+
+
+@needs_gcc
+def test_both_hold_at_the_same_speed_behind_the_lag(tmp_path: Path) -> None:
+    rng = np.random.default_rng(3)
+    free, readings = random_runtime(rng, CollisionResponse.NONE), random_readings(rng, 2000)
+    python, _ = both(free, twin_of(free, tmp_path, "free"), readings)
+    name, index = free.axes[0].name, free.axes[0].index
+    # Reached once, late: of a first-order lag of 20 periods.
+    behind, last = [], 0.0
+    for speed in python[:, 6 + index]:
+        last += -np.expm1(-1.0 / 20.0) * (speed - last)
+        behind.append(abs(last))
+    reached = np.maximum.accumulate(behind)
+    late = int(np.flatnonzero(reached > reached[1000])[0])
+    limit = 0.5 * (reached[late - 1] + reached[late])
+    lagging = dataclasses.replace(free.limits.axes[name], followed_speed=limit, followed_lag_s=20.0 * PERIOD_S)
+    limits = dataclasses.replace(free.limits, axes={**free.limits.axes, name: lagging})
+    controller = dataclasses.replace(free, limits=limits)
+    python, c = both(controller, twin_of(controller, tmp_path), readings)
+    assert np.flatnonzero(python[:, -1] == float(Fault.SPEED))[0] == late
+    np.testing.assert_array_equal(c, python)
 
 
 @needs_gcc

@@ -99,6 +99,41 @@ def test_a_command_beyond_its_speed_is_not_sent() -> None:
         assert max(speeds) > 0.2
 
 
+LAGGING = with_limits(
+    axes={**LIMITS.axes, "x": AxisLimits(speed=10.0, acceleration=1e6, followed_speed=0.1, followed_lag_s=0.05)}
+)
+
+
+def test_a_lead_may_command_more_for_a_moment_than_a_robot_may_go() -> None:
+    """120 N at once make 0.12 m/s of K_l at first, and 0.086 m/s in the end; 150 N end at 0.107 m/s, a fault."""
+    for force, fault in ((120.0, Fault.NONE), (150.0, Fault.SPEED)):
+        state, commands = STARTED, []
+        for k in range(1500):
+            state, command = fed(state, reading(force, 1e-7 * k), controller=LAGGING)
+            commands.append(command)
+        assert commands[-1].fault is fault
+        assert max(each.twist_S[0] for each in commands) > 0.115
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_robot_of_one_pole_goes_no_faster_than_the_limit_behind_its_lag(seed: int) -> None:
+    """Whatever hand leads it, until the fault and after; the robot's answer to each step of the command is exact."""
+    rng = np.random.default_rng(seed)
+    state, sent, position, speeds, force = STARTED, 0.0, 0.0, [], 0.0
+    decay = np.exp(-PERIOD_S / 0.05)
+    for k in range(3000):
+        if rng.random() < 0.01:
+            force = rng.uniform(-180.0, 180.0)
+        state, command = fed(state, reading(force, 1e-7 * k), controller=LAGGING)
+        sent += command.increment_S[0]
+        # The speed is largest as the step comes.
+        speeds.append((sent - position) / 0.05)
+        position = sent + (position - sent) * decay
+    assert state.fault is Fault.SPEED
+    # The hold adds half a period of the lag.
+    assert 0.08 < max(map(abs, speeds)) <= 0.1 * (1.0 + 0.51 * PERIOD_S / 0.05)
+
+
 def test_a_command_that_starts_too_hard_is_not_sent() -> None:
     slow = with_limits(axes={**LIMITS.axes, "x": AxisLimits(speed=0.25, acceleration=5.0)})
     slow = replace(slow, axes=(make_axis("x"),))

@@ -132,29 +132,54 @@ def test_validation_finds_limits_that_let_more_through_than_follows(key: str) ->
     assert f"{place}: said in problem.yaml" in check.message
 
 
-def test_a_limit_of_the_force_at_a_speed_sets_the_speed_of_the_command() -> None:
-    """Contacts scale with their speed, so the stated peaks per speed say how fast a limit of the force allows."""
+def asking(controller: Controller, asked: ContactAtSpeed) -> Controller:
+    """The controller, of which `contact_at_speed` is asked too."""
+    requirements = {**controller.certificate.requirements, "contact_at_speed": asked}
+    return replace(controller, certificate=replace(controller.certificate, requirements=requirements))
+
+
+def test_a_limit_of_the_force_at_a_speed_limits_the_speed_of_the_robot() -> None:
+    """Contacts scale with their speed, so the stated peaks per speed say how fast a limit of the force allows.
+
+    That is less than what the certified contacts command as F^d comes at once, and more than how fast the robot goes.
+    """
     whole = small_controller()
     per_speed, usual = whole.predicted["x"].peak_per_speed, whole.limits
     assert per_speed is not None
     assert usual is not None
-    fast = 0.9 * usual.axes["x"].speed
-    asked = ContactAtSpeed(speed_m_s=0.01, max_force_n=fast * per_speed.lets_go, hand="lets_go")
-    certificate = replace(whole.certificate, requirements={**whole.certificate.requirements, "contact_at_speed": asked})
-    limits = with_limits(replace(whole, certificate=certificate), LimitsSettings()).limits
-    assert limits is not None
-    assert 0.9 * fast < limits.axes["x"].speed <= fast
-    assert "contact_at_speed" in limits.reasons["axes.x.speed"]
+    domain, gains = whole.certificate.domain["x"], whole.axes["x"]
+    approach, commanded = (domain.approach_force_n or 0.0) / gains.damping, largest_motion(whole, "x")[0]
+    safe = 1.5 * approach
+    assert safe < 0.5 * commanded
+    asked = ContactAtSpeed(speed_m_s=0.01, max_force_n=safe * per_speed.lets_go, hand="lets_go")
+    limited = with_limits(asking(whole, asked), LimitsSettings())
+    assert limited.limits is not None
+    found = limited.limits.axes["x"]
+    assert (found.speed, found.acceleration) == (usual.axes["x"].speed, usual.axes["x"].acceleration)
+    # The robot of this cell has one pole, at 20 rad/s, and the hold adds h/2.
+    assert found.followed_lag_s == pytest.approx(0.05, rel=0.2)
+    assert found.followed_speed == pytest.approx(safe, rel=0.02)
+    assert found.followed_speed is not None
+    assert found.followed_speed < safe
+    assert "contact_at_speed" in limited.limits.reasons["axes.x.followed_speed"]
+    (check,) = (each for each in validate_controller(limited, is_short=True).checks if each.name == "limits")
+    assert check.passed
+    assert "behind the lag" in check.message
+    for share, wrong in ((2.0, "and what the file holds makes it"), (0.5, "and certified contacts command")):
+        other = replace(found, followed_speed=share * found.followed_speed)
+        tampered = replace(limited, limits=replace(limited.limits, axes={"x": other}))
+        assert f"limits.axes.x.followed_speed is {other.followed_speed:.4g}" in messages(tampered)
+        assert wrong in messages(tampered)
 
 
 def test_a_limit_above_the_speed_that_is_safe_is_not_chosen_and_said_only_with_a_note() -> None:
-    """Half of what the certified contacts command is asked to be safe: no limit holds both."""
+    """Half of the speed of the certified approach is asked to be safe: no limit holds both."""
     whole = small_controller()
-    per_speed, reached = whole.predicted["x"].peak_per_speed, largest_motion(whole, "x")[0]
+    per_speed, domain = whole.predicted["x"].peak_per_speed, whole.certificate.domain["x"]
     assert per_speed is not None
-    asked = ContactAtSpeed(speed_m_s=0.001, max_force_n=0.5 * reached * per_speed.pushes_on)
-    certificate = replace(whole.certificate, requirements={**whole.certificate.requirements, "contact_at_speed": asked})
-    fast = replace(whole, certificate=certificate)
+    approach = (domain.approach_force_n or 0.0) / (whole.axes["x"].damping + domain.drag_n_s_per_m)
+    asked = ContactAtSpeed(speed_m_s=0.001, max_force_n=0.5 * approach * per_speed.pushes_on)
+    fast = asking(whole, asked)
     with pytest.raises(InfeasibleError, match=r"Axis x: up to [\d.]+ m/s no contact exceeds") as refused:
         with_limits(fast, LimitsSettings())
     (line,) = refused.value.to_paste
@@ -162,13 +187,25 @@ def test_a_limit_above_the_speed_that_is_safe_is_not_chosen_and_said_only_with_a
     said = parse_document(line.encode(), Path("p"), error=UsageError, exact=False).tree["limits"]
     limited = with_limits(fast, LimitsSettings(spec=LimitsSpec(axes=said["axes"])))
     assert limited.limits is not None
-    assert limited.limits.axes["x"].speed == said["axes"]["x"]["speed"] > reached
+    value = said["axes"]["x"]["followed_speed"]
+    assert limited.limits.axes["x"].followed_speed == value > approach
     (note,) = (each for each in validate_controller(limited, is_short=True).checks if each.name == "speed limit")
     assert note.passed
     assert note.warns
-    twice = said["axes"]["x"]["speed"] / (0.5 * reached) * asked.max_force_n
-    assert float(note.message.rpartition("it may be ")[2].split(" N")[0]) == pytest.approx(twice, rel=0.01)
+    more = value / (0.5 * approach) * asked.max_force_n
+    assert float(note.message.rpartition("it may be ")[2].split(" N")[0]) == pytest.approx(more, rel=0.02)
     assert not [each for each in validate_controller(whole, is_short=True).checks if each.name == "speed limit"]
+    with pytest.raises(UsageError, match=r"limits\.axes\.x\.followed_speed must be above 0\.0\d+"):
+        with_limits(fast, LimitsSettings(spec=LimitsSpec(axes={"x": {"followed_speed": 0.9 * approach}})))
+
+
+def test_a_problem_may_limit_the_speed_of_the_robot_without_a_limit_of_the_force() -> None:
+    limits = with_limits(
+        small_controller(), LimitsSettings(spec=LimitsSpec(axes={"x": {"followed_speed": 0.2}}))
+    ).limits
+    assert limits is not None
+    assert limits.axes["x"].followed_speed == 0.2
+    assert limits.axes["x"].followed_lag_s == pytest.approx(0.05, rel=0.2)
 
 
 @pytest.mark.parametrize("hand", HANDS)
