@@ -18,6 +18,7 @@ from autotune.formats.certificate_record import Requirement
 from autotune.formats.controller_record import AxisGains
 from autotune.plugins import find_requirement
 from autotune.validation.law import AxisTask, LawCertificate, certify_law
+from autotune.validation.validation_samples import scenario_of
 from problems.arrays import FloatArray
 from problems.contact.linear_controller_contact import simulate_linear_contact
 from problems.contact.transient import SampledContact, build_sampled_contact
@@ -249,12 +250,8 @@ def _first_scenarios(task: AxisTask) -> tuple[Scenario, ...]:
 
 def _joined(task: AxisTask, scenarios: tuple[Scenario, ...], found: LawCertificate) -> tuple[Scenario, ...]:
     """Add the plants at which a certificate was worst."""
-    softest = task.domain.environment_stiffness_n_per_m[0]
     worst = {} if found.margins is None else found.margins.worst
-    more = [
-        Scenario(environment_stiffness_n_per_m=stiffness or softest, payload_mass_kg=mass)
-        for mass, stiffness in worst.values()
-    ]
+    more = [scenario_of(plant, task.domain.plants) for plant in worst.values()]
     if found.worst is not None:
         more.append(found.worst.scenario())
     return tuple(dict.fromkeys((*scenarios, *more, *task.others().scenarios)))

@@ -45,6 +45,11 @@ class DefaultAdmittance:
     objective: float
     objective_with_usual: float | None
 
+    @property
+    def is_lowered(self) -> bool:
+        """Whether less is asked than usual, since the usual target cannot be had."""
+        return self.attainable is not None
+
     def tree(self) -> dict[str, Any]:
         """Return plain data, for the provenance of a controller."""
         targets = {"used": self.target, "usual": self.usual}

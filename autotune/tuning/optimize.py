@@ -12,11 +12,7 @@ from autotune.formats.identified import IdentifiedFile
 from autotune.formats.problem import ComplianceSpec, ProblemSpec
 from autotune.prediction.before_after import BeforeAndAfter, compare_before_after
 from autotune.prediction.law import PresentGains
-from autotune.validation.axis_proof import AxisProof, ProofOptions, Prover, prove_axis
-from autotune.validation.bouncing import RefutedError
-from autotune.validation.bouncing_proof import prove_bouncing
-from autotune.validation.held import prove_held
-from autotune.validation.peak_proof import prove_peaks
+from autotune.validation.axis_proof import AxisProof, ProofOptions, Prover
 from autotune.validation.report import ValidationReport
 from autotune.validation.requirements import MARGINS_CHECK
 from autotune.validation.validate import validate_controller
@@ -32,12 +28,13 @@ from .coupled import TogetherAsked, TogetherCheck
 from .coupled_search import CoupledSearch
 from .defaults import DefaultAdmittance, beside_margins, default_admittance, default_message, lower_default
 from .limits import LimitsSettings, limits_settings, with_limits
-from .optimality_report import OptimalityReport, report_optimality
+from .optimality_report import OptimalityReport
 from .problems import build_problems, certified_mass_kg, runtime_mass_kg, within_domain
 from .provenance import design_notes, make_provenance, result_trees, with_notes
-from .record import build_controller, build_domain, certified_hand, runtime_payload
-from .scenario_exchange import NOTHING, Counterexamples, ImpactTest, WholeSet
+from .record import build_controller, runtime_payload
+from .scenario_exchange import WholeSet
 from .search import SearchResult, solve_design
+from .settle import Settled, prove_search, settle_all
 from .soft_payload import SoftPayload
 from .strategies import StrategySettings, choose_strategies, strategy_settings
 from .structure import StructureChoice, StructureSearch
@@ -47,21 +44,6 @@ from .structure import StructureChoice, StructureSearch
 _SEARCH_SHARE, _PROOF_SHARE = 0.4, 0.1
 _COMPLIANCE_SHARE = 0.6
 _ROUNDING = 1e-9
-
-_ROUNDS = 6
-# A reference that lies lower by more than this is worth another search, from its design.
-_LARGEST_GAP = 1e-3
-_BETTER = 1e-6
-
-
-@dataclass(frozen=True, kw_only=True)
-class Settled:
-    """A search's result that nothing refutes, what is proved of it, its optimality, and the counterexamples met."""
-
-    search: SearchResult
-    proved: AxisProof
-    optimality: OptimalityReport
-    counterexamples: Counterexamples
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,29 +112,31 @@ def optimize(
     chosen = {name: settle_compliance(problems[name], each, searches[name], seed) for name, each in chosen.items()}
     together = TogetherCheck(TogetherAsked.of(identified.result, spec), asked)
     beside = CoupledSearch(together, payload, seed)
-    settled = _settle_all(searches, asked, seed, report, beside, soft)
+
+    def certified(settled: Mapping[str, Settled]) -> tuple[Controller, ValidationReport, dict[str, DefaultAdmittance]]:
+        found = {name: each.search for name, each in settled.items()}
+        defaults = {name: said for name, each in found.items() if (said := default_admittance(problems[name], each))}
+        provenance = make_provenance(identified, problems, spec, seed, problem_path, present, asked)
+        provenance |= result_trees(settled, identified.result, defaults, chosen)
+        passed = certify(
+            found, payload, provenance, asked, lambda done: report((1.0 - _SEARCH_SHARE) * done),
+            strategies=strategy_settings(identified.result, spec), limits=limits_settings(identified.result, spec),
+            proved={name: each.proved for name, each in settled.items()}, together=together, soft=soft,
+        )  # fmt: skip
+        return *passed, defaults
+
+    portion = ProgressSlice(report, (1.0 - _SEARCH_SHARE) * _PROOF_SHARE)
+    settled, (controller, checked, defaults) = settle_all(searches, asked, seed, portion, beside, soft, certified)
     searches = {name: each.search for name, each in settled.items()}
-    optimality_reports = {name: each.optimality for name, each in settled.items()}
-    defaults = {name: said for name, each in searches.items() if (said := default_admittance(problems[name], each))}
     problems = {name: each.problem for name, each in searches.items()}
-    provenance = make_provenance(identified, problems, spec, seed, problem_path, present, asked)
-    provenance |= result_trees(problems, identified.result, optimality_reports, defaults, chosen)
-    controller, checked = certify(
-        searches, payload, provenance, asked, lambda done: report((1.0 - _SEARCH_SHARE) * done),
-        strategies=strategy_settings(identified.result, spec),
-        limits=limits_settings(identified.result, spec),
-        proved={name: each.proved for name, each in settled.items()}, together=together, soft=soft,
-    )  # fmt: skip
     compared = {} if present is None else compare(present, searches)
     before_after = replay_log(identified, controller, present, compared) if replays else {}
-    notes = [
-        default_message(name, each, problems[name]) for name, each in defaults.items() if each.attainable is not None
-    ]
-    notes += [*beside.notes(searches), *soft.notes(searches), *structures.notes(searches)]
+    lowered = [default_message(name, each, problems[name]) for name, each in defaults.items() if each.is_lowered]
+    notes = [*lowered, *beside.notes(searches), *soft.notes(searches), *structures.notes(searches)]
     notes += design_notes(identified, controller, problems, spec, has_compliance=bool(chosen))
-    controller = with_notes(controller, notes, before_after)
     return Optimized(
-        controller=controller, searches=searches, optimality_reports=optimality_reports, report=checked,
+        controller=with_notes(controller, notes, before_after), searches=searches, report=checked,
+        optimality_reports={name: each.optimality for name, each in settled.items()},
         compared=compared, compliance=chosen, defaults=defaults, before_after=before_after,
         unchecked_together=together.unchecked, structures=structures.choices,
     )  # fmt: skip
@@ -171,36 +155,6 @@ def replay_log(
     did = {name: both.old.performance for name, both in compared.items()}
     worst = {name: math.inf if each is None else each.peak_contact_force_n for name, each in did.items()}
     return compare_before_after(identified, controller, present=present, worst_before=worst)
-
-
-def _settle_all(
-    searches: Mapping[str, SearchResult],
-    asked: ProofOptions,
-    seed: int,
-    report: Callable[[float], None],
-    beside: CoupledSearch,
-    soft: SoftPayload,
-) -> dict[str, Settled]:
-    """Return what nothing refutes of every axis, see `settle`, nor of all axes on their payload, nor with a bumper."""
-    settled: dict[str, Settled] = {}
-
-    def settle_each(found: Mapping[str, SearchResult]) -> dict[str, SearchResult]:
-        portion = (1.0 - _SEARCH_SHARE) * _PROOF_SHARE / len(found) if not settled else 0.0
-        now = dict(found)
-        for name, search in found.items():
-            passing = soft.searched(name, search)
-            for _ in range(_ROUNDS):
-                asks = soft.with_test(name, beside.beside(name, now))
-                settled[name] = settle(name, passing, asked, seed=seed, counterexamples=asks)
-                now[name] = settled[name].search
-                passing = soft.searched(name, now[name])
-                if passing is now[name]:
-                    break
-            report(portion)
-        return now
-
-    beside.agreed(searches, settle_each)
-    return settled
 
 
 def carried_payload(identified: Identified, problems: Mapping[str, DesignProblem], spec: ProblemSpec) -> RuntimePayload:
@@ -373,73 +327,3 @@ def _search(
         ) from error
     portion.finish()
     return found
-
-
-def settle(
-    name: str, found: SearchResult, asked: ProofOptions, *, seed: int, counterexamples: Counterexamples = NOTHING
-) -> Settled:
-    """Search again until nothing refutes the result, then from the reference's design where that is better.
-
-    The plant at which a proof fails joins the scenarios; an impact that bounces for ever must come to rest, which adds
-    to the `counterexamples`. Raises CertificateError where that does not help within a few rounds, InfeasibleError
-    where no controller is left.
-    """
-    first = _unrefuted(name, found, asked, counterexamples, seed)
-    search, start = first.search, first.optimality.reference.design
-    if not first.optimality.gap > _LARGEST_GAP or not ImpactTest(search.problem, first.counterexamples).passes(start):
-        return first
-    try:
-        other = solve_design(search.problem, seed=seed, start=start, counterexamples=first.counterexamples)
-        if other.evaluation.cost > (1.0 - _BETTER) * search.evaluation.cost:
-            return first
-        second = _unrefuted(name, other, asked, first.counterexamples, seed)
-    except (InfeasibleError, CertificateError):
-        # The first result is kept.
-        return first
-    lower = second.search.evaluation.cost < search.evaluation.cost
-    return second if lower else first
-
-
-def _unrefuted(
-    name: str, search: SearchResult, asked: ProofOptions, counterexamples: Counterexamples, seed: int
-) -> Settled:
-    """Return a result that nothing refutes, and what was taken in."""
-    for round_index in range(_ROUNDS + 1):
-        try:
-            proved = prove_search(name, search, asked)
-        except RefutedError as error:
-            joined = counterexamples.joined(error)
-            if joined == counterexamples or round_index == _ROUNDS:
-                raise
-            refuted, counterexamples = error, joined
-        else:
-            break
-        try:
-            search = solve_design(search.problem, seed=seed, start=search.design, counterexamples=counterexamples)
-        except InfeasibleError as error:
-            raise InfeasibleError(f"{refuted} Searched again with that: {error}", missed=error.missed) from error
-    return Settled(search=search, proved=proved, optimality=report_optimality(search), counterexamples=counterexamples)
-
-
-def prove_search(
-    name: str, search: SearchResult, asked: ProofOptions, report: Callable[[float], None] | None = None
-) -> AxisProof:
-    """Prove of one axis stability, and of the modulus that the search found over its dense grid what can be.
-
-    Raises RefutedError with the plant where a proof fails, and with the impact where a contact bounces for ever.
-    """
-    problem, law = search.problem, search.problem.controller(search.design)
-    swept = min(each.margins.modulus for each in search.margins)
-    proved = prove_axis(problem.plants, law, problem.sample_time_s, name, swept, asked, report)
-    prover, hand = Prover(), certified_hand(name, problem)
-    bouncing = prove_bouncing(prover, build_domain(problem), law, problem.sample_time_s, name, asked)
-    proved = replace(proved, bouncing=bouncing, answers=(*proved.answers, *prover.answers))
-    if asked.further_s == 0.0:
-        return proved
-    prover = Prover()
-    bounded = replace(asked, budget_s=asked.further_s)
-    held = prove_held(prover, problem.plants, law, problem.sample_time_s, hand, bounded)
-    largest = max(each.peak_contact_force_n for each in search.evaluation.peaks)
-    approach = build_domain(problem).approach
-    peak = prove_peaks(prover, problem.plants, law, problem.sample_time_s, name, approach, largest, bounded)
-    return replace(proved, held=held, peak=peak, answers=(*proved.answers, *prover.answers))

@@ -22,9 +22,10 @@ from problems.design.uncertainty import MASS, STIFFNESS
 from .compliance import Compliance, compliance_tree
 from .defaults import DefaultAdmittance
 from .noise_limit import jitter_notes
-from .optimality_report import OptimalityReport, optimality_tree
+from .optimality_report import optimality_tree
 from .plausible import doubtful_ranges, left_out_contacts, left_out_tree
 from .problems import has_no_weight, is_identified_mass, payload_word
+from .settle import Settled
 
 
 def exact_names(plant: IdentifiedFile, problems: Mapping[str, DesignProblem]) -> tuple[str, ...]:
@@ -125,9 +126,8 @@ def make_provenance(
 
 
 def result_trees(
-    problems: Mapping[str, DesignProblem],
+    settled: Mapping[str, Settled],
     identified: Identified,
-    optimality_reports: Mapping[str, OptimalityReport],
     defaults: Mapping[str, DefaultAdmittance],
     chosen: Mapping[str, Compliance],
 ) -> dict[str, Any]:
@@ -136,9 +136,10 @@ def result_trees(
     The compliance that was chosen takes the place of the surfaces that the ranges leave out.
     """
     optimality = {
-        name: optimality_tree(each, rotational=name in ROTATIONAL_AXES) for name, each in optimality_reports.items()
+        name: optimality_tree(each.optimality, rotational=name in ROTATIONAL_AXES) for name, each in settled.items()
     }
     asked = {name: rename_axis_keys(name, each.tree(), reading=False) for name, each in defaults.items()}
+    problems = {name: each.search.problem for name, each in settled.items()}
     compliance = {name: compliance_tree(each) for name, each in chosen.items()}
     surfaces = {"compliance": compliance} if chosen else dict(left_out_tree(problems, identified))
     return {"optimality": optimality} | ({"defaults": asked} if asked else {}) | surfaces

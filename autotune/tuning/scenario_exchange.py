@@ -113,6 +113,7 @@ class WholeSet:
             starts += _worst_plants(free, name, 0.0 if every_margin else _NOT_FAR)[:1]
             missed = partial(self._missed, controller, requirement, self.problem.requirements.asked()[name])
             found += [self._climb(place, partial(missed, is_free)) for place, is_free in dict.fromkeys(starts)]
+            found += self._at_softest(found, partial(missed, False))
         # The objective, and the force at the contact, which may be limited whatever the objective is.
         costs: dict[Objective, list[tuple[Scenario, float]]] = {}
         if climbs_objective or self.problem.requirements.max_peak_force_n is not None:
@@ -125,6 +126,17 @@ class WholeSet:
             found += [self._climb(start, cost) for start in worst]
         known = set(self.scenarios)
         return tuple(s for s in dict.fromkeys(found) if s not in known)
+
+    def _at_softest(self, found: Sequence[Scenario], value: Callable[[Scenario], float]) -> list[Scenario]:
+        """Return what a climb finds from the worst of these plants on the softest surface, if that is near the limit.
+
+        A margin has minima over K_e, and no climb crosses from one to the other.
+        """
+        softest = self.plants.environment_stiffness_n_per_m[0]
+        moved = dict.fromkeys(replace(each, environment_stiffness_n_per_m=softest) for each in found)
+        values = {each: value(each) for each in moved if each not in found}
+        worst = max(values, key=lambda each: values[each], default=None)
+        return [] if worst is None or values[worst] < _NEAR else [self._climb(worst, value)]
 
     def _missed(
         self,

@@ -18,10 +18,10 @@ _MODE_POINTS = 8.0 * np.linspace(-1.0, 1.0, 81) ** 3
 
 @dataclass(frozen=True, kw_only=True)
 class SweptMargins:
-    """The smallest margins over the swept plants; `worst` names the plant (M_p, K_e) of each."""
+    """The smallest margins over the swept plants; `worst` is the plant of each."""
 
     values: Mapping[str, float]
-    worst: Mapping[str, tuple[float, float]]
+    worst: Mapping[str, Plant]
     plants: int
     largest_radius: float
 
@@ -40,7 +40,7 @@ def sweep_margins(
     `others` are further plants in contact, each of which is looked at in free space too.
     """
     values: dict[str, float] = {}
-    worst: dict[str, tuple[float, float]] = {}
+    worst: dict[str, Plant] = {}
     radius, count = 0.0, 0
     low, high = plants.environment_stiffness_n_per_m
     masses = np.unique(np.linspace(*plants.payload_mass_kg, mass))
@@ -49,12 +49,11 @@ def sweep_margins(
     grid = [(float(m), float(k)) for m in masses for k in stiffnesses]
     swept = [plants.at(m, k) for m, k in [*grid, *((float(m), 0.0) for m in masses)]]
     for plant in [*swept, *others, *dict.fromkeys(other.in_contact_with(FREE_SPACE) for other in others)]:
-        m, k = plant.payload.mass_kg, plant.environment.stiffness_n_per_m
         found, largest = _margins(build_sampled_plant(plant, sample_time_s), controller)
         radius, count = max(radius, largest), count + 1
         for name, value in found.items():
             if value < values.get(name, np.inf):
-                values[name], worst[name] = value, (m, k)
+                values[name], worst[name] = value, plant
     for name in ("gain_db", "phase_deg", "delay_s"):
         values.setdefault(name, np.inf)
     return SweptMargins(values=values, worst=worst, plants=count, largest_radius=radius)

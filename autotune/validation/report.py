@@ -3,13 +3,17 @@
 from dataclasses import dataclass
 
 from autotune.errors import CertificateError
+from problems.design.uncertainty import Scenario
+
+from .bouncing import RefutedError
 
 
 @dataclass(frozen=True, kw_only=True)
 class Check:
     """One thing that was verified on one axis, in words; `passed` is the verdict.
 
-    `warns`: nothing is wrong, but nothing was shown either, or somebody should look at it.
+    `warns`: nothing is wrong, but nothing was shown either, or somebody should look at it. `refuted_at` is the plant
+    on which a requirement is missed, None where no plant is to blame.
     """
 
     axis: str
@@ -17,6 +21,7 @@ class Check:
     passed: bool
     message: str
     warns: bool = False
+    refuted_at: Scenario | None = None
 
     @property
     def verdict(self) -> str:
@@ -36,8 +41,11 @@ class ValidationReport:
         return all(check.passed for check in self.checks)
 
     def require(self) -> None:
-        """Raise CertificateError with the first check that failed."""
+        """Raise CertificateError with the first check that failed, RefutedError where a plant refutes it."""
         failed = [check for check in self.checks if not check.passed]
         if failed:
             more = f" ({len(failed) - 1} more checks failed)" if len(failed) > 1 else ""
-            raise CertificateError(f"Axis {failed[0].axis}, {failed[0].name}: {failed[0].message}{more}")
+            message = f"Axis {failed[0].axis}, {failed[0].name}: {failed[0].message}{more}"
+            if failed[0].refuted_at is not None:
+                raise RefutedError(message, axis=failed[0].axis, scenario=failed[0].refuted_at)
+            raise CertificateError(message)

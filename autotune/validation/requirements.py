@@ -38,7 +38,7 @@ from .margins import SweptMargins
 from .replay import equation_gains, robot_alone, settling_samples
 from .replay_kernel import difference_step, follow_forces, rest_at
 from .report import Check
-from .validation_samples import ValidationSamples
+from .validation_samples import ValidationSamples, scenario_of
 
 MARGINS_CHECK = "margins"
 _FREQUENCIES = 5
@@ -70,6 +70,7 @@ def check_margins(name: str, claimed: AxisMargins, swept: SweptMargins) -> Check
 def check_requirements(controller: Controller, name: str, swept: SweptMargins) -> Check:
     """Check that the margins and the decay of a sweep meet what was asked of the axis."""
     missed, known, asked = [], 0, dict[str, Any](asked_of(controller, name))
+    refuted_at = None
     for key, required in asked.items():
         requirement = find_requirement(key)
         if requirement is None:
@@ -87,10 +88,13 @@ def check_requirements(controller: Controller, name: str, swept: SweptMargins) -
         known += 1
         if requirement.ratio(required, reached) * (1.0 - 0.1 * _SAME_MARGIN) > 1.0:
             missed.append(f"{key} must be at least {required:.6g}, found {reached:.6g}")
+            if isinstance(requirement, Margin) and refuted_at is None:
+                refuted_at = scenario_of(swept.worst[requirement.margin], controller.certificate.domain[name].plants)
     return Check(
         axis=name,
         name="requirements",
         passed=not missed,
+        refuted_at=refuted_at,
         message="; ".join(missed) or f"all {known} margins that were asked are met{describe_soft(controller, name)}",
     )
 

@@ -7,7 +7,7 @@ from autotune.formats.certificate_record import AxisDomain, AxisMargins, Proof, 
 from autotune.formats.controller_record import AxisPrediction
 from autotune.formats.proof_records import BouncingProof
 from autotune.formats.units import axis_units
-from problems.design.uncertainty import STIFFNESS, SYMBOLS, PlantSet, Scenario
+from problems.design.uncertainty import ALWAYS_UNCERTAIN, STIFFNESS, SYMBOLS, PlantSet, Scenario
 from problems.model.plant import Plant, WrenchFilter
 from problems.model.plant_parameters import PARAMETERS
 from problems.model.robot import RobotModel, bandwidth_hz
@@ -121,3 +121,12 @@ def _scenario(case: Mapping[str, float | str], whole: PlantSet) -> Scenario:
     values = {key: float(value) for key, value in case.items()}
     values[STIFFNESS] = values[STIFFNESS] or whole.environment_stiffness_n_per_m[0]
     return Scenario(**values)
+
+
+def scenario_of(plant: Plant, whole: PlantSet) -> Scenario:
+    """Return a plant as a point of the set, free space as its softest surface."""
+    found = {name: PARAMETERS[name].value(plant) for name in (*ALWAYS_UNCERTAIN, *whole.further)}
+    # A bandwidth that is computed again may leave the set by a rounding error.
+    return Scenario(
+        **{name: min(max(value, whole.range_of(name)[0]), whole.range_of(name)[1]) for name, value in found.items()}
+    )

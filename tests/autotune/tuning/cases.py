@@ -142,11 +142,15 @@ def write_plant(folder: Path) -> IdentifiedFile:
     return read_identified(path)
 
 
+def in_memory_plant() -> IdentifiedFile:
+    """Return the plant as a file that nobody has written."""
+    return IdentifiedFile(result=identified_plant(), provenance={}, path=Path("identified.yaml"), sha256="0" * 64)
+
+
 @cache
 def fast_optimized() -> Optimized:
     """A small problem taken all the way to a validated controller."""
-    plant = IdentifiedFile(result=identified_plant(), provenance={}, path=Path("identified.yaml"), sha256="0" * 64)
-    return optimize(plant, FAST_SPEC, seed=1)
+    return optimize(in_memory_plant(), FAST_SPEC, seed=1)
 
 
 @cache
@@ -188,9 +192,8 @@ FURTHER_SPEC = replace(
 @cache
 def uncertain_optimized() -> Optimized:
     """The problem of `fast_optimized` with more of the plant uncertain, and less freedom of motion asked."""
-    plant = IdentifiedFile(result=identified_plant(), provenance={}, path=Path("identified.yaml"), sha256="0" * 64)
     # A second of proof is enough to show that it is there, and is done again wherever the file is validated.
-    return optimize(plant, FURTHER_SPEC, seed=1, proof=ProofOptions(further_s=1.0))
+    return optimize(in_memory_plant(), FURTHER_SPEC, seed=1, proof=ProofOptions(further_s=1.0))
 
 
 _LESS_WORK = {
@@ -232,7 +235,7 @@ OF_TARGETS = (
 """What the laws of export targets are found and certified by."""
 PURE = (
     *("autotune.pipeline.identify_with_evidence", "autotune.tuning.optimize.solve_design"),
-    *("autotune.tuning.optimize.settle", "autotune.studies.front.trace_front"),
+    *("autotune.tuning.settle.settle", "autotune.studies.front.trace_front"),
     *("autotune.validation.contacts.replay_contact", "autotune.validation.requirements.sampled_admittance"),
     *("autotune.validation.validate.sweep_margins", "autotune.validation.law.sweep_margins"),
     "autotune.validation.bouncing_proof.search_bouncing",

@@ -99,6 +99,69 @@ def test_a_margin_in_free_space_is_sought_between_the_samples_and_every_one_wher
     assert gains[0] <= gains[1] * 1.002
 
 
+def stiffly_coupled() -> DesignProblem:
+    """A cell of little drag: a law's modulus is small on the softest surface and on one in the middle of the range."""
+    known = {
+        "coupling_stiffness_n_per_m": (281602.7, 428.4),
+        "coupling_damping_n_s_per_m": (104.03, 4.374),
+        "drag_n_s_per_m": (22.034, 1.866),
+        "delay_s": (2.03096e-3, 1.902e-5),
+        "robot_bandwidth_hz": (4.59922, 0.035),
+        "robot_damping_ratio": (0.948113, 5.43e-3),
+    }
+    return DesignProblem(
+        plants=PlantSet.of(
+            RobotModel(
+                numerator=np.array([1734.555]), denominator=np.array([1.0, 78.974, 1734.555]), delay_s=2.03096e-3
+            ),
+            environment_stiffness_n_per_m=(6.84e4, 1.08e5),
+            payload_mass_kg=(19.6, 20.5),
+            further={
+                "coupling_stiffness_n_per_m": (280080.0, 283130.0),
+                "coupling_damping_n_s_per_m": (88.509, 119.56),
+                "drag_n_s_per_m": (15.413, 28.655),
+                "delay_s": (1.9634e-3, 2.0985e-3),
+                "robot_bandwidth_hz": (4.475, 4.7235),
+                "robot_damping_ratio": (0.92885, 0.96738),
+            },
+            ellipsoid=_confidence_set(**known),
+            coupling_stiffness_n_per_m=known["coupling_stiffness_n_per_m"][0],
+            coupling_damping_n_s_per_m=known["coupling_damping_n_s_per_m"][0],
+            drag_n_s_per_m=known["drag_n_s_per_m"][0],
+        ),
+        sample_time_s=2e-3,
+        requirements=Requirements(modulus_margin=0.5, free_space_admittance=None),
+    )
+
+
+def test_a_margin_in_contact_is_sought_on_the_softest_surface_too() -> None:
+    """A margin has minima over K_e: no climb from the one on a stiffer surface comes to the other."""
+    problem = stiffly_coupled()
+    law = AdmittanceController(mass_kg=5.0, damping_n_s_per_m=1e4, lead_s=0.016, feedback_damping_s=0.03)
+    found = WholeSet(problem).evaluate(law, climbs_objective=False)
+    drawn = build_scenarios(problem, _on_the_surface(problem.plants, 512)).evaluate_exactly(law)
+    least = [min(each.margins.modulus for each in seen.margins if not each.free_space) for seen in (found, drawn)]
+    assert least[0] <= 1.0005 * least[1]
+
+
+def _on_the_surface(plants: PlantSet, count: int) -> list[Scenario]:
+    """Return points drawn on the surface of a confidence set, of the heaviest payload on the softest surface."""
+    ellipsoid = plants.ellipsoid
+    assert ellipsoid is not None
+    directions = np.random.default_rng(3).normal(size=(count, len(ellipsoid.names)))
+    directions *= np.sqrt(ellipsoid.quantile / np.sum(directions**2, axis=1, keepdims=True))
+    points = np.array(ellipsoid.centre) + directions * np.sqrt(np.diag(np.array(ellipsoid.covariance)))
+    soft, heavy = plants.environment_stiffness_n_per_m[0], plants.payload_mass_kg[1]
+    return [
+        Scenario(
+            environment_stiffness_n_per_m=soft,
+            payload_mass_kg=heavy,
+            **dict(zip(ellipsoid.names, point.tolist(), strict=True)),
+        )
+        for point in points
+    ]
+
+
 def _least_free(exact: ExactEvaluation) -> float:
     return min(each.margins.modulus for each in exact.margins if each.free_space)
 

@@ -9,16 +9,19 @@ import pytest
 from autotune.errors import CertificateError, InfeasibleError
 from autotune.formats.identified import read_identified
 from autotune.formats.problem import read_problem
-from autotune.tuning import optimize as tuning
-from autotune.tuning.optimize import optimize, prove_search, settle
+from autotune.tuning import optimize as tuning_optimize
+from autotune.tuning import settle as tuning
+from autotune.tuning.optimize import optimize
 from autotune.tuning.record import build_domain
 from autotune.tuning.scenario_exchange import NOTHING, Counterexamples, ImpactTest
 from autotune.tuning.search import solve_design
+from autotune.tuning.settle import prove_search, settle
 from autotune.validation import bouncing
 from autotune.validation.axis_proof import ProofOptions
 from autotune.validation.bouncing import RefutedError
+from autotune.validation.report import Check, ValidationReport
 from problems.design.uncertainty import Scenario
-from tests.autotune.tuning.cases import fast_optimized
+from tests.autotune.tuning.cases import FAST_SPEC, fast_optimized, in_memory_plant
 from tests.autotune.validation.bouncing_cases import bouncing_problem
 from tests.problems.contact.test_bouncing import BOUNCY, K_E, M_P
 
@@ -92,6 +95,24 @@ def test_a_plant_that_refutes_again_ends_the_search(monkeypatch: pytest.MonkeyPa
     with pytest.raises(CertificateError, match="not proved"):
         settle("x", found, ProofOptions(), seed=0)
     assert len(asked) == 2
+
+
+def test_a_plant_that_validation_refutes_joins_the_scenarios(monkeypatch: pytest.MonkeyPatch) -> None:
+    plant = Scenario(environment_stiffness_n_per_m=1.1e5, payload_mass_kg=16.0)
+    missed = Check(axis="x", name="requirements", passed=False, message="modulus_margin is missed", refuted_at=plant)
+    reports = [ValidationReport(checks=(missed,)), ValidationReport(checks=())]
+    monkeypatch.setattr(tuning_optimize, "validate_controller", lambda *_, **__: reports.pop(0))
+    found = optimize(in_memory_plant(), FAST_SPEC, seed=1)
+    assert not reports
+    assert plant in found.searches["x"].active.scenarios
+
+
+def test_a_plant_that_validation_refutes_again_and_again_ends_the_search(monkeypatch: pytest.MonkeyPatch) -> None:
+    plant = Scenario(environment_stiffness_n_per_m=1.1e5, payload_mass_kg=16.0)
+    missed = Check(axis="x", name="requirements", passed=False, message="modulus_margin is missed", refuted_at=plant)
+    monkeypatch.setattr(tuning_optimize, "validate_controller", lambda *_, **__: ValidationReport(checks=(missed,)))
+    with pytest.raises(RefutedError, match=r"^Axis x, requirements: modulus_margin is missed$"):
+        optimize(in_memory_plant(), FAST_SPEC, seed=1)
 
 
 def test_a_gap_to_the_reference_is_searched_again_from_there() -> None:

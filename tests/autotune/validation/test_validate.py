@@ -18,8 +18,12 @@ from autotune.formats.controller_record import (
 )
 from autotune.formats.limits import CollisionResponse
 from autotune.validation.axis_proof import ProofOptions, prove_axis
+from autotune.validation.bouncing import RefutedError
 from autotune.validation.report import Check, ValidationReport
 from autotune.validation.validate import validate_controller
+from problems.model.plant import FREE_SPACE
+from problems.model.sampled import build_sampled_plant
+from problems.stability.margins import find_margins
 from tests.autotune.tuning.cases import fast_optimized, small_controller
 
 Change = Callable[[Controller], Controller]
@@ -295,6 +299,19 @@ def test_the_first_failure_is_raised_and_the_others_are_counted() -> None:
     with pytest.raises(CertificateError, match=r"^Axis x, b: about b \(1 more checks failed\)$"):
         ValidationReport(checks=tuple(checks)).require()
     ValidationReport(checks=(checks[0],)).require()
+
+
+def test_a_requirement_that_is_missed_names_the_plant_that_misses_it_most() -> None:
+    controller = required(modulus_margin=0.6)(small_controller())
+    with pytest.raises(RefutedError, match=r"must be at least 0\.6, found") as refuted:
+        validate_controller(controller).require()
+    plants, h = controller.certificate.domain["x"].plants, controller.sample_time_s
+    assert plants.contains(refuted.value.scenario)
+    there = refuted.value.scenario.plant(plants.nominal)
+    loops = [build_sampled_plant(each, h) for each in (there, there.in_contact_with(FREE_SPACE))]
+    law = admittance_controller(controller, "x")
+    found = float(str(refuted.value).rpartition("found ")[2].split()[0].rstrip(";"))
+    assert min(find_margins(loop, law).modulus for loop in loops) == pytest.approx(found, rel=1e-3)
 
 
 def test_the_whole_file_of_optimize_is_verified_with_all_its_contacts() -> None:
