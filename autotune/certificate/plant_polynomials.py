@@ -38,7 +38,8 @@ def plant_polynomials(family: Family, cell: FloatArray, *, with_derivatives: boo
         inputs = [(newer, True), (gamma - newer, False)]
     else:
         inputs = [(gamma, False)]
-    answer = _Filtered(family, full[:size, :size]) if _has_filter(family) else _Plain(full[:size, :size], force)
+    whole_step, order = full[:size, :size], family.nominal.robot.order
+    answer = _Filtered(family, whole_step) if _has_filter(family) else _Plain(whole_step, force, order)
     characteristic = answer.characteristic
     found_force, found_position = [direct * each for each in characteristic], [0]
     for column, is_newer in inputs:
@@ -49,19 +50,32 @@ def plant_polynomials(family: Family, cell: FloatArray, *, with_derivatives: boo
 
 
 class _Plain:
-    """Numerators of F and x over one characteristic polynomial, from the change over a sample."""
+    """Numerators of F and x over one characteristic polynomial, from the change over a sample.
 
-    def __init__(self, whole: Any, force: Any) -> None:
+    The robot's states do not depend on the payload's, Δ = [[R, 0], [Q, P]], so that with d = d_R d_P the payload's
+    balls stay out of the robot's polynomials: n_F = d_P f_R adj_R γ_R + f_P adj_P (Q adj_R γ_R + d_R γ_P).
+    """
+
+    def __init__(self, whole: Any, force: Any, order: int) -> None:
         size = len(whole)
         change = whole - np.array([[int(i == j) for j in range(size)] for i in range(size)], dtype=object)
-        self.force = force
-        self.characteristic, self.adjugate = rational.resolvent(change)
+        self.order, self.force, self.pushed_by = order, force[:order], change[order:, :order]
+        self.robot, self.adjugate = rational.resolvent(change[:order, :order])
+        self.payload, adjugate = rational.resolvent(change[order:, order:])
+        self.rows = [rational.dot(force[order:], each) for each in adjugate]
+        self.characteristic = rational.times(self.robot, self.payload)
 
     def numerators(self, position: Any, column: Any) -> tuple[list[Any], list[Any]]:
         """Return those of F and of x for one input's column."""
-        return rational.numerator(self.force, self.adjugate, column), rational.numerator(
-            position, self.adjugate, column
-        )
+        n = self.order
+        moved = [rational.dot(each, column[:n]) for each in self.adjugate]
+        pushed = [column[n:] * each for each in self.robot]
+        for i, each in enumerate(moved):
+            pushed[i] = pushed[i] + rational.dot(self.pushed_by, each)
+        carried = rational.times(self.rows, pushed, rational.dot)
+        held = rational.times(self.payload, [rational.dot(self.force, each) for each in moved])
+        along = rational.times(self.payload, [rational.dot(position[:n], each) for each in moved])
+        return rational.add(held, carried), along
 
 
 class _Filtered:
@@ -72,7 +86,7 @@ class _Filtered:
 
     def __init__(self, family: Family, whole: Any) -> None:
         n = len(whole) - 1
-        self.plant = _Plain(whole[:n, :n], whole[n, :n])
+        self.plant = _Plain(whole[:n, :n], whole[n, :n], family.nominal.robot.order)
         self.unit, self.decay = _filter_unit(family), whole[n, n] - 1
         self.characteristic = self._slowed(self.plant.characteristic)
 

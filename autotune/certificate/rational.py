@@ -4,6 +4,8 @@ In z the poles of a sampled loop crowd around 1 and its polynomials are small di
 are not, which keeps balls small.
 """
 
+from collections.abc import Callable
+from operator import mul
 from typing import Any
 
 import numpy as np
@@ -39,6 +41,16 @@ def add(left: list[Any], right: list[Any]) -> list[Any]:
     """Return the sum of two polynomials."""
     longer, shorter = (left, right) if len(left) >= len(right) else (right, left)
     return [value + (shorter[i] if i < len(shorter) else 0) for i, value in enumerate(longer)]
+
+
+def times(left: list[Any], right: list[Any], product: Callable[[Any, Any], Any] = mul) -> list[Any]:
+    """Return the product of two polynomials, of whose coefficients `product` is that."""
+    found: list[Any] = [None] * (len(left) + len(right) - 1)
+    for i, a in enumerate(left):
+        for j, b in enumerate(right):
+            both = product(a, b)
+            found[i + j] = both if found[i + j] is None else found[i + j] + both
+    return found
 
 
 def times_z(polynomial: list[Any]) -> list[Any]:

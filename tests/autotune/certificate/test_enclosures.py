@@ -7,13 +7,26 @@ import numpy as np
 import pytest
 
 from autotune.certificate import certify as certify_module
-from autotune.certificate.balls import Balls, DualBall, Jet, exact, exponential, jet_exponential, number, units
+from autotune.certificate.balls import (
+    Balls,
+    DualBall,
+    Jet,
+    as_series,
+    exact,
+    exponential,
+    jet_exponential,
+    number,
+    units,
+)
 from autotune.certificate.base_plant import fails_at
 from autotune.certificate.bounds import judge
 from autotune.certificate.family import Family
+from autotune.certificate.plant_polynomials import plant_polynomials
 from problems.arrays import FloatArray
 from problems.model.controller import AdmittanceController
+from problems.model.plant import Bumper
 from problems.model.robot import RobotModel
+from problems.model.sampled import build_sampled_plant
 from tests.autotune.certificate.loops import family, smallest_return_difference
 from tests.problems.axes import PERIOD_S, admittance, one_pole, paper_plant
 
@@ -114,6 +127,31 @@ def test_the_coefficients_of_a_cell_hold_those_of_its_plants(robot: RobotModel, 
             assert np.all(off <= group.rad[:, 0] + found.rad[:, 0] + rounding)
             # The rest is of second order: far below what the slopes tell.
             assert np.max(group.rad[:, 0]) < 0.3 * np.max(np.sum(np.abs(group.mid[:, 1:]), axis=1))
+
+
+@pytest.mark.parametrize("robot", [one_pole(), TWO_POLES])
+def test_the_coefficients_of_a_cell_hold_those_of_plants_with_a_bumper(robot: RobotModel) -> None:
+    """The middle's polynomial has the poles of the sampled plant, and the cell holds every plant, free or touching."""
+    whole = of_kind(robot)
+    bumper = Bumper(mass_kg=0.7, stiffness_n_per_m=8e4, damping_n_s_per_m=30.0)
+    soft = replace(whole, nominal=replace(whole.nominal, bumper=bumper))
+    rng = np.random.default_rng(9)
+    for of in (soft, soft.in_free_space()):
+        box = of.box()
+        found, *_ = plant_polynomials(of, np.repeat(np.mean(box, axis=1)[:, None], 2, axis=1))
+        values = [float(as_series(each).value.mid()) for each in found]
+        exact_poles = np.linalg.eigvals(build_sampled_plant(of.plant(np.mean(box, axis=1)), PERIOD_S).phi)
+        off = [abs(np.polyval(values[::-1], pole - 1.0)) for pole in exact_poles]
+        assert max(off) < 1e-9
+        search = certify_module._Search(of, PLAIN, 0.5)
+        cell = search._plant_cell(box)
+        for delta in rng.uniform(-1.0, 1.0, (12, len(box))):
+            point = np.mean(box, axis=1) + 0.5 * (box[:, 1] - box[:, 0]) * delta
+            there = search._plant_cell(np.stack([point, point], axis=1))
+            for group, one in zip(cell.groups, there.groups, strict=True):
+                off_by = np.abs(group.mid @ np.concatenate([[1.0], delta]) - one.mid[:, 0])
+                rounding = 1e-11 * np.sum(np.abs(group.mid), axis=1)
+                assert np.all(off_by <= group.rad[:, 0] + one.rad[:, 0] + rounding)
 
 
 def test_jets_hold_value_slope_and_half_the_second_derivative() -> None:
