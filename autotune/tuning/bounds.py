@@ -15,6 +15,7 @@ LINEAR_VARIABLES = frozenset({"lead_s", "feedback_damping_s", "compensation_mass
 """Variables that may be zero: counted by the width of their bounds, the others by their logarithm."""
 # How much wider below and above those bounds become that stand for the sensor's noise where nothing else limits it.
 _LOOSER = {"mass": (5.0, 1.0), "lead_s": (1.0, 5.0), "feedback_damping_s": (1.0, 2.0)}
+_WITH_BIQUAD = {"mass": (10.0, 3.0), "lead_s": (1.0, 20.0), "feedback_damping_s": (1.0, 4.0)}
 # Beside its bounds a value this small is none.
 _NOTHING = 1e-7
 # How much further a bound that holds a design is proposed.
@@ -55,13 +56,15 @@ def presentable(problem: DesignProblem, design: FloatArray) -> FloatArray:
     return np.asarray(np.clip(rounded, bounds[:, 0], bounds[:, 1]))
 
 
-def loosened_bounds(problem: DesignProblem, said: Collection[str] = ()) -> dict[str, tuple[float, float]]:
+def loosened_bounds(
+    problem: DesignProblem, said: Collection[str] = (), *, has_biquad: bool = False
+) -> dict[str, tuple[float, float]]:
     """Return the bounds with a lighter mass, more lead and feedback damping, for where the noise is limited.
 
-    What is fixed stays, and what somebody `said`.
+    Wider still beside a biquad. What is fixed stays, and what somebody `said`.
     """
     bounds = dict(problem.bounds)
-    for name, (shorter, longer) in _LOOSER.items():
+    for name, (shorter, longer) in (_WITH_BIQUAD if has_biquad else _LOOSER).items():
         low, high = bounds[name]
         if low < high and name not in said:
             bounds[name] = low / shorter, high * longer

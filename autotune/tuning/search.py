@@ -37,8 +37,8 @@ _ROUNDS = 8
 # Rounds in which a scenario that joins is given the chance to ask for itself, before more is asked of all.
 _PATIENT = 2
 _POLISH_STARTS, _OTHER_VALLEYS = 3, 6
-# Descents with a biquad that go on, and by how many iterations.
-_GO_ON, _LONG_WAY = 3, 40
+# Eight numbers take a longer way, begun anew halfway: the curvature that was learnt far off misleads at its end.
+_WITH_BIQUAD = (20, 20)
 _SAME, _NEAR, _FAR = 1e-3, 0.1, 0.45
 # What six digits may cost a requirement.
 _RESERVE = 5e-6
@@ -92,12 +92,13 @@ def solve_design(
     neighbour: SearchResult | None = None,
     counterexamples: Counterexamples = NOTHING,
     others: Sequence[FloatArray] = (),
+    explores: bool = True,
     progress: Callable[[float], None] | None = None,
 ) -> SearchResult:
     """Find the design of the best worst objective that is stable and meets every requirement in every scenario.
 
     Deterministic for a given seed and `start`, a design (n,) inside the bounds that joins the search; from `others`
-    descents begin too. Nothing unstable
+    descents begin too. Unless it `explores`, or from the `start` of a biquad, it begins nowhere else. Nothing unstable
     or infeasible is returned: the result is evaluated again, exactly, over a dense grid of the whole uncertainty.
     `neighbour` is the result for another range of K_e: the search begins at its design and with what was worst there,
     and looks around less, so that it may take a valley's end for the best that a search from nowhere would leave.
@@ -111,8 +112,11 @@ def solve_design(
     whole = WholeSet(problem, seed, counterexamples.scenarios)
     # The given design is kept if nothing better is found: margins held in reserve could cost a hair otherwise.
     given = None if start is None else (start, *_evaluated_exactly(whole, start))
-    unit = search.explore(active, lambda share: report(0.6 * share))
-    search.elite += [search.box.unit(each) for each in others]
+    search.elite = [search.box.unit(each) for each in others]
+    if explores and not (start is not None and search.has_biquad):
+        unit = search.explore(active, lambda share: report(0.6 * share))
+    else:
+        unit = search.elite[0] if start is None else search.box.unit(start)
     for round_index in range(_ROUNDS):
         unit = search.polish(active, unit)
         design = presentable(problem, search.box.design(unit))
@@ -211,7 +215,7 @@ class Search:
         impacts: ImpactTest | None = None,
     ) -> None:
         self.goal, self.generations, self.enough, self.impacts = goal, generations, enough, impacts
-        self.problem = problem
+        self.problem, self.has_biquad = problem, BIQUAD_VARIABLES[0] in problem.variables
         self.box = Box(problem)
         self.seed = seed
         # A limited peak is a requirement too: without it a miss by a hair elsewhere would look closest.
@@ -241,7 +245,8 @@ class Search:
             return self._recover(screen, self._closest(seen))
         good = [unit for value, unit in sorted(seen, key=lambda pair: pair[0]) if value < _MISSED]
         # The best, and the best of other valleys: the generations leave a valley that starts higher, but may end lower.
-        self.elite = spread_out(good, _NEAR, _POLISH_STARTS) + spread_out(good, _FAR, _OTHER_VALLEYS)[1:]
+        near, far = spread_out(good, _NEAR, _POLISH_STARTS), spread_out(good, _FAR, _OTHER_VALLEYS)[1:]
+        self.elite = [*near, *far, *self.elite]
         return np.asarray(found.x)
 
     def _note_generation(self, scenarios: int, found: float) -> None:
@@ -335,12 +340,6 @@ class Search:
         starts = spread_out(known, _SAME, len(known))
         candidates = np.array([unit, *(self.local(screen, start) for start in starts)])
         costs = self._tightened_costs(screen, candidates)
-        if BIQUAD_VARIABLES[0] in self.problem.variables:
-            # Eight numbers take a longer way: the most promising go on.
-            ahead = [candidates[i] for i in np.argsort(costs, kind="stable")]
-            further = [self.local(screen, each, _LONG_WAY) for each in spread_out(ahead, _SAME, _GO_ON)]
-            candidates = np.array([*candidates, *further])
-            costs = self._tightened_costs(screen, candidates)
         order = np.argsort(costs, kind="stable")
         best = candidates[order[0]]
         # The next round starts where this one ended, in the best few valleys.
@@ -405,13 +404,16 @@ class Search:
                 flattered = min(value - 1.0, 0.02)
                 self.backoff[name] = self.backoff.get(name, 0.0) + 1.5 * flattered + BACKOFF
 
-    def local(self, screen: BatchEvaluator, start: FloatArray, iterations: int = SHORT_WAY) -> FloatArray:
+    def local(self, screen: BatchEvaluator, start: FloatArray) -> FloatArray:
         """Descend from a point, with what the grid flattered asked for."""
-        found = descend(screen, self.box, start, backoff=self.backoff, iterations=iterations)
-        self.evaluations += found.evaluations
+        unit = start
+        for iterations in _WITH_BIQUAD if self.has_biquad else (SHORT_WAY,):
+            found = descend(screen, self.box, unit, backoff=self.backoff, iterations=iterations)
+            unit = found.unit
+            self.evaluations += found.evaluations
         if not self.impacts:
-            return found.unit
-        return self.box.unit(self.impacts.walk_back(self.box.design(start), self.box.design(found.unit)))
+            return unit
+        return self.box.unit(self.impacts.walk_back(self.box.design(start), self.box.design(unit)))
 
     def _refusal(self, prepared: PreparedScenarios, units: list[FloatArray]) -> InfeasibleError:
         """Say why nothing is feasible: what the design misses at which the search ended, the better one of these."""

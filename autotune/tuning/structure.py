@@ -36,7 +36,7 @@ _KEPT_IN_A_HAND = 0.9
 # Where the admittance has no band, the slowest corner.
 _SLOWEST_HZ = 2.0
 # Corners [rad/s] at which a biquad that does nothing begins, and its damping.
-_CORNERS, _DAMPING = (25.0, 60.0, 120.0, 250.0, 600.0), 0.7
+_CORNERS, _DAMPING = (25.0, 60.0, 120.0, 250.0, 600.0), 0.4
 # What the noise of the plain law is rounded up by, so that six digits of it are not in the way.
 _ROUNDED = 1e-6
 
@@ -162,12 +162,21 @@ def solve_limited(
 ) -> SearchResult | None:
     """Search a `limited_problem` from `known` designs of fewer variables too; None where no design is found.
 
-    What has much less modulus in a hand than the plain law is searched again with nine tenths of that asked.
+    All keep nine tenths of the plain law's modulus in a hand, which is asked for where four gains have much less, and
+    of a biquad at once.
     """
     starts = [each.design for each in known]
     if BIQUAD_VARIABLES[0] in problem.variables:
         starts = [_neutral(problem, each, corner) for each in starts for corner in _CORNERS]
-    return _held_as_well(plain, _solved(problem, starts, seed), hand, starts, seed)
+        # From biquads that do nothing descents lead farther than a population does, and sooner.
+        return _solved(_held(plain, problem, hand), starts, seed, explores=False)
+    found = _solved(problem, starts, seed)
+    if found is None or _HELD in found.problem.requirements.asked():
+        return found
+    held = _held(plain, problem, hand)
+    asked = held.requirements.further[_HELD]
+    assert isinstance(asked, HeldByHand)  # the requirement of that name
+    return found if _least_held(found, asked) >= asked.min_modulus else _solved(held, [*starts, found.design], seed)
 
 
 def limited_problem(
@@ -195,32 +204,30 @@ def limited_problem(
     target = asked.free_space_admittance
     slowest = 2.0 * math.pi * (_SLOWEST_HZ if target is None else target.band_hz[1])
     biquad = biquad_bounds(plain.sample_time_s, slowest) if has_biquad else {}
-    return replace(plain, bounds={**loosened_bounds(plain, said), **biquad}, requirements=asked)
+    bounds = loosened_bounds(plain, said, has_biquad=has_biquad)
+    return replace(plain, bounds={**bounds, **biquad}, requirements=asked)
 
 
-def _solved(problem: DesignProblem, starts: Sequence[FloatArray], seed: int) -> SearchResult | None:
+def _solved(
+    problem: DesignProblem, starts: Sequence[FloatArray], seed: int, *, explores: bool = True
+) -> SearchResult | None:
     try:
-        return solve_design(problem, seed=seed, others=starts)
+        return solve_design(problem, seed=seed, others=starts, explores=explores)
     except InfeasibleError:
         return None
 
 
-def _held_as_well(
-    plain: SearchResult, found: SearchResult | None, hand: HandImpedance, starts: Sequence[FloatArray], seed: int
-) -> SearchResult | None:
-    """Return the search again with the plain law's modulus in a hand, where what was found has much less."""
-    if found is None or _HELD in found.problem.requirements.asked():
-        return found
+def _held(plain: SearchResult, problem: DesignProblem, hand: HandImpedance) -> DesignProblem:
+    """Return the problem with most of the plain law's modulus in a hand asked for, unless one is already."""
+    asked = problem.requirements
+    if _HELD in asked.asked():
+        return problem
     # Any modulus does for looking.
     held = HeldByHand(**vars(hand), min_modulus=0.5)
-    keeps, has = (_least_held(each, held) for each in (plain, found))
-    least = float(f"{_KEPT_IN_A_HAND * keeps:.3g}")
-    if has >= least:
-        return found
-    asked = found.problem.requirements
-    further = {**asked.further, _HELD: replace(held, min_modulus=least)}
-    problem = replace(found.problem, requirements=replace(asked, further=further))
-    return _solved(problem, [*starts, found.design], seed)
+    least = float(f"{_KEPT_IN_A_HAND * _least_held(plain, held):.3g}")
+    return replace(
+        problem, requirements=replace(asked, further={**asked.further, _HELD: replace(held, min_modulus=least)})
+    )
 
 
 def _least_held(found: SearchResult, hand: HeldByHand) -> float:

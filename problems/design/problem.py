@@ -50,7 +50,7 @@ BIQUAD_VARIABLES = ("biquad_zero_s", "biquad_zero_damping_ratio", "biquad_pole_s
 CONTROLLER_VARIABLES = (*VARIABLES, *FURTHER_VARIABLES, *BIQUAD_VARIABLES)
 """All of them, in the order of `AdmittanceController.numbers`."""
 # A pole that is damped less rings; a zero that is damped more makes the payload light in one band and heavy below it.
-_BIQUAD_ZERO_DAMPING, _BIQUAD_POLE_DAMPING = (0.05, 1.5), (0.5, 3.0)
+_BIQUAD_ZERO_DAMPING, _BIQUAD_POLE_DAMPING = (0.05, 1.5), (0.25, 3.0)
 _MAY_BE_ZERO = ("lead_s", "feedback_damping_s", "compensation_mass_kg")
 # A nominal value that is the end of its own range may differ from it by the rounding of a unit.
 _ROUNDING = 1e-9
