@@ -171,7 +171,7 @@ def evaluate_designs(
         whole[i, ADMITTANCE] = _least_admittance(band, blocks)
         missed = whole[i, ADMITTANCE] < admittance
         # The cheap margin of all plants comes first: most designs miss it, and the rest of those is not needed.
-        for depth in range(shallowest, deepest + 1):
+        for depth in range(deepest if margins_if_missed else shallowest, deepest + 1):
             if missed and not margins_if_missed:
                 break
             for j in range(len(responses)):

@@ -34,6 +34,7 @@ MODULUS_ALONE, WITH_CROSSOVERS, EVERY_MARGIN = 0, 1, 2
 
 _SECTIONS = 30
 _BISECTIONS = 60
+_ROOT = 5e-13
 _CLOSE = 1.5
 # The tangent of the largest angle between neighbours, seen from the point that they must stay away from: 35°. The
 # straight line between them comes no nearer than cos 17.5° = 0.954 of the nearer one.
@@ -380,16 +381,49 @@ def _root(
     signal: int,
     of_phase: bool,
 ) -> float:
-    """Return where L crosses the real axis, or the unit circle, in a bracket with a change of sign."""
-    low, high = bracket
-    side = _level(differences_at(loop, low)[signal], of_phase) > 0.0
+    """Return where L crosses the real axis, or the unit circle, in a bracket with a change of sign.
+
+    Brent's method (Algorithms for Minimization without Derivatives, 1973, chapter 4): interpolation that falls back to
+    bisection. Where rounding hides the change of sign, the end that is nearer to the crossing is returned.
+    """
+    (last, best), tolerance = bracket, _ROOT * bracket[1]
+    at_last = _level(differences_at(loop, last)[signal], of_phase)
+    at_best = _level(differences_at(loop, best)[signal], of_phase)
+    if (at_last > 0.0) == (at_best > 0.0):
+        return last if abs(at_last) < abs(at_best) else best
+    other, at_other = last, at_last
+    step = before = best - last
     for _ in range(_BISECTIONS):
-        middle = 0.5 * (low + high)
-        level = _level(differences_at(loop, middle)[signal], of_phase)
-        if (level > 0.0) == side:
-            low = middle
-        else:
-            high = middle
-        if high - low <= 1e-12 * high:
+        if (at_best > 0.0) == (at_other > 0.0):
+            other, at_other = last, at_last
+            step = before = best - last
+        if abs(at_other) < abs(at_best):
+            last, best, other = best, other, best
+            at_last, at_best, at_other = at_best, at_other, at_best
+        half = 0.5 * (other - best)
+        if abs(half) <= tolerance or at_best == 0.0:
             break
-    return 0.5 * (low + high)
+        trial = _interpolated((last, best, other), (at_last, at_best, at_other))
+        near = abs(trial) < min(1.5 * abs(half) - 0.5 * tolerance, 0.5 * abs(before))
+        if trial * half > 0.0 and near and abs(before) >= tolerance and abs(at_last) > abs(at_best):
+            before, step = step, trial
+        else:
+            before = step = half
+        last, at_last = best, at_best
+        best += step if abs(step) > tolerance else np.copysign(tolerance, half)
+        at_best = _level(differences_at(loop, best)[signal], of_phase)
+    return best
+
+
+@compiled
+def _interpolated(at: tuple[float, float, float], values: tuple[float, float, float]) -> float:
+    """Return the step from the second of three points to where the inverse parabola through them, or a secant, is zero.
+
+    The first and the last point may be the same.
+    """
+    (last, best, other), (at_last, at_best, at_other) = at, values
+    if last == other:
+        return (best - last) * at_best / (at_last - at_best)
+    one, two, three = at_best / at_last, at_last / at_other, at_best / at_other
+    above = one * ((best - last) * (three - 1.0) - (other - best) * two * (two - three))
+    return above / ((two - 1.0) * (three - 1.0) * (one - 1.0))
