@@ -13,6 +13,7 @@ from problems.design.evaluation import Evaluation, PlantMargins, PreparedScenari
 from problems.design.problem import BIQUAD_VARIABLES, DesignProblem
 from problems.design.uncertainty import Scenario
 from problems.progress import no_progress
+from problems.sobol import sobol_points
 from problems.stability.margins import UnstableLoopError
 
 from .bounds import Box, presentable, spread_out
@@ -276,15 +277,17 @@ class Search:
             gathered = np.max(energies) < _MISSED and np.std(energies) <= _GATHERED * abs(np.mean(energies))
             return bool(gathered or np.min(energies) <= self.enough)
 
+        # As `init="sobol"` has them, which imports scipy.stats.
+        rng, count = np.random.default_rng(seed), len(self.problem.variables)
+        first = sobol_points(count, 1 << (_POPULATION * count - 1).bit_length(), seed=rng)
         try:
             return differential_evolution(
                 costs,
-                [(0.0, 1.0)] * len(self.problem.variables),
-                popsize=_POPULATION,
+                [(0.0, 1.0)] * count,
                 maxiter=self.generations,
-                init="sobol",
+                init=first,
                 x0=start,
-                rng=np.random.default_rng(seed),
+                rng=rng,
                 polish=False,
                 tol=1e-5,
                 vectorized=True,
