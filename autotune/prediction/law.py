@@ -2,11 +2,10 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from autotune.errors import UsageError
 from autotune.formats.canonical import short
-from autotune.formats.cell import CellFile
 from autotune.formats.controller import ControllerFile
 from autotune.formats.controller_record import Controller, admittance_controller, file_deadband
 from autotune.formats.units import AXES, axis_units
@@ -16,6 +15,9 @@ from problems.errors import ParameterError
 from problems.model.controller import AdmittanceController
 
 from .contact import Law
+
+if TYPE_CHECKING:
+    from autotune.formats.cell import CellFile
 
 GAINS: Mapping[str, str] = {
     "mass": "mass_kg",
@@ -140,7 +142,7 @@ class PresentGains:
         return cls(laws=laws, label=f"{file.path}, checksum {short(file.checksum)}", file=file)
 
     @classmethod
-    def of_cell(cls, cell: CellFile, axes: Sequence[str]) -> "PresentGains":
+    def of_cell(cls, cell: "CellFile", axes: Sequence[str]) -> "PresentGains":
         """Return the constant gains of a `cell.yaml` on some axes; raises UsageError where it holds none."""
         gains = cell.cell.gains
         if gains is None or gains.mass is None or gains.damping is None:

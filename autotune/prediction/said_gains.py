@@ -6,7 +6,6 @@ from typing import Any
 
 from autotune.arguments import file_path
 from autotune.errors import UsageError
-from autotune.formats.cell import read_cell
 from autotune.formats.controller import ControllerFile, read_controller
 from autotune.formats.identified import IdentifiedFile
 from autotune.formats.kinds import check_kind
@@ -87,6 +86,8 @@ def _gains_of_file(said: ControllerFile | str | Path, axes: Sequence[str]) -> Pr
     path = file_path("--compare", said)
     check_kind(path, ("controller", "cell"))
     if kind_of_file(path) == "cell":
+        from autotune.formats.cell import read_cell  # noqa: PLC0415 - brings the readers of logs along
+
         return PresentGains.of_cell(read_cell(path), axes)
     return PresentGains.of_file(read_controller(path))
 

@@ -11,7 +11,6 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.integrate import quad
 from scipy.optimize import brentq
 from scipy.special import log_ndtr
 
@@ -44,6 +43,8 @@ _MOVEMENTS, SEED = 64, 7919
 
 def crossings(deviations: float, correlation: float) -> float:
     """Return P(X_0 ≤ u < X_1) of two ticks of standard normal noise with this correlation."""
+    from scipy.integrate import quad  # noqa: PLC0415 - few controllers have a threshold
+
     if correlation >= 1.0:
         return 0.0
     apart = math.sqrt(1.0 - correlation**2)
