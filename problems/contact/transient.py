@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, Literal
 
 import numpy as np
@@ -14,7 +14,14 @@ from ..errors import ParameterError
 from ..model.controller import AdmittanceController, controller_blocks
 from ..model.hold import hold
 from ..model.plant import FREE_SPACE
-from ..model.sampled import SampledPlant, build_loop, build_sampled_plant, check_wrench_delay, spectral_radius
+from ..model.sampled import (
+    KEPT_PLANTS,
+    SampledPlant,
+    build_loop,
+    build_sampled_plant,
+    check_wrench_delay,
+    spectral_radius,
+)
 from ..stability.margins import UnstableLoopError
 from .events import MOST_SUBSTEPS, SUBSTEPS_PER_RADIAN
 from .kernel import contact_forces, run_contact, steady_start
@@ -122,6 +129,7 @@ class SampledContact:
         return _kernel_arguments(self.contact, self.free)
 
 
+@lru_cache(maxsize=KEPT_PLANTS)
 def build_sampled_contact(contact: SampledPlant) -> SampledContact:
     """Pair a sampled plant in contact with its free-space twin; raises ParameterError where it swings too fast."""
     if contact.plant.environment.is_free_space:

@@ -19,12 +19,14 @@ from .plant import Plant, build_plant_matrices
 
 Controller = AdmittanceController | LinearController
 
+# Plants that are kept sampled: those of one search, which looks at each several times.
+KEPT_PLANTS = 4096
 # A delay this close to a whole number of samples (in samples) is that number; it is far below any clock's resolution.
 _WHOLE = 1e-9
 MOST_DELAY_SAMPLES = 1000
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class SampledPlant:
     """The plant between two ticks of the controller, T_d + θ = (`whole_delay` + fraction)·h.
 
@@ -85,6 +87,7 @@ def split_delay(delay_s: float, sample_time_s: float) -> tuple[int, float]:
     return whole, fraction if fraction > _WHOLE else 0.0
 
 
+@lru_cache(maxsize=KEPT_PLANTS)
 def build_sampled_plant(plant: Plant, sample_time_s: float) -> SampledPlant:
     """Discretise the plant under a zero-order hold, exactly, with its delay."""
     h = positive("sample_time_s", sample_time_s)

@@ -13,7 +13,7 @@ from ..compiled import compiled
 from ..errors import AutotuneError, ParameterError
 from ..model.controller import AdmittanceController
 from ..model.response import plant_response
-from ..model.sampled import SampledPlant, build_loop, check_wrench_delay, spectral_radius
+from ..model.sampled import KEPT_PLANTS, SampledPlant, build_loop, check_wrench_delay, spectral_radius
 from .margin_kernel import (
     DELAY_S,
     DISK,
@@ -187,6 +187,7 @@ class PreparedMargins:
         )
 
 
+@lru_cache(maxsize=KEPT_PLANTS)
 def prepare_margins(sampled: SampledPlant) -> PreparedMargins:
     """Return what the margins of a sampled plant need, once for all controllers; raises where it is not finite."""
     check_finite(sampled)
