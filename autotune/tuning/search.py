@@ -277,7 +277,6 @@ class Search:
             gathered = np.max(energies) < _MISSED and np.std(energies) <= _GATHERED * abs(np.mean(energies))
             return bool(gathered or np.min(energies) <= self.enough)
 
-        # As `init="sobol"` has them, which imports scipy.stats.
         rng, count = np.random.default_rng(seed), len(self.problem.variables)
         first = sobol_points(count, 1 << (_POPULATION * count - 1).bit_length(), seed=rng)
         try:

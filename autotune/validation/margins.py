@@ -69,10 +69,10 @@ def _margins(sampled: SampledPlant, controller: Controller) -> tuple[dict[str, f
     closed = _eigenvalues(cut.closed_at(cut.command, cut.force))
     grid = _around_modes(frequency_grid(sampled, _GRID_POINTS), closed, sampled.sample_time_s)
     z = np.exp(1j * grid * sampled.sample_time_s)
-    loops = []
+    loops, whole = [], _product(z, closed)
     for signal, other in ((cut.force, cut.command), (cut.command, cut.force)):
         opened = cut.closed_at(other)
-        loops.append((1.0 - opened[signal, signal]) * _ratio(z, closed, _eigenvalues(opened)) - 1.0)
+        loops.append((1.0 - opened[signal, signal]) * (whole / _product(z, _eigenvalues(opened))) - 1.0)
     both = margins_on_grid(grid, np.array(loops))
     smallest = {name: float(np.min(values)) for name, values in both._asdict().items()}
     if smallest["gain_db"] >= LARGEST_GAIN_DB:
@@ -97,9 +97,8 @@ def _eigenvalues(matrix: FloatArray) -> ComplexArray:
     return np.linalg.eigvals(matrix[:-2, :-3]).astype(np.complex128)
 
 
-def _ratio(z: ComplexArray, zeros: ComplexArray, poles: ComplexArray) -> ComplexArray:
-    out, below = np.ones_like(z), np.ones_like(z)
-    for zero, pole in zip(zeros, poles, strict=True):
-        out *= z - zero
-        below *= z - pole
-    return out / below
+def _product(z: ComplexArray, roots: ComplexArray) -> ComplexArray:
+    out = np.ones_like(z)
+    for root in roots:
+        out *= z - root
+    return out

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy.linalg import expm
@@ -156,6 +157,7 @@ def replay_contact(
     )
 
 
+@lru_cache(maxsize=1024)
 def settling_samples(plant: Plant, controller: AdmittanceController, h: float, shortest_s: float) -> int:
     """Return how many samples the loop needs to settle, a wall that is soft or a light damping taking longer."""
     radius = spectral_radius(build_loop(build_sampled_plant(plant, h), controller))

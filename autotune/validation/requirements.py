@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator, Sequence
+from functools import lru_cache
 from typing import Any, cast
 
 import numpy as np
@@ -226,6 +227,7 @@ def sampled_admittance(
     return min(found)
 
 
+@lru_cache(maxsize=64)
 def _gain(robot: RobotModel, controller: AdmittanceController, h: float, frequency_hz: float) -> float:
     samples = round((_SETTLE_S + _PERIODS / frequency_hz) / h)
     omega = 2.0 * np.pi * frequency_hz
@@ -250,27 +252,28 @@ _NOTHING = 1e-9
 def worst_noise(asked: NoiseLimit, plants: Sequence[Plant], law: AdmittanceController, sample_time_s: float) -> float:
     """Return the largest RMS of the commanded speed [m/s] under the noise that is asked for, in contact and free."""
     both = tuple(dict.fromkeys((*plants, *(plant.in_contact_with(FREE_SPACE) for plant in plants))))
-    of_force = speed_rms(both, law, sample_time_s)
-    of_position = speed_rms(both, law, sample_time_s, on_position=True) if asked.position_noise_rms_m else 0.0
-    return float(np.max(asked.speed_rms_m_s(of_force, of_position)))
+    # What is not asked is not followed: a noise of zero.
+    count = len(both) if asked.position_noise_rms_m else 0
+    found = speed_rms((*both, *both[:count]), law, sample_time_s, on_position=np.repeat([0.0, 1.0], [len(both), count]))
+    return float(np.max(asked.speed_rms_m_s(found[: len(both)], found[len(both) :] if count else 0.0)))
 
 
 def speed_rms(
-    plants: Sequence[Plant], law: AdmittanceController, sample_time_s: float, *, on_position: bool = False
+    plants: Sequence[Plant], law: AdmittanceController, sample_time_s: float, *, on_position: FloatArray | float = 0.0
 ) -> FloatArray:
     """Return the RMS of the commanded speed (p,) per RMS of white noise on the force, or the position that is read.
 
-    The squares of the response to a single tick of it add up to the variance under noise. Each plant touches all the
-    time if it touches at all; the loops must be stable.
+    It is on the position where `on_position` (p,) is 1. The squares of the response to a single tick of it add up to
+    the variance under noise. Each plant touches all the time if it touches at all; the loops must be stable.
     """
-    h, (of_force, of_position) = sample_time_s, (0.0, 1.0) if on_position else (1.0, 0.0)
+    h, of_force, of_position = sample_time_s, 1.0 - np.asarray(on_position), on_position
     plant = _Plants(plants, h)
     # The difference equation adds and multiplies only: what it does to a number it does to each plant's.
     past: Any = rest_at(0.0)
     gains, step = equation_gains(law, h), cast(Any, difference_step)
     direct = gains.gain * gains.now_weight / gains.new * gains.b_0
     last = squares = np.zeros(len(plants))
-    for k in range(max(settling_samples(each, law, h, _SHORTEST_S) for each in plants)):
+    for k in range(max(settling_samples(each, law, h, _SHORTEST_S) for each in dict.fromkeys(plants))):
         tick = 1.0 if k == 0 else 0.0
         force, position = plant.force() + of_force * tick, plant.position() + of_position * tick
         if np.any(plant.direct != 0.0):

@@ -173,9 +173,8 @@ class BatchEvaluator:
         """
         problem, peaks_if_missed = self.prepared.problem, peaks_if_missed or self.goal is not None
         margins_if_missed = margins_if_missed or peaks_if_missed
-        controllers = [problem.controller(design) for design in designs]
-        numbers, theta, ideal = controller_numbers(controllers)
-        h = problem.sample_time_s
+        first, numbers, h = problem.controller(designs[0]), problem.parameters(designs), problem.sample_time_s
+        theta, ideal = first.theta, first.is_ideal
         whole = np.empty((len(designs), COLUMNS))
         by_plant = np.empty((len(designs), len(self.prepared.plants), PLANT_COLUMNS))
         by_pair = np.empty((len(designs), len(self.prepared.pairs) if self._has_contacts else 0, PEAK_COLUMNS))
@@ -193,14 +192,17 @@ class BatchEvaluator:
         )
         hard, soft = self._rows(whole, by_plant, by_pair)
         found = BatchEvaluation(
-            radius=self._radius(whole, controllers),
+            radius=self._radius(whole, designs),
             rows=hard,
             objective_rows=self._objective_rows(whole, by_plant, by_pair),
             soft_rows=soft,
             asked=problem.requirements,
         )
         if problem.requirements.command_noise is not None:
-            self._ask_noise(problem.requirements.command_noise, found, controllers, everywhere=margins_if_missed)
+            sampling = (h, theta, ideal)
+            self._ask_noise(
+                problem.requirements.command_noise, found, designs, numbers, sampling, everywhere=margins_if_missed
+            )
         if self.held is not None:
             self._ask_hands(self.held, found, numbers, (h, theta, ideal), everywhere=margins_if_missed)
         missed, is_slow = found.violation > 0.0, bool(self.slow) or self._has_slow_objective
@@ -208,8 +210,8 @@ class BatchEvaluator:
             if whole[i, VERDICT] == DOUBTFUL:
                 _settle(found, i, self.prepared.evaluate(designs[i], peaks_if_missed=peaks_if_missed))
             elif is_slow and found.is_stable[i] and (margins_if_missed or not missed[i]):
-                self._evaluate_slowly(found, i, controllers[i])
-        if self.slow and not peaks_if_missed:
+                self._evaluate_slowly(found, i, problem.controller(designs[i]))
+        if not peaks_if_missed:
             found.objective_rows[found.violation > 0.0] = np.inf
         return found if self.goal is None else found.towards(self.goal)
 
@@ -217,7 +219,9 @@ class BatchEvaluator:
         self,
         limit: NoiseLimit,
         found: BatchEvaluation,
-        controllers: Sequence[AdmittanceController],
+        designs: FloatArray,
+        numbers: FloatArray,
+        sampling: tuple[float, float, bool],
         *,
         everywhere: bool,
     ) -> None:
@@ -227,14 +231,14 @@ class BatchEvaluator:
         if not len(looked_at):
             return
         loops, _, _ = self.plants
-        numbers, theta, ideal = controller_numbers([controllers[i] for i in looked_at.tolist()])
         speeds = np.empty((len(looked_at), len(self.prepared.plants)))
         noises = limit.force_noise_rms_n or 0.0, limit.position_noise_rms_m or 0.0
-        find_speed_noises(loops, numbers, (self.prepared.problem.sample_time_s, theta, ideal), noises, speeds)
+        find_speed_noises(loops, numbers[looked_at], sampling, noises, speeds)
         rows = found.soft_rows if _NOISE in asked.soft_n else found.rows
         rows[_NOISE][looked_at] = speeds / limit.max_speed_rms_m_s
         for i in looked_at[np.isnan(speeds).any(axis=1)].tolist():
-            rows[_NOISE][i] = asked.kind(_NOISE).ratios(limit, StableDesign(self.prepared, controllers[i]))
+            law = self.prepared.problem.controller(designs[i])
+            rows[_NOISE][i] = asked.kind(_NOISE).ratios(limit, StableDesign(self.prepared, law))
 
     def _ask_hands(
         self,
@@ -291,10 +295,11 @@ class BatchEvaluator:
         if self._has_slow_objective:
             found.objective_rows[index] = self.prepared.problem.objective.costs(asked, design)
 
-    def _radius(self, whole: FloatArray, controllers: Sequence[AdmittanceController]) -> FloatArray:
+    def _radius(self, whole: FloatArray, designs: FloatArray) -> FloatArray:
         radius = np.zeros(len(whole))
         for i in np.flatnonzero(whole[:, VERDICT] == UNSTABLE):
-            loop = build_loop(self.prepared.plants[int(whole[i, FAILED])].sampled, controllers[int(i)])
+            failed = self.prepared.plants[int(whole[i, FAILED])].sampled
+            loop = build_loop(failed, self.prepared.problem.controller(designs[i]))
             radius[i] = max(spectral_radius(loop), 1.0)
         return radius
 

@@ -174,6 +174,17 @@ class DesignProblem:
             **further,
         )
 
+    def parameters(self, designs: FloatArray) -> FloatArray:
+        """Return the parameters (m, 7 or 11) of the controllers of designs (m, n), as `AdmittanceController` has them.
+
+        The first of them is checked as `controller` does.
+        """
+        out = np.tile(self.controller(designs[0]).parameters(), (len(designs), 1))
+        for values, name in zip(designs.T, self.variables, strict=True):
+            least = SMALLEST_FEEDBACK_DAMPING_S if name == "feedback_damping_s" else -np.inf
+            out[:, CONTROLLER_VARIABLES.index(name)] = np.where(values < least, 0.0, values)
+        return out
+
     def __str__(self) -> str:
         """Return the problem as a table for people: what is free, what is uncertain, what is asked."""
         asked = self.requirements

@@ -10,7 +10,14 @@ from problems.contact.transient import Approach
 from problems.design.batch_evaluation import build_batch_evaluator
 from problems.design.evaluation import build_scenarios
 from problems.design.objectives import BUILT_IN, SensorForce
-from problems.design.problem import AdmittanceTarget, DesignProblem, NoiseLimit, PassivityTarget, Requirements
+from problems.design.problem import (
+    AdmittanceTarget,
+    DesignProblem,
+    NoiseLimit,
+    PassivityTarget,
+    Requirements,
+    biquad_bounds,
+)
 from problems.design.requirements import HANDS, ContactAtSpeed, Hand
 from problems.stability.margins import margin_grid
 from tests.autotune.tuning.cases import design_problem
@@ -37,6 +44,8 @@ COMMANDED = replace(
     command_noise=NoiseLimit(max_speed_rms_m_s=6e-4, force_noise_rms_n=0.14),
     passivity=PassivityTarget(passive_below_hz=20.0),
 )
+# Both noises, of which a law that feeds the position back makes more.
+OF_BOTH = NoiseLimit(max_speed_rms_m_s=6e-4, force_noise_rms_n=0.14, position_noise_rms_m=1e-6)
 
 
 def led_by(hand: Hand) -> ContactAtSpeed:
@@ -52,6 +61,11 @@ PROBLEMS = [
     ),
     pytest.param(
         design_problem(requirements=replace(COMMANDED, soft_n=dict.fromkeys(COMMANDED.asked(), 2.0))), id="all soft"
+    ),
+    pytest.param(design_problem(requirements=replace(EASY, command_noise=OF_BOTH)), id="noise of the pose too"),
+    pytest.param(
+        design_problem(requirements=replace(COMMANDED, command_noise=OF_BOTH, soft_n={"command_noise": 5.0})),
+        id="soft noise of the pose too",
     ),
     pytest.param(design_problem(requirements=EASY), id="usual"),
     pytest.param(design_problem(requirements=replace(EASY, further={"min_damping_ratio": 0.1})), id="not compiled"),
@@ -152,3 +166,17 @@ def test_margins_are_found_of_what_is_missed_without_its_peaks() -> None:
     assert np.array_equal(margins.cost[~missed], whole.cost[~missed])
     for name, ratios in whole.requirements.items():
         assert np.array_equal(margins.requirements[name], ratios, equal_nan=True)
+
+
+def test_the_parameters_of_designs_are_those_of_their_controllers() -> None:
+    usual = design_problem()
+    further = {"compensation_mass_kg": (0.0, 5.0), "acceleration_filter_rad_per_s": (20.0, 400.0)}
+    biquad = biquad_bounds(usual.sample_time_s, 12.0)
+    rng = np.random.default_rng(8)
+    for more in ({}, further, biquad, {"velocity_filter_rad_per_s": (30.0, 300.0), **biquad}):
+        problem = replace(usual, bounds={**usual.bounds, **more})
+        designs = np.array([[rng.uniform(low, high) for low, high in problem.bounds.values()] for _ in range(20)])
+        # Too small to be a value in seconds: none at all.
+        designs[3, 3] = 1e-5
+        expected = [problem.controller(design).parameters() for design in designs]
+        np.testing.assert_array_equal(problem.parameters(designs), expected)
