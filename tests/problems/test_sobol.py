@@ -5,6 +5,7 @@ import pytest
 from scipy.optimize import differential_evolution
 from scipy.stats import qmc
 
+from problems.arrays import FloatArray
 from problems.sobol import sobol_points
 
 
@@ -28,8 +29,8 @@ def test_every_elementary_interval_holds_one_point() -> None:
 
 
 def test_a_population_of_them_evolves_as_one_that_scipy_draws() -> None:
-    def costs(units: np.ndarray) -> np.ndarray:
-        return np.sum((units - 0.3) ** 2, axis=0) + 0.1 * np.sin(20.0 * units[0])
+    def costs(units: FloatArray) -> FloatArray:
+        return np.asarray(np.sum((units - 0.3) ** 2, axis=0) + 0.1 * np.sin(20.0 * units[0]))
 
     seen = []
     for of_scipy in (True, False):
