@@ -6,7 +6,9 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
+from random import Random
 
+from autotune.formats.atomic import name_of_process
 from autotune.processes import worker_pool
 from problems.errors import AutotuneError
 
@@ -71,12 +73,13 @@ def work_on_runs(
     """
     progress = progress or (lambda *_: nullcontext(_nothing))
     with open_state(storage, folder) as state:
-        tasks = []
+        tasks: dict[str, RunTask] = {}
         with progress("checksums", len(runs)) as advance:
-            for run in runs:
-                tasks.append(build_task(run, folder, options or RunOptions()))
+            # Hosts each in an order of its own, so that of those that begin together one reads what others have not.
+            for run in runs if storage is None else Random(name_of_process()).sample(runs, len(runs)):
+                tasks[run.name] = build_task(run, folder, options or RunOptions(), state.checksums.find)
                 advance(1, run.name)
-        work = _Work(state, tasks, note or _nothing)
+        work = _Work(state, [tasks[run.name] for run in runs], note or _nothing)
         work.look()
         with progress("campaign", max(len(work.left), 1)) as work.advance:
             if not work.left:
@@ -86,7 +89,7 @@ def work_on_runs(
                 work.look()
                 if work.left and not work.free:
                     work.wait()
-    return tuple(work.done[task.run.name] for task in tasks)
+    return tuple(work.done[run.name] for run in runs)
 
 
 def _nothing(*_: object) -> None:

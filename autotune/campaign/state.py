@@ -34,6 +34,7 @@ from autotune.database import connect_arguments, database_address, is_sqlite, na
 from autotune.errors import UsageError
 from autotune.formats.atomic import has_ended, is_of_this_machine, name_of_process
 
+from .checksums import FILES, Checksums
 from .work import RunOutcome, RunTask, parse_outcome
 
 STATE = "campaign.sqlite"
@@ -79,7 +80,7 @@ class Sight:
 
 
 class CampaignState:
-    """What is known of the runs of one folder, and those that this process has claimed.
+    """What is known of the runs of one folder, of its logs (`checksums`), and those runs that this process has claimed.
 
     A claim is one UPDATE that holds only while the row is as it was seen, so that of two processes one has it. It lasts
     for `_LEASE` by the database's clock unless it is renewed; a process of this machine that has ended has none.
@@ -88,6 +89,7 @@ class CampaignState:
     def __init__(self, engine: Engine, folder: str) -> None:
         self._engine, self._folder, self._owner = engine, folder, name_of_process()
         self._is_sqlite = is_sqlite(engine.url)
+        self.checksums = Checksums(self._done, is_sqlite=self._is_sqlite)
         self._seen: dict[str, Row[Any]] = {}
         self._failed: dict[str, int] | None = None
         self._held: dict[str, int] = {}
@@ -221,7 +223,7 @@ def open_state(storage: str | None, folder: Path) -> Iterator[CampaignState]:
             engine = create_engine(address, connect_args=connect_arguments(address), pool_pre_ping=True)
             stack.callback(engine.dispose)
             write_ahead(engine)
-            _make_table(engine)
+            _make_tables(engine)
         _make(folder)
         state = CampaignState(engine, "." if storage is None else str(folder.resolve()))
         stack.callback(state.release)
@@ -239,10 +241,11 @@ def _make(folder: Path) -> None:
         raise UsageError(f"{folder} cannot be made: {error.strerror or error}.") from error
 
 
-def _make_table(engine: Engine) -> None:
-    """Make the table where there is none; another process may do it at the same time."""
-    try:
-        _RUNS.create(engine, checkfirst=True)
-    except DBAPIError:
-        if not inspect(engine).has_table(_RUNS.name):
-            raise
+def _make_tables(engine: Engine) -> None:
+    """Make the tables where there are none; another process may do it at the same time."""
+    for table in (_RUNS, FILES):
+        try:
+            table.create(engine, checkfirst=True)
+        except DBAPIError:
+            if not inspect(engine).has_table(table.name):
+                raise

@@ -3,9 +3,8 @@
 import json
 import shutil
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
-from functools import cache
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -91,10 +90,20 @@ def parse_outcome(text: str | None) -> RunOutcome | None:
         return None
 
 
-def build_task(run: LoggedRun, folder: Path, options: RunOptions) -> RunTask:
+def digest_of(path: Path, of_file: Callable[[Path], str] = sha256_of) -> str:
+    """Return the SHA-256 of a file, or of the names and digests of all that is in a folder."""
+    if not path.is_dir():
+        return of_file(path)
+    parts = sorted(each for each in path.rglob("*") if each.is_file())
+    lines = "".join(f"{each.relative_to(path)} {of_file(each)}\n" for each in parts)
+    return sha256(lines.encode()).hexdigest()
+
+
+def build_task(run: LoggedRun, folder: Path, options: RunOptions, of_log: Callable[[Path], str] = digest_of) -> RunTask:
     """Return the task of a run; its key is the SHA-256 of version, options and the bytes of every file.
 
-    What the manifest says of the run's options goes before those of the campaign.
+    What the manifest says of the run's options goes before those of the campaign. `of_log` returns the SHA-256 of a
+    log, which may be known already.
 
     Raises UsageError where a file cannot be read.
     """
@@ -103,27 +112,13 @@ def build_task(run: LoggedRun, folder: Path, options: RunOptions) -> RunTask:
     if options.urdf is not None:
         files["urdf"] = options.urdf
     try:
-        digests = {key: None if path is None else _digest(path) for key, path in files.items()}
-        logs = [_digest(log) for log in run.logs]
+        digests = {key: None if path is None else digest_of(path) for key, path in files.items()}
+        logs = [of_log(log) for log in run.logs]
     except OSError as error:
         raise UsageError(f"{error.filename} cannot be read: {error.strerror or error}.") from error
     said = {"version": __version__, "options": options.tree(), "logs": logs, **digests}
     key = sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()
     return RunTask(run=run, folder=folder / "cells" / run.cell / run.run, key=key, options=options)
-
-
-def _digest(path: Path) -> str:
-    """Return the SHA-256 of a file, or of the names and digests of a folder's; once as long as all is as old."""
-    parts = sorted(each for each in path.rglob("*") if each.is_file()) if path.is_dir() else [path]
-    return _digest_of(path, tuple((each, each.stat().st_size, each.stat().st_mtime_ns) for each in parts))
-
-
-@cache
-def _digest_of(path: Path, parts: tuple[tuple[Path, int, int], ...]) -> str:
-    if not path.is_dir():
-        return sha256_of(path)
-    lines = "".join(f"{each.relative_to(path)} {sha256_of(each)}\n" for each, *_ in parts)
-    return sha256(lines.encode()).hexdigest()
 
 
 def work_on(task: RunTask) -> RunOutcome:

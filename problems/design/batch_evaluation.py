@@ -174,7 +174,7 @@ class BatchEvaluator:
         problem, peaks_if_missed = self.prepared.problem, peaks_if_missed or self.goal is not None
         margins_if_missed = margins_if_missed or peaks_if_missed
         first, numbers, h = problem.controller(designs[0]), problem.parameters(designs), problem.sample_time_s
-        theta, ideal = first.theta, first.is_ideal
+        sampling = (h, first.theta, first.is_ideal)
         whole = np.empty((len(designs), COLUMNS))
         by_plant = np.empty((len(designs), len(self.prepared.plants), PLANT_COLUMNS))
         by_pair = np.empty((len(designs), len(self.prepared.pairs) if self._has_contacts else 0, PEAK_COLUMNS))
@@ -183,7 +183,7 @@ class BatchEvaluator:
             self.contacts,
             self.band,
             numbers,
-            (h, theta, ideal),
+            sampling,
             problem.approach.numbers(),
             longest_run(h),
             self.required,
@@ -198,13 +198,11 @@ class BatchEvaluator:
             soft_rows=soft,
             asked=problem.requirements,
         )
-        if problem.requirements.command_noise is not None:
-            sampling = (h, theta, ideal)
-            self._ask_noise(
-                problem.requirements.command_noise, found, designs, numbers, sampling, everywhere=margins_if_missed
-            )
+        limit = problem.requirements.command_noise
+        if limit is not None:
+            self._ask_noise(limit, found, designs, numbers, sampling, everywhere=margins_if_missed)
         if self.held is not None:
-            self._ask_hands(self.held, found, numbers, (h, theta, ideal), everywhere=margins_if_missed)
+            self._ask_hands(self.held, found, numbers, sampling, everywhere=margins_if_missed)
         missed, is_slow = found.violation > 0.0, bool(self.slow) or self._has_slow_objective
         for i in range(len(designs)):
             if whole[i, VERDICT] == DOUBTFUL:
