@@ -9,6 +9,7 @@ import pytest
 
 from autotune.certificate import bouncing
 from autotune.certificate.bouncing import multiplier_over_s, prove_rest
+from autotune.certificate.certify import CELL_WORK
 from autotune.certificate.family import Family, build_families
 from autotune.certificate.multiplier_search import find_multiplier, spring_response
 from autotune.certificate.plant_cells import coefficients, with_derivatives
@@ -278,6 +279,7 @@ def least_passive(plant: Plant, law: AdmittanceController) -> float:
 def test_passivity_is_proved_where_the_mixed_frequencies_have_it_and_never_where_not(filtered: bool) -> None:
     """40 drawn laws and payloads: M = s, by the eigenvalues of the lifted loop in plain floats."""
     rng, proved, passive = np.random.default_rng(11), 0, 0
+    begun: set[int] = set()
     for _ in range(40):
         mass, drag = float(rng.uniform(6.0, 25.0)), float(rng.uniform(50.0, 800.0))
         plant = paper_plant(stiffness=1.3e5, mass=mass, drag=drag, coupling_damping=100.0 if filtered else 0.0)
@@ -286,9 +288,16 @@ def test_passivity_is_proved_where_the_mixed_frequencies_have_it_and_never_where
             float(rng.uniform(5.0, 40.0)), float(rng.uniform(600.0, 3000.0)), float(rng.uniform(0.0, 0.06))
         )
         (of,) = build_families(plant, {"payload_mass_kg": (mass, mass)}, PERIOD_S)
-        holds, least = prove_rest(of, law, None, work=WORK).holds, least_passive(plant, law)
+        found, least = prove_rest(of, law, None, work=WORK), least_passive(plant, law)
+        holds = found.holds
         assert not (holds and least <= 0.0), (mass, drag, law)
+        if holds:
+            # Of one plant there is one cell, and an arc is judged, or cut in two: so many began.
+            assert found.cells == 1
+            begun.add(2 * found.arcs - (found.work - CELL_WORK))
         proved, passive = proved + holds, passive + (least > 0.02)
+    assert len(begun) == 1
+    assert min(begun) > 0
     assert 3 < passive < 37
     assert proved >= 0.8 * passive
 
