@@ -1,7 +1,9 @@
 """A damping that follows the speed, and a full stop: the lightest that is allowed, confirmed by the second method."""
 
+import math
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 import pytest
 
@@ -9,11 +11,12 @@ from autotune.cli._optimized import damping_lines, response_lines
 from autotune.errors import UsageError
 from autotune.formats.controller import read_controller, write_controller
 from autotune.formats.controller_record import Controller, admittance_controller
-from autotune.formats.limits import CollisionResponse
+from autotune.formats.limits import CollisionResponse, VariableDampingSettings
 from autotune.formats.problem import read_problem
 from autotune.report.axis_design import axis_designs
 from autotune.report.strategy_chart import strategy_chart
-from autotune.tuning.first_contacts import contacts_of, peaks_of
+from autotune.tuning import strategies
+from autotune.tuning.first_contacts import FirstContacts, contacts_of, peaks_of
 from autotune.tuning.strategies import END_SHARE, StrategySettings, choose_strategies
 from autotune.tuning.threshold import without_response
 from autotune.validation.axis_proof import Prover
@@ -37,6 +40,35 @@ def test_the_lowest_damping_is_the_least_that_limit_and_margins_allow() -> None:
     # The rate limit crosses the range in 0.1 s at least.
     crossing = (chosen.highest - chosen.lowest) / chosen.largest_change * chosen.update_periods * 8e-4
     assert crossing >= 0.099
+
+
+@pytest.mark.parametrize(
+    ("least_allowed", "expected"),
+    [(0.0, (500.0, 500.0)), (700.0, (700.0, 714.0)), (899.0, (900.0, 900.0)), (901.0, (math.inf, math.inf))],
+    ids=["all of the span", "part of it", "its end alone", "nothing"],
+)
+def test_the_least_damping_of_a_span_is_bisected(
+    monkeypatch: pytest.MonkeyPatch, least_allowed: float, expected: tuple[float, float]
+) -> None:
+    """With stand-ins of the runs: from the low end where that is allowed, and the constant B_a where nothing is."""
+
+    def schedule(_contacts: object, lowest: float, highest: float) -> VariableDampingSettings:
+        return VariableDampingSettings(
+            highest=highest, lowest=lowest, decay_s_per_m=10.0, update_periods=1, largest_change=1.0
+        )
+
+    def run(_contacts: object, _scenarios: object, variable: VariableDampingSettings | None) -> strategies._Tried:
+        return strategies._Tried(variable=variable, runs={}, worst=(1.0, 1.0))
+
+    monkeypatch.setattr(strategies, "_schedule", schedule)
+    monkeypatch.setattr(strategies, "_run", run)
+    plain = run(None, None, None)
+    contacts = cast(FirstContacts, None)
+    found = strategies._lighter(
+        contacts, (), 1200.0, (500.0, 900.0), lambda tried: tried.lowest >= least_allowed, plain
+    )
+    assert expected[0] <= found.lowest <= expected[1]
+    assert found.highest == (0.0 if found is plain else 1200.0)
 
 
 def test_both_ends_keep_most_of_the_modulus_that_is_asked() -> None:
