@@ -13,7 +13,6 @@ from ..result import Finding
 from ..signals.recording import WEIGHT_NEEDS_ORIENTATION, sampling_rate_hz
 from .checks.clocks import ChannelClock, clock_findings, compare_clocks, measure_clock
 from .checks.robot_state import without_zero_torques
-from .checks.samples import role_faults
 from .containers.channel import Channel, ChannelInfo
 from .containers.formats import digests
 from .long_logs import WindowSpan, windows_of_part
@@ -85,9 +84,7 @@ def _inspect(
         channels = tuple(_summary(info, series[info.channel]) for info in infos)
         roles = tuple(_with_rates(role, channels) for role in roles)
         numbers = tuple(found for part in logs.parts for found in number_fields(part))
-        findings += [
-            f for info in infos for f in _channel_findings(info, series[info.channel], logs.start_ns, salvage=keeps)
-        ]
+        findings += [f for info in infos for f in _channel_findings(info, series[info.channel], logs, salvage=keeps)]
         if span.is_whole:
             # Of a part, reading it for identify says the same.
             findings += _declared_findings(logs, choices, declared, salvage=keeps)
@@ -310,14 +307,14 @@ def _wanted(info: ChannelInfo) -> Wanted:
     return Wanted(fields=by_type[0].fields if is_plain else (), header="header" if info.has_header else "")
 
 
-def _channel_findings(info: ChannelInfo, series: Series, start_ns: int, *, salvage: bool) -> Iterator[Finding]:
+def _channel_findings(info: ChannelInfo, series: Series, logs: OpenedLogs, *, salvage: bool) -> Iterator[Finding]:
     roles = [role for role in roles_of(info.channel) if role in ROLES]
     if not roles or not series.log_ns.size or series.stamp_ns is None:
         return
     if series.fields:
         kept, about_torques = without_zero_torques([series]) if roles[0] is Role.WRENCH else ([series], ())
         yield from about_torques
-        yield from role_faults(roles[0], kept, [series.stamp_ns], None, start_ns, keeps_holes=salvage)
+        yield from logs.examined.faults(roles[0], kept, [series.stamp_ns], None, logs.start_ns, keeps_holes=salvage)
 
 
 def _declared_findings(logs: OpenedLogs, choices: Mapping[Role, Choice], cell: Cell, *, salvage: bool) -> list[Finding]:
@@ -331,7 +328,7 @@ def _declared_findings(logs: OpenedLogs, choices: Mapping[Role, Choice], cell: C
     for role in dict.fromkeys(role for part in parts for role in part):
         mine = [part[role] for part in parts if role in part]
         stamps = [part.times_ns for part in mine]
-        found += role_faults(role, mine, stamps, source_of(cell, role), logs.start_ns, keeps_holes=salvage)
+        found += logs.examined.faults(role, mine, stamps, source_of(cell, role), logs.start_ns, keeps_holes=salvage)
     return found
 
 

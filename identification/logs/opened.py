@@ -2,13 +2,14 @@
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from ..errors import LogError, listed
 from ..result import Finding
+from .checks.samples import ExaminedRoles
 from .containers.channel import Batch, Channel, ChannelInfo, Container, Held, Survey
 from .containers.formats import is_table, open_container
 from .messages.decode import HEADER, ROS_ENCODINGS, JointNames, MessageError, Series, Wanted, needed_types
@@ -117,9 +118,10 @@ OpenedLog = ContainerLog | TableLog
 
 @dataclass(frozen=True, kw_only=True)
 class OpenedLogs:
-    """The parts of one recording."""
+    """The parts of one recording, and what was found of the samples of their roles."""
 
     parts: tuple[OpenedLog, ...]
+    examined: ExaminedRoles = field(default_factory=ExaminedRoles)
 
     @property
     def name(self) -> str:

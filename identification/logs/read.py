@@ -322,7 +322,9 @@ def _read(
         chosen = [_chosen(choice, [part[role] for part in stamps if role in part]) for role, choice in choices.items()]
         parts, about_span = cut_roles(parts, stamps, span, logs.name)
         times = _times(parts, clocks)
-        about_samples = sample_findings(parts, clocks, cell, logs.start_ns, keeps_holes=keeps_holes)
+        about_samples = sample_findings(
+            parts, clocks, cell, logs.start_ns, keeps_holes=keeps_holes, examined=logs.examined
+        )
         recordings = [build_recording(part, clocks, cell) for part in parts]
         recording = _continuous(join_recordings(recordings))
         questions = open_questions(logs.infos, cell, logs.name)

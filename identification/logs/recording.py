@@ -23,7 +23,7 @@ from ..signals.recording import (
     no_wrench,
 )
 from .checks.consistency import turn_findings, twist_findings
-from .checks.samples import role_faults
+from .checks.samples import ExaminedRoles
 from .containers.channel import Channel
 from .messages.decode import Series
 from .roles.cell import (
@@ -101,13 +101,14 @@ def sample_findings(
     start_ns: int,
     *,
     keeps_holes: bool,
+    examined: ExaminedRoles,
 ) -> tuple[Finding, ...]:
     """Check the samples of every role over all parts; raises LogError for the first that cannot be used."""
     found: list[Finding] = []
     for role in parts[0]:
         mine = [part[role] for part in parts]
         stamps = [_stamps(role, part, clocks, cell) for part in parts]
-        found += role_faults(role, mine, stamps, source_of(cell, role), start_ns, keeps_holes=keeps_holes)
+        found += examined.faults(role, mine, stamps, source_of(cell, role), start_ns, keeps_holes=keeps_holes)
     if cell.rows_are_poses:
         found = [finding for finding in found if finding.code in _OF_SINGLE_ROWS]
     refuse(found)

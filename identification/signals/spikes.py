@@ -74,6 +74,15 @@ def without_pose_spikes(pose: PoseSignal) -> tuple[PoseSignal, tuple[Finding, ..
     return replace(pose, position_m=position, quaternion_xyzw=quaternion), (finding,)
 
 
+def column_medians(values: FloatArray) -> FloatArray:
+    """Return the median of each column (n, k), of its numbers alone where some are NaN."""
+    found = np.empty(values.shape[1])
+    for k, column in enumerate(np.array(values.T, order="C")):
+        middle = float(np.median(column, overwrite_input=True))
+        found[k] = np.nanmedian(column) if np.isnan(middle) else middle
+    return found
+
+
 def _spikes(values: FloatArray, least: float | None = None) -> BoolArray:
     """Return which values (n, k) are spikes, none of an axis that is not known.
 
@@ -85,10 +94,12 @@ def _spikes(values: FloatArray, least: float | None = None) -> BoolArray:
     if not known.size:
         return found
     before, after = (values[1:-1, known] - values[shifted, known] for shifted in (slice(None, -2), slice(2, None)))
-    noise = _TO_STD * np.nanmedian(np.abs(before + after), axis=0)
+    smaller = np.minimum(np.abs(before), np.abs(after))
+    if least is not None and not bool(np.any(smaller > least)):
+        return found
+    noise = _TO_STD * column_medians(np.abs(before + after))
     limit = np.where(noise > 0.0, _NOISES * noise, np.inf) if least is None else np.maximum(_NOISES * noise, least)
     # Away and back: both steps are large, of one sign, and alike.
-    smaller = np.minimum(np.abs(before), np.abs(after))
     suspects = (before * after > 0.0) & (smaller > limit) & (np.abs(before - after) < smaller)
     steps = np.abs(np.diff(values[:, known], axis=0))
     suspects &= smaller > np.pad(np.fmax(steps[:-3], steps[3:]), ((1, 1), (0, 0)))

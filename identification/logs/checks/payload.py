@@ -17,6 +17,7 @@ from ...signals.aligned import AlignedLog, align
 from ...signals.constant_runs import find_runs
 from ...signals.recording import AXES, Recording, turned_rad
 from ...signals.segments import find_motion, low_pass
+from ...signals.spikes import column_medians
 
 _STILL_M_S = 1.5e-3
 _STILL_RAD_S = 0.02
@@ -75,7 +76,7 @@ def find_tare_jumps(log: AlignedLog) -> tuple[TareJump, ...]:
     side, width = max(_FEWEST, round(_SIDE_S / log.period_s)), max(1, round(_STEP_S / log.period_s))
     if len(wrench) < 2 * side + width + 2:
         return ()
-    noise = np.nanmedian(np.abs(np.diff(wrench, n=2, axis=0)), axis=0) / (0.6745 * np.sqrt(6.0))
+    noise = column_medians(np.abs(np.diff(wrench, n=2, axis=0))) / (0.6745 * np.sqrt(6.0))
     least = np.maximum(_NOISE_FACTOR * noise, _SMALLEST)
     steep = find_runs(np.any(np.abs(wrench[width:] - wrench[:-width]) > least, axis=1))
     still = _still(log)

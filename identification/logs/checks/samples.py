@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -115,7 +115,7 @@ def pose_faults(topic: str, values: FloatArray, since_start_s: FloatArray) -> It
         return
     if not bool(np.all(good)):
         values, since_start_s = values[good], since_start_s[good]
-    if bool(np.all(values == values[:1])):
+    if bool(np.all(values[-1] == values[0])) and bool(np.all(values == values[:1])):
         yield Finding.error(
             "stuck-pose",
             f"Topic {topic} holds one and the same pose in all {len(values)} samples.",
@@ -211,6 +211,8 @@ def _repeat_faults(topic: str, values: FloatArray) -> Iterator[Finding]:
 
 
 def _length_faults(topic: str, position: FloatArray) -> Iterator[Finding]:
+    if 2.0 * max(float(np.max(position)), -float(np.min(position))) <= min(_LONGEST_TRAVEL_M, _FARTHEST_M):
+        return  # none travels farther than that, or has its middle farther away
     travel = float(np.max(np.ptp(position, axis=0)))
     if travel > _LONGEST_TRAVEL_M:
         yield Finding.error(
@@ -296,6 +298,42 @@ def role_faults(
         yield from _wrench_faults(topic, values, source if isinstance(source, WrenchSource) else WrenchSource(), when)
     else:
         yield from _finite_faults(topic, _not_finite(values), when)
+
+
+class ExaminedRoles:
+    """What `role_faults` found of the roles of opened logs, which `inspect` and reading for `identify` both ask."""
+
+    def __init__(self) -> None:
+        self._seen: dict[tuple[Role, str], tuple[tuple[object, ...], tuple[NDArray[Any], ...], list[Finding]]] = {}
+
+    def faults(
+        self,
+        role: Role,
+        parts: Sequence[Series],
+        stamps: Sequence[StampArray],
+        source: Source | None,
+        start_ns: int,
+        *,
+        keeps_holes: bool = False,
+    ) -> list[Finding]:
+        """Return the findings of `role_faults`; of the same numbers in the same memory those that it found before."""
+        said = (source, start_ns, keeps_holes, *((part.frame_ids, part.has, part.channel) for part in parts))
+        arrays = (*(part.values for part in parts), *(part.log_ns for part in parts), *stamps)
+        key = (role, parts[0].topic)
+        if key in self._seen and self._seen[key][0] == said and _are_same(self._seen[key][1], arrays):
+            return self._seen[key][2]
+        found = [*role_faults(role, parts, stamps, source, start_ns, keeps_holes=keeps_holes)]
+        self._seen[key] = (said, arrays, found)
+        return found
+
+
+def _are_same(some: Sequence[NDArray[Any]], others: Sequence[NDArray[Any]]) -> bool:
+    """Return whether arrays are views of the same memory, laid out alike."""
+
+    def place(array: NDArray[Any]) -> tuple[object, ...]:
+        return array.ctypes.data, array.shape, array.strides, array.dtype
+
+    return list(map(place, some)) == list(map(place, others))
 
 
 def _stamp_unit(topic: str, stamp_ns: StampArray, log_ns: StampArray) -> Iterator[Finding]:

@@ -1,16 +1,20 @@
 """What `inspect_log` tells about sound logs and about odd ones."""
 
 import re
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
+from identification.logs.checks import samples
 from identification.logs.inspect import inspect_log
 from identification.logs.read import read_recording
+from identification.logs.roles.cell import Cell, Saturation, WrenchSource
 from identification.logs.roles.registry import ROLES, FieldPaths, Role, RoleKind
+from identification.result import Finding
 from tests.identification.logs.log_builder import START_NS, complete, pose_stream, wrench_stream, write_mcap
 from tests.identification.logs.message_builder import Topic, Tree, header, write_log
 
@@ -140,3 +144,23 @@ def test_six_efforts_may_be_a_wrench(tmp_path: Path, band: float, code: str) -> 
     )
     found = {finding.code for finding in inspect_log(log).findings if finding.code.startswith("effort")}
     assert found == {code}
+
+
+def test_the_samples_of_a_role_are_examined_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Reading for identify finds what the summary of the channel found of the same numbers, and of others anew."""
+    seen: list[Role] = []
+    plain = samples.role_faults
+
+    def counted(role: Role, *arguments: Any, **options: Any) -> Iterator[Finding]:
+        seen.append(role)
+        return plain(role, *arguments, **options)
+
+    monkeypatch.setattr(samples, "role_faults", counted)
+    path = write_mcap(tmp_path / "run.mcap", complete())
+    assert "unusable" not in {finding.code for finding in inspect_log(path).findings}
+    assert sorted(seen) == sorted([Role.WRENCH, Role.POSE, Role.COMMAND])
+    # A saturation that the cell declares is another question.
+    seen.clear()
+    limited = Cell(wrench=WrenchSource(saturation=Saturation(force_n=(1.0, 1.0, 1.0))))
+    assert "unusable" in {finding.code for finding in inspect_log(path, limited).findings}
+    assert sorted(seen) == sorted([Role.WRENCH, Role.WRENCH, Role.POSE, Role.COMMAND])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from identification.signals.recording import Recording
-from identification.signals.spikes import without_pose_spikes, without_spikes
+from identification.signals.spikes import column_medians, without_pose_spikes, without_spikes
 
 
 def test_spikes_are_replaced_and_counted(demo_recording: Recording) -> None:
@@ -96,3 +96,14 @@ def test_a_pose_as_the_robot_moves_stays_as_it_is(demo_recording: Recording) -> 
         quaternion_xyzw=pose.quaternion_xyzw[::25],
     )
     assert without_pose_spikes(coarse)[0] is coarse
+
+
+@pytest.mark.parametrize("count", [1, 2, 41, 42])
+def test_medians_of_columns_leave_out_what_is_no_number(count: int) -> None:
+    values = np.random.default_rng(count).normal(size=(count, 3))
+    np.testing.assert_array_equal(column_medians(values), np.median(values, axis=0))
+    values[0, 1] = np.nan
+    before = values.copy()
+    if count > 1:
+        np.testing.assert_array_equal(column_medians(values), np.nanmedian(values, axis=0))
+    np.testing.assert_array_equal(values, before)

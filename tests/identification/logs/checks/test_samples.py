@@ -184,6 +184,26 @@ def test_a_pose_in_millimetres_is_reported(demo_recording: Recording) -> None:
     assert [(each.code, each.severity) for each in pose_faults("/tcp", values, since)] == [("length-unit", "error")]
 
 
+@pytest.mark.parametrize(
+    ("offset_m", "travel_m", "severities"),
+    [
+        (9.0, 0.5, []),
+        (9.9, 19.7, []),
+        (11.0, 0.5, []),
+        (49.0, 0.5, []),
+        (51.0, 0.5, ["warning"]),
+        (9.0, 20.5, ["error"]),
+    ],
+)
+def test_a_pose_may_be_far_away_and_may_not_travel_far(
+    demo_recording: Recording, offset_m: float, travel_m: float, severities: list[str]
+) -> None:
+    values, since = pose(demo_recording)
+    place = values[:, 0] - np.min(values[:, 0])
+    values[:, 0] = offset_m - travel_m * place / np.max(place)
+    assert [each.severity for each in pose_faults("/tcp", values, since)] == severities
+
+
 def test_a_pose_that_never_changes_is_no_measurement(demo_recording: Recording) -> None:
     values, since = pose(demo_recording)
     values[:] = values[0]
