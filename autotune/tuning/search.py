@@ -278,13 +278,12 @@ class Search:
             return bool(gathered or np.min(energies) <= self.enough)
 
         rng, count = np.random.default_rng(seed), len(self.problem.variables)
-        first = sobol_points(count, 1 << (_POPULATION * count - 1).bit_length(), seed=rng)
         try:
             return differential_evolution(
                 costs,
                 [(0.0, 1.0)] * count,
                 maxiter=self.generations,
-                init=first,
+                init=sobol_points(count, 1 << (_POPULATION * count - 1).bit_length(), seed=rng),
                 x0=start,
                 rng=rng,
                 polish=False,
