@@ -64,7 +64,10 @@ def limits_of(output: Output, found: "Optimized", *, with_trade: bool = False) -
             except NoSolutionError as error:
                 output.note(f"The limit of axis {name} was not found: {error}")
                 continue
-            trade = trade_noise(problem, law, scenarios, progress=advance) if with_trade else ()
+            # The trade is that of four gains, whatever the structure of the design.
+            choice = found.structures.get(name)
+            gains = problem if choice is None else replace(problem, bounds=choice.bounds)
+            trade = trade_noise(gains, law, scenarios, progress=advance) if with_trade else ()
             limits[name] = replace(limit, trade=trade)
     return limits
 

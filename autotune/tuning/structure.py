@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -46,7 +46,8 @@ class StructureChoice:
     """The objective's cost of each structure that was searched, None where no design was found, and the one taken.
 
     All make the commanded speed's noise at most `noise_m_s_per_n` per newton of the force's: that of four gains in
-    their bounds, or what `is_asked` in problem.yaml. It `counts_pose` where the pose's noise is part of that.
+    their bounds, or what `is_asked` in problem.yaml. It `counts_pose` where the pose's noise is part of that. `bounds`
+    are those of the four gains.
     """
 
     costs: Mapping[Structure, float | None]
@@ -54,6 +55,7 @@ class StructureChoice:
     noise_m_s_per_n: float
     is_asked: bool = False
     counts_pose: bool = False
+    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def message(self, name: str, problem: DesignProblem) -> str:
         """Return a sentence on what the structures do for an axis."""
@@ -153,7 +155,12 @@ def choose_structure(
     costs = {name: None if result is None else result.evaluation.cost for name, result in found.items()}
     counts_pose = bool(measured.force and measured.position) if asked is None else bool(asked.position_noise_rms_m)
     return best, StructureChoice(
-        costs=costs, taken=taken, noise_m_s_per_n=noise, is_asked=asked is not None, counts_pose=counts_pose
+        costs=costs,
+        taken=taken,
+        noise_m_s_per_n=noise,
+        is_asked=asked is not None,
+        counts_pose=counts_pose,
+        bounds=plain.problem.bounds,
     )
 
 

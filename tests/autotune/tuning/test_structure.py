@@ -72,6 +72,7 @@ def test_on_the_papers_cell_equal_noise_takes_a_fifth_of_the_peak_and_a_biquad_m
     assert noise < 0.80 * gains
     assert biquad < 0.98 * noise
     assert choice.taken == "biquad"
+    assert choice.bounds == plain().problem.bounds
     assert law_of(found).has_biquad
     # A simulation that knows no matrix exponential.
     plant = found.problem.plant(found.problem.scenarios(2, 2)[0])
