@@ -31,8 +31,7 @@ from .scenario_exchange import (
     worst_scenarios,
 )
 
-_POPULATION = 10
-_GENERATIONS, _NEARBY_GENERATIONS = 60, 10
+_POPULATION, _GENERATIONS, _NEARBY_GENERATIONS = 10, 60, 10
 _GATHERED = 0.03
 _ROUNDS = 8
 # Rounds in which a scenario that joins is given the chance to ask for itself, before more is asked of all.
