@@ -2,6 +2,7 @@
 
 import functools
 import itertools
+import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -183,10 +184,18 @@ def print_schedule(tree: Mapping[str, Any]) -> None:
     if "dwell_time_s" in tree:
         print_message(
             f"changes while it runs: each controller for {tree['dwell_time_s']:.3g} s at least, then any other may "
-            "take over, in free space or while a contact lasts"
+            f"take over, in free space or while a contact lasts{_proved(tree.get('dwell_proved_share'))}"
         )
     elif len(tree["classes"]) > 1:
         print_message("changes while it runs: no waiting time is known to be safe between these controllers")
+
+
+def _proved(share: float | None) -> str:
+    """Say of which plants a dwell time is proved; nothing of files of an earlier release."""
+    if share == 1.0:
+        return ", proved over K_e and M_p"
+    where = "; sampled at the ends of K_e and M_p and in the middle of K_e"
+    return where if not share else f"{where}, proved for {math.floor(1000.0 * share) / 10.0:g} % of them"
 
 
 def _numbers(values: Mapping[str, Any]) -> tuple[str, ...]:
@@ -204,7 +213,7 @@ def validate_schedule(output: Output, path: Path, identified: Path | None) -> No
     from autotune.formats.canonical import short
     from autotune.formats.schedule import read_schedule
     from autotune.processes import count_processors, map_in_processes
-    from autotune.validation.dwell import dwell_time_s
+    from autotune.validation.dwell import dwell_time_s, proved_share
     from autotune.validation.validate import validate_controller
 
     if identified is not None:
@@ -220,6 +229,11 @@ def validate_schedule(output: Output, path: Path, identified: Path | None) -> No
         raise CertificateError(
             f"{path}: dwell_time_s is {stated:.4g} s, and changes are safe from "
             f"{'no dwell time on' if found is None else f'{found:.4g} s on'}."
+        )
+    share = read.tree.get("dwell_proved_share")
+    if share and stated is not None and share > (again := proved_share(work, stated)) + _SAME:
+        raise CertificateError(
+            f"{path}: dwell_proved_share is {share:.4g}, and {again:.4g} is proved of {stated:.4g} s."
         )
     tree = {
         "path": str(path),

@@ -74,7 +74,8 @@ class Tuned:
 class Schedule:
     """The table, class by class, and the common controller over the hull of all classes, or why there is none.
 
-    `dwell_time_s` is how long each runs at least before another one takes over, None where that is not known.
+    `dwell_time_s` is how long each runs at least before another one takes over, None where that is not known, and
+    `dwell_proved_share` for which share of the certified K_e × M_p that is proved.
     """
 
     tuned: tuple[Tuned, ...]
@@ -83,6 +84,7 @@ class Schedule:
     common_refusal: str
     objective: "PeakObjective"
     dwell_time_s: float | None = None
+    dwell_proved_share: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,6 +151,9 @@ class ScheduleTable:
         Annotated[float, Rule(minimum=0, description="how long each runs at least before another one takes over")]
         | None
     ) = None
+    dwell_proved_share: (
+        Annotated[float, Rule(minimum=0, maximum=1, description="of K_e and M_p, for which that is proved")] | None
+    ) = None
 
 
 def worst_peaks(controller: Controller, objective: "PeakObjective") -> dict[str, float]:
@@ -181,6 +186,7 @@ def schedule_tree(schedule: Schedule) -> dict[str, Any]:
         ),
         classes=tuple(map(_class, schedule.tuned)),
         dwell_time_s=schedule.dwell_time_s,
+        dwell_proved_share=schedule.dwell_proved_share,
     )
     tree = {"format": FORMAT, "version": VERSION, **record_tree(table), "provenance": _provenance(schedule)}
     for each in tree["classes"]:

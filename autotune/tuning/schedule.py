@@ -16,7 +16,7 @@ from autotune.formats.problem import Interval, ProblemSpec
 from autotune.formats.schedule import COMMON_FILE, Schedule, ScheduleClass, Tuned, worst_peaks
 from autotune.prediction.law import PresentGains
 from autotune.processes import map_in_processes
-from autotune.validation.dwell import dwell_time_s
+from autotune.validation.dwell import provable_dwell_time
 from identification.errors import EstimateError
 from problems.design.objectives import PeakObjective, force_of
 from problems.design.problem import DesignProblem
@@ -134,13 +134,15 @@ def tune_schedule(
         beside = map_in_processes(work, pairs, processes, each=lambda: report(0.2 / len(pairs)))
         tuned = _required({each.of.name: other for each, other in zip(tuned, beside, strict=True)})
     every = [each.controller for each in tuned] + ([] if common is None else [common])
+    waits, proved = provable_dwell_time(every)
     return Schedule(
         tuned=tuple(tuned),
         hull=whole,
         common=common,
         common_refusal=refusal,
         objective=objective,
-        dwell_time_s=dwell_time_s(every),
+        dwell_time_s=waits,
+        dwell_proved_share=proved,
     )
 
 

@@ -1,11 +1,14 @@
 """How long each controller of a schedule must run before the next one takes over."""
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import product
 
 import numpy as np
 
+from autotune.certificate.dwelling import DwellLoop, prove_dwell
+from autotune.certificate.family import build_families
 from autotune.formats.controller_record import Controller, admittance_controller
 from problems.arrays import FloatArray
 from problems.design.uncertainty import PlantSet
@@ -17,6 +20,10 @@ from problems.stability.dwell import common_loop, dwell_samples, without_transla
 
 # Of each class: the ends and the middle of K_e, and the ends of M_p.
 _STIFFNESS, _MASS = 3, 2
+# Cells of plants that a proof makes at most, of one axis in one place: some seconds.
+_MOST_CELLS = 1000
+# By how much longer than the least dwell time what is proved may be.
+_LONGER = (1.0, 1.2, 1.5)
 
 
 def dwell_time_s(controllers: Sequence[Controller]) -> float | None:
@@ -37,6 +44,48 @@ def dwell_time_s(controllers: Sequence[Controller]) -> float | None:
     except ParameterError:
         return None
     return longest * first.sample_time_s
+
+
+def provable_dwell_time(controllers: Sequence[Controller]) -> tuple[float | None, float | None]:
+    """Return a dwell time [s], and for which share of K_e × M_p it is proved.
+
+    That of `dwell_time_s`, or up to half as much again where that is proved for all; None where nothing is known or
+    nobody takes over.
+    """
+    shortest = dwell_time_s(controllers)
+    if shortest is None or len(controllers) < 2:
+        return shortest, None
+    tried: dict[float, float] = {}
+    for factor in _LONGER:
+        waits = math.ceil(factor * shortest / controllers[0].sample_time_s - 1e-6) * controllers[0].sample_time_s
+        tried[waits] = proved_share(controllers, waits)
+        if tried[waits] == 1.0:
+            return waits, 1.0
+    waits = next(iter(tried))
+    return waits, tried[waits]
+
+
+def proved_share(controllers: Sequence[Controller], dwell_time_s: float) -> float:
+    """Return for which share of the certified K_e × M_p, the rest nominal, changes after this dwell time are proved.
+
+    0 where nothing is: for plants or laws that the proof does not cover, too.
+    """
+    first, shares = controllers[0], [1.0]
+    samples = max(1, round(dwell_time_s / first.sample_time_s))
+    try:
+        for name, is_free in product(first.axes, (True, False)):
+            loops = [_loops(each, name, is_free) for each in controllers]
+            shares.append(prove_dwell(loops, samples, most_cells=_MOST_CELLS).share)
+    except ParameterError:
+        return 0.0
+    return min(shares)
+
+
+def _loops(controller: Controller, name: str, is_free: bool) -> list[DwellLoop]:
+    box = controller.certificate.domain[name].plants.only()
+    (family,) = build_families(box.nominal, box.ranges, controller.sample_time_s)
+    family = family.in_free_space() if is_free else family
+    return [DwellLoop(family=family, law=law) for law in _laws(controller, name)]
 
 
 def _modes(controller: Controller, name: str, is_free: bool) -> Iterator[FloatArray]:

@@ -46,7 +46,7 @@ def common_loop(sampled: SampledPlant, controller: AdmittanceController) -> Floa
         raise ParameterError(
             "controller", "with a biquad", "without one: its memory is not shared with other controllers"
         )
-    blocks, commands = controller_blocks(controller, h), max(2, chain)
+    blocks, commands = controller_blocks(controller, h), least_commands(sampled)
     stiffness = sampled.plant.coupling.stiffness_n_per_m
     size = n + commands + _MEMORY
     units = np.ones(size)
@@ -57,6 +57,11 @@ def common_loop(sampled: SampledPlant, controller: AdmittanceController) -> Floa
         z[j] = units[j]
         out[:, j] = _following(sampled, blocks, z, n, commands) / units
     return out
+
+
+def least_commands(sampled: SampledPlant) -> int:
+    """Return how many of the last commands are kept."""
+    return max(2, sampled.chain_length)
 
 
 def _following(sampled: SampledPlant, blocks: FloatArray, z: FloatArray, n: int, commands: int) -> FloatArray:
@@ -86,14 +91,19 @@ def without_translation(loop: FloatArray, sampled: SampledPlant) -> FloatArray:
 
     All places count from the last command, which is left out. The same coordinates hold for every controller.
     """
-    n, commands = sampled.state_count, max(2, sampled.chain_length)
-    places = np.zeros(len(loop))
+    project, kept = translation_projection(sampled, len(loop))
+    return np.asarray(project @ loop @ kept.T)
+
+
+def translation_projection(sampled: SampledPlant, size: int) -> tuple[FloatArray, FloatArray]:
+    """Return the matrices (size − 1, size) that leave out the last command, and take it off all places or not."""
+    n, commands = sampled.state_count, least_commands(sampled)
+    places = np.zeros(size)
     places[list(sampled.places)] = 1.0
     places[n : n + commands] = 1.0
     places[n + commands + 2 : n + commands + 4] = 1.0
-    kept = np.delete(np.eye(len(loop)), n, axis=0)
-    project = kept - np.outer(kept @ places, np.eye(len(loop))[n])
-    return np.asarray(project @ loop @ kept.T)
+    kept = np.delete(np.eye(size), n, axis=0)
+    return kept - np.outer(kept @ places, np.eye(size)[n]), kept
 
 
 def dwell_samples(modes: Sequence[Sequence[FloatArray]]) -> int:
