@@ -91,7 +91,7 @@ def test_changes_that_swing_the_loop_up_are_never_proved() -> None:
     for samples in (1, 4, 8, 16, 64, 512):
         worst = 0.0
         for waits in [(samples, samples + 12), *(samples + rng.integers(0, 20, (20, 2)))]:
-            points = box[:, :1] + rng.random((2, 2)) * (box[:, 1:] - box[:, :1])
+            points = box[:, :1] + rng.random((len(box), 2)) * (box[:, 1:] - box[:, :1])
             product = np.eye(len(loop_of(of, quick, points[:, 0])))
             for law, point, wait in zip((quick, slow), points.T, waits, strict=True):
                 product = np.linalg.matrix_power(loop_of(of, law, point), int(wait)) @ product
