@@ -6,13 +6,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from identification import compensated
 from identification.given import Given
 from identification.identify import identify_cell
 from identification.logs.read import read_recording
 from identification.logs.roles.cell import Cell, PoseFields, PoseSource
 from identification.logs.tables.layout import TableLayout
 from identification.result import Estimate, Status
+from identification.signals.aligned import Span
 from identification.signals.recording import AppliedDeadband
+from identification.signals.segments import MotionSpans
 
 from .commanded_cell import CommandedCell, Logger, logged, swept
 
@@ -165,3 +168,13 @@ def test_a_subtractive_deadband_of_unknown_width_hides_the_coupling_and_not_the_
     result = identify_cell(replace(recording, wrench=unknown))
     assert covers(result.axes["x"].robot.bandwidth_hz, cell.bandwidth_hz)
     assert result.payload.mass_kg.value is None
+
+
+def test_the_noise_at_rest_is_that_of_the_sensor_and_not_what_changes_slowly() -> None:
+    """White noise beside a force that drifts by a hundred times as much; half of the samples are in a deadband."""
+    rng, count = np.random.default_rng(5), 4000
+    drift = 20.0 * np.sin(2.0 * np.pi * np.arange(count) / count)
+    force = np.stack([drift, np.zeros(count), -0.5 * drift], axis=1) + 0.2 * rng.normal(size=(count, 3))
+    force[count // 2 :] = 0.0
+    rest = MotionSpans(velocity_S_m_s=np.zeros((count, 3)), still=(Span(start=0, stop=count),), moving=())
+    assert compensated._noise_n(force, rest) == pytest.approx(0.2, rel=0.05)

@@ -77,6 +77,13 @@ def test_a_box_is_the_image_of_the_cube_and_back(unit: list[float]) -> None:
     np.testing.assert_allclose(box.to_unit(box.from_unit(unit)), unit, atol=1e-9)
 
 
+def test_what_keeps_its_nominal_value_lies_in_the_middle_of_the_cube() -> None:
+    box = PlantSet(nominal=NOMINAL, ranges=BOX)
+    of_two = Scenario(environment_stiffness_n_per_m=1e5, payload_mass_kg=10.0)
+    # K_e by ratio of 2e4 to 5e5, which is 5²; the mass by size of 8 to 16 kg.
+    np.testing.assert_allclose(box.to_unit(of_two), [0.5, 0.25, 0.5, 0.5])
+
+
 def test_the_level_is_the_share_of_a_normal_distribution_inside() -> None:
     draws = np.random.default_rng(5).multivariate_normal(CUT.centre, np.array(CUT.covariance), 20000)
     inside = np.mean([CUT.size(each) <= 1.0 for each in draws])
