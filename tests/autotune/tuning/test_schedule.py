@@ -19,7 +19,7 @@ from autotune.tuning import schedule as schedule_module
 from autotune.tuning.optimize import optimize
 from autotune.tuning.problems import build_problems
 from autotune.tuning.schedule import build_classes, hull, of_class, tune_schedule
-from autotune.validation.dwell import dwell_time_s
+from autotune.validation.dwell import dwell_time_s, proved_share
 from identification.errors import EstimateError
 from problems.contact.transient import build_sampled_contact, simulate_contact
 from problems.design.uncertainty import Scenario
@@ -154,7 +154,10 @@ def test_the_dwell_time_is_that_of_the_classes_and_the_common_controller(tmp_pat
     assert dwell_time_s(own[:1]) == 0.0
     assert 0.0 < (dwell_time_s(own) or 0.0) <= (schedule.dwell_time_s or 0.0) < 5.0
     write_schedule(tmp_path / "cell", schedule)
-    assert read_schedule(tmp_path / "cell" / "schedule.yaml").tree["dwell_time_s"] == schedule.dwell_time_s
+    tree = read_schedule(tmp_path / "cell" / "schedule.yaml").tree
+    assert (tree["dwell_time_s"], tree["dwell_proved_share"]) == (schedule.dwell_time_s, 1.0)
+    # A change in every period is proved of no plant.
+    assert proved_share([*own, schedule.common], own[0].sample_time_s) == 0.0
     # Controllers of other axes are no schedule that changes while it runs.
     assert dwell_time_s([make_controller(("x",)), make_controller(("y",))]) is None
 
