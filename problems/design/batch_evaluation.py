@@ -209,7 +209,7 @@ class BatchEvaluator:
                 _settle(found, i, self.prepared.evaluate(designs[i], peaks_if_missed=peaks_if_missed))
             elif is_slow and found.is_stable[i] and (margins_if_missed or not missed[i]):
                 self._evaluate_slowly(found, i, problem.controller(designs[i]))
-        if not peaks_if_missed:
+        if not peaks_if_missed and (self.slow or limit is not None or self.held is not None):
             found.objective_rows[found.violation > 0.0] = np.inf
         return found if self.goal is None else found.towards(self.goal)
 

@@ -20,7 +20,7 @@ from tests.autotune.tuning.cases import design_problem
 from tests.problems.axes import PERIOD_S, admittance, one_pole, paper_plant
 from tests.problems.random_loops import sampled_of, stable_loops
 
-BIQUAD = {
+BIQUAD: dict[str, Any] = {
     "biquad_zero_s": 0.004,
     "biquad_zero_damping_ratio": 0.3,
     "biquad_pole_s": 0.002,
