@@ -4,6 +4,8 @@
 design's noise, and of drawn problems; `--drawn 20` says how many. The structures are those of `optimize --structure`:
 the noise of the command in the place of the bounds of M_a, K_l and B_fb, and a biquad too. They may approach more
 slowly than the four gains, as far as the admittance allows; the last three columns keep the speed of these.
+`--observer` prints instead what a disturbance observer of the payload (P̂, ω_a and ω_v free) reaches at the same noise,
+alone and beside a biquad.
 """
 
 import argparse
@@ -12,6 +14,7 @@ import statistics
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
@@ -27,11 +30,14 @@ from autotune.limit.limit import LimitResult, find_limit, hardest
 from autotune.tuning.search import SearchResult, solve_design
 from autotune.tuning.structure import choose_structure, equal_noise, limited_problem, solve_limited
 from benchmarks.tuning_problems import draw_problem, paper_cell
+from problems.arrays import FloatArray
 from problems.design.hand import HandImpedance
 from problems.design.problem import DesignProblem
 
 _NOMINAL = paper_cell((5e5, 5e5), (16.0, 16.0))
 _GRID = (3, 2)
+_OBSERVER = {"velocity_filter_rad_per_s": (20.0, 1500.0), "acceleration_filter_rad_per_s": (20.0, 1500.0)}
+_SHARES = (0.0, 0.3, 0.7)
 _FACTORS = (0.5, 0.7, 1.0, 1.5, 2.0, 3.0, 5.0)
 
 
@@ -68,6 +74,55 @@ def _row(name: str, problem: DesignProblem, noise: float) -> tuple[str, LimitRes
     )
     shares = [each / found.evaluation.cost if math.isfinite(each) else 1.0 for each in structures.values()]
     return f"| {name} | {' | '.join(columns)} |", limit, (min(shares[0], 1.0), min(*shares, 1.0))
+
+
+def print_observers(drawn: int) -> None:
+    """Print the peaks of four gains and, as shares of them, of the observer and of the biquad, alone and together."""
+    print("| problem | four gains [N] | at their noise | an observer | a biquad | both |")
+    print("|---|---|---|---|---|---|")
+    for name, problem, noise in _cases(drawn):
+        try:
+            plain = solve_design(problem)
+        except InfeasibleError:
+            continue
+        if noise == 1.0:
+            shares = [each / plain.evaluation.cost for each in _observer_peaks(plain)]
+            print(
+                f"| {name} | {plain.evaluation.cost:.2f} | {' | '.join(f'{each:.3f}' for each in shares)} |", flush=True
+            )
+
+
+def _observer_peaks(plain: SearchResult) -> tuple[float, ...]:
+    """Return the worst peaks of gains at equal noise, of an observer, of a biquad, and of both; NaN of no design."""
+    gains, noise, hand = plain.problem, equal_noise(plain), HandImpedance()
+    limits = [limited_problem(gains, noise, has_biquad=each) for each in (False, True)]
+    bare, known = list[SearchResult | None](), [plain]
+    for limit in limits:
+        found = solve_limited(plain, limit, hand, known, seed=0)
+        known += [] if found is None else [found]
+        bare.append(found)
+    observed = list[SearchResult | None]()
+    observer = {**_OBSERVER, "compensation_mass_kg": (0.0, 0.95 * gains.plants.payload_mass_kg[0])}
+    for limit, simpler in zip(limits, bare, strict=True):
+        # A biquad is held by a hand.
+        asked = limit.requirements if simpler is None else simpler.problem.requirements
+        problem = replace(limit, bounds={**limit.bounds, **observer}, requirements=asked)
+        starts = [] if simpler is None else [_with_observer(problem, simpler, share) for share in _SHARES]
+        try:
+            found = solve_design(problem, others=starts, explores=limit is limits[0])
+        except InfeasibleError:
+            found = None
+        observed.append(found)
+    peaks = [math.nan if each is None else each.evaluation.cost for each in (*bare, *observed)]
+    return peaks[0], peaks[2], peaks[1], peaks[3]
+
+
+def _with_observer(problem: DesignProblem, simpler: SearchResult, share: float) -> FloatArray:
+    """Return a design with the paper's filters and a share of the payload's mass in the observer."""
+    values = dict(zip(simpler.problem.variables, simpler.design.tolist(), strict=True))
+    values |= {"velocity_filter_rad_per_s": 120.0, "acceleration_filter_rad_per_s": 200.0}
+    values |= {"compensation_mass_kg": share * problem.bounds["compensation_mass_kg"][1]}
+    return np.array([values[name] for name in problem.variables])
 
 
 def draw_trade(path: Path) -> None:
@@ -111,7 +166,11 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--drawn", type=int, default=20, help="how many drawn problems")
     parser.add_argument("--picture", type=Path, help="draw peak against noise of the paper's nominal cell there")
+    parser.add_argument("--observer", action="store_true", help="print what a disturbance observer reaches instead")
     options = parser.parse_args()
+    if options.observer:
+        print_observers(options.drawn)
+        return 0
     if options.picture is not None:
         draw_trade(options.picture)
         return 0
