@@ -13,7 +13,6 @@ from problems.design.evaluation import Evaluation, PlantMargins, PreparedScenari
 from problems.design.problem import BIQUAD_VARIABLES, DesignProblem
 from problems.design.uncertainty import Scenario
 from problems.progress import no_progress
-from problems.sobol import sobol_points
 from problems.stability.margins import UnstableLoopError
 
 from .bounds import Box, presentable, spread_out
@@ -276,15 +275,15 @@ class Search:
             gathered = np.max(energies) < _MISSED and np.std(energies) <= _GATHERED * abs(np.mean(energies))
             return bool(gathered or np.min(energies) <= self.enough)
 
-        rng, count = np.random.default_rng(seed), len(self.problem.variables)
         try:
             return differential_evolution(
                 costs,
-                [(0.0, 1.0)] * count,
+                [(0.0, 1.0)] * len(self.problem.variables),
+                popsize=_POPULATION,
                 maxiter=self.generations,
-                init=sobol_points(count, 1 << (_POPULATION * count - 1).bit_length(), seed=rng),
+                init="sobol",
                 x0=start,
-                rng=rng,
+                rng=np.random.default_rng(seed),
                 polish=False,
                 tol=1e-5,
                 vectorized=True,
