@@ -340,8 +340,8 @@ def _compared(output: Output, read: "ControllerFile", options: dict[str, Any]) -
 
 
 def checks_tree(report: "ValidationReport") -> list[dict[str, Any]]:
-    """Return the checks as plain data."""
-    return [vars(check) for check in report.checks]
+    """Return the checks as plain data, with the plant to blame where there is one."""
+    return [each.tree() for each in report.checks]
 
 
 def _print(

@@ -1,9 +1,10 @@
 """What was verified of a controller, check by check."""
 
 from dataclasses import dataclass
+from typing import Any
 
 from autotune.errors import CertificateError
-from problems.design.uncertainty import Scenario
+from problems.design.uncertainty import ALWAYS_UNCERTAIN, Scenario
 
 from .bouncing import RefutedError
 
@@ -27,6 +28,12 @@ class Check:
     def verdict(self) -> str:
         """Return the verdict in a word: ok, note or FAILED."""
         return ("note" if self.warns else "ok") if self.passed else "FAILED"
+
+    def tree(self) -> dict[str, Any]:
+        """Return it as plain data; parameters of the plant that are nominal are left out of `refuted_at`."""
+        at = self.refuted_at
+        always = {} if at is None else {name: getattr(at, name) for name in ALWAYS_UNCERTAIN}
+        return {**vars(self), "refuted_at": None if at is None else {**always, **at.further()}}
 
 
 @dataclass(frozen=True, kw_only=True)
