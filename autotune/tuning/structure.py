@@ -181,8 +181,9 @@ def solve_limited(
     if found is None or _HELD in found.problem.requirements.asked():
         return found
     held = _held(plain, problem, hand)
-    asked = held.requirements.further[_HELD]
-    assert isinstance(asked, HeldByHand)  # the requirement of that name
+    asked = held.requirements.asked().get(_HELD)
+    if not isinstance(asked, HeldByHand):
+        return found
     return found if _least_held(found, asked) >= asked.min_modulus else _solved(held, [*starts, found.design], seed)
 
 
@@ -225,13 +226,15 @@ def _solved(
 
 
 def _held(plain: SearchResult, problem: DesignProblem, hand: HandImpedance) -> DesignProblem:
-    """Return the problem with most of the plain law's modulus in a hand asked for, unless one is already."""
+    """Return the problem with most of the plain law's modulus in a hand asked for, unless one is, or it has none."""
     asked = problem.requirements
     if _HELD in asked.asked():
         return problem
     # Any modulus does for looking.
     held = HeldByHand(**vars(hand), min_modulus=0.5)
     least = float(f"{_KEPT_IN_A_HAND * _least_held(plain, held):.3g}")
+    if least == 0.0:
+        return problem
     return replace(
         problem, requirements=replace(asked, further={**asked.further, _HELD: replace(held, min_modulus=least)})
     )

@@ -111,6 +111,8 @@ def gain_gradient(sampled: SampledPlant, controller: AdmittanceController) -> Gr
         moves = -response.by_controller.imag / response.by_frequency.imag
         real = response.value.real
         along = response.by_controller.real + response.by_frequency.real * moves
+        if not real < 0.0:
+            continue  # on the axis itself by a rounding error: the loop passes 0 there, and no gain moves it to −1
         decibel = 20.0 * np.log10(-real)
         found.append(
             Gradient(value=abs(float(decibel)), by_controller=np.sign(decibel) * 20.0 / np.log(10.0) * along / real)

@@ -102,6 +102,20 @@ def test_a_hand_is_held_as_well_as_by_the_four_gains() -> None:
     assert held[1] >= 0.895 * held[0]
 
 
+def test_of_a_law_that_no_hand_may_hold_no_modulus_in_a_hand_is_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(structure_module, "_least_held", lambda _found, _hand: 0.0)
+    asked: list[DesignProblem] = []
+
+    def solved(problem: DesignProblem, *_: object, **__: object) -> SearchResult:
+        asked.append(problem)
+        return plain()
+
+    monkeypatch.setattr(structure_module, "_solved", solved)
+    _, choice = choose_structure(plain(), "biquad", HAND, seed=0)
+    assert choice.taken == "gains"
+    assert [structure_module._HELD in each.requirements.asked() for each in asked] == [False, False]
+
+
 def test_a_noise_that_is_asked_is_the_limit_that_is_said() -> None:
     twice = 2.0 * chosen()[1].noise_m_s_per_n
     limit = NoiseLimit(max_speed_rms_m_s=0.2 * twice, force_noise_rms_n=0.2)
