@@ -1,7 +1,7 @@
 """The bounds of a design problem as a unit cube, and wider ones."""
 
 import math
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,8 @@ LINEAR_VARIABLES = frozenset({"lead_s", "feedback_damping_s", "compensation_mass
 # How much wider below and above those bounds become that stand for the sensor's noise where nothing else limits it.
 _LOOSER = {"mass": (5.0, 1.0), "lead_s": (1.0, 5.0), "feedback_damping_s": (1.0, 2.0)}
 _WITH_BIQUAD = {"mass": (10.0, 3.0), "lead_s": (1.0, 20.0), "feedback_damping_s": (1.0, 4.0)}
+# Laws without lead and feedback are looked at on so many M_a and B_a.
+_GRID, _OF_LEAD = (5, 9), ("lead_s", "feedback_damping_s")
 # Beside its bounds a value this small is none.
 _NOTHING = 1e-7
 # How much further a bound that holds a design is proposed.
@@ -104,3 +106,14 @@ def spread_out(units: Iterable[FloatArray], distance: float, count: int) -> list
         if len(kept) == count:
             break
     return kept
+
+
+def without_lead(names: Sequence[str], unit: FloatArray) -> FloatArray:
+    """Return points (m, n) of the unit cube like one, with K_l and B_fb at their least, on a grid of M_a and B_a.
+
+    These laws are a valley of their own, which a population may leave altogether.
+    """
+    masses, dampings = (grid.ravel() for grid in np.meshgrid(*(np.linspace(0.0, 1.0, count) for count in _GRID)))
+    of_grid = {"mass": masses, "damping": dampings, **dict.fromkeys(_OF_LEAD, np.zeros_like(masses))}
+    columns = [of_grid.get(name, np.full_like(masses, at)) for name, at in zip(names, unit.tolist(), strict=True)]
+    return np.stack(columns, axis=1)

@@ -15,7 +15,7 @@ from problems.design.uncertainty import Scenario
 from problems.progress import no_progress
 from problems.stability.margins import UnstableLoopError
 
-from .bounds import Box, presentable, spread_out
+from .bounds import Box, presentable, spread_out, without_lead
 from .descent import BACKOFF, SHORT_WAY, descend, polish_exactly
 from .scenario_exchange import (
     DENSE_STIFFNESS,
@@ -102,9 +102,8 @@ def solve_design(
     `neighbour` is the result for another range of K_e: the search begins at its design and with what was worst there,
     and looks around less, so that it may take a valley's end for the best that a search from nowhere would leave.
     `counterexamples` adds plants to the scenarios, and impacts that must come to rest (on a part of their settling
-    time: who writes the design down looks again).
-    Raises InfeasibleError with the closest miss when there is none. `progress` is called with the share of the work
-    done since the last call.
+    time: who writes the design down looks again). Raises InfeasibleError with the closest miss when there is none.
+    `progress` is called with the share of the work done since the last call.
     """
     report = progress or no_progress
     search, active = _begun(problem, seed, start, neighbour, counterexamples)
@@ -240,6 +239,8 @@ class Search:
             return found
 
         found = self._evolve(costs, seed=self.seed, start=self.start, each=lambda: report(1.0 / self.generations))
+        plain = without_lead(self.problem.variables, np.asarray(found.x))
+        self.elite.append(plain[np.argmin(self._costs(screen, plain, peaks_if_missed=False))])
         if found.fun >= _MISSED:
             return self._recover(screen, self._closest(seen))
         good = [unit for value, unit in sorted(seen, key=lambda pair: pair[0]) if value < _MISSED]
