@@ -281,6 +281,9 @@ class Covariance:
             raise ParameterError("matrix", [len(row) for row in self.matrix], f"{count} rows of {count} numbers")
         if any(row[j] != self.matrix[j][i] for i, row in enumerate(self.matrix) for j in range(i)):
             raise ParameterError("matrix", "another number across the diagonal", "symmetric")
+        least = min(row[i] for i, row in enumerate(self.matrix))
+        if least < 0.0:
+            raise ParameterError("matrix", least, "0 or more on the diagonal, which holds variances")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -33,7 +33,7 @@ def _tables(
         kind, equals, listed = text.partition("=")
         if kind not in _OPTION_OF or not equals:
             raise click.BadParameter(
-                f"give payload=CLASSES in kg or stiffness=CLASSES in N/m, for example payload=8:12,22; found {text!r}."
+                f"give payload=CLASSES in kg or stiffness=CLASSES in N/m, for example payload=8,12:22; found {text!r}."
             )
         found[kind] = found.get(kind, ()) + tuple(_interval(part, kind) for part in listed.split(","))
     return found or None

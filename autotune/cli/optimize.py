@@ -56,7 +56,7 @@ Examples:
   autotune optimize identified.yaml --compare mass=10,damping=1500 --report controller.html
   autotune optimize identified.yaml --problem problem.yaml --for ros2_control
   autotune optimize identified.yaml --pareto 9 -o best.yaml
-  autotune optimize identified.yaml --schedule payload=8:12,16.2,22 --schedule stiffness=2e4:1e5,1e5:5e5 -o cell
+  autotune optimize identified.yaml --schedule payload=8,12,16.2,22 --schedule stiffness=2e4:1e5,1e5:5e5 -o cell
 """
 _GROUPS = {
     "Ranges to certify": ("payload_mass", "environment_stiffness", "schedule"),

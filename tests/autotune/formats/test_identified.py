@@ -81,6 +81,7 @@ def test_a_wrench_filter_is_a_corner_or_a_delay(tmp_path: Path, entry: str, reas
         (("K_s",), (1.0, 2.0), ((1.0,),), "as many numbers as there are names, 1"),
         (("K_s", "B_s"), (1.0, 2.0), ((1.0, 0.0),), "2 rows of 2 numbers"),
         (("K_s", "B_s"), (1.0, 2.0), ((1.0, 0.5), (0.4, 1.0)), "symmetric"),
+        (("K_s",), (3e5,), ((-1.0,),), "0 or more on the diagonal, which holds variances, found -1"),
     ],
 )
 def test_a_covariance_that_is_none_is_refused(
