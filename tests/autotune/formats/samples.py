@@ -354,8 +354,7 @@ FIT = FitQuality(
 @st.composite
 def covariances(draw: st.DrawFn) -> Covariance:
     names = draw(st.lists(st.text(min_size=1, max_size=6), min_size=1, max_size=3, unique=True))
-    half = {(i, j): draw(FLOATS) for i in range(len(names)) for j in range(i + 1)}
-    half |= {(i, i): abs(half[i, i]) for i in range(len(names))}
+    half = {(i, j): draw(FLOATS.map(abs) if i == j else FLOATS) for i in range(len(names)) for j in range(i + 1)}
     return Covariance(
         names=tuple(names),
         values=tuple(draw(FLOATS) for _ in names),
