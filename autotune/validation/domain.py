@@ -134,12 +134,17 @@ def _interval(
     certified: tuple[float, float] | None = None,
     scale: float = 1.0,
 ) -> list[str]:
-    """Say what lies outside of an interval, shown times `scale`; `certified` is shown where it was widened."""
-    if estimate.value is None:
+    """Say what lies outside of an interval, shown times `scale`; `certified` is shown where it was widened.
+
+    Of what is known as an interval only, both ends must lie inside.
+    """
+    ends = estimate.ci95 if estimate.value is None else (estimate.value,)
+    if ends is None:
         return [f"{what} is not identified"]
-    if not interval[0] <= estimate.value <= interval[1]:
+    if not interval[0] <= ends[0] <= ends[-1] <= interval[1]:
         low, high = (scale * each for each in certified or interval)
-        return [f"{what} is {scale * estimate.value:.6g}, certified for [{low:.6g}, {high:.6g}]"]
+        found = " to ".join(f"{scale * each:.6g}" for each in ends)
+        return [f"{what} is {found}, certified for [{low:.6g}, {high:.6g}]"]
     return []
 
 

@@ -49,6 +49,28 @@ def test_an_estimate_within_its_own_uncertainty_is_the_same_number() -> None:
     assert messages(with_axis(near)) == []
 
 
+@pytest.mark.parametrize(
+    ("ends", "expected"),
+    [
+        ((310.0, 335.0), []),
+        ((300.0, 340.0), []),
+        ((310.0, 345.0), ["B_p [N·s/m] is 310 to 345, certified for [300, 340]"]),
+        ((290.0, 335.0), ["B_p [N·s/m] is 290 to 335, certified for [300, 340]"]),
+        (None, ["B_p [N·s/m] is not identified"]),
+    ],
+)
+def test_what_is_known_as_an_interval_only_lies_inside_with_both_ends(
+    ends: tuple[float, float] | None, expected: list[str]
+) -> None:
+    """As `optimize` certifies it: a drag too small to have a value is its interval."""
+    controller = small_controller()
+    domain = replace(controller.certificate.domain["x"], uncertain={"drag_n_s_per_m": (300.0, 340.0)})
+    certificate = replace(controller.certificate, domain={"x": domain})
+    axis = replace(identified_axis(), drag_n_s_per_m=replace(absent(), ci95=ends))
+    check, _ = check_domain(replace(controller, certificate=certificate), with_axis(axis))
+    assert ([] if check.passed else check.message.split("; ")) == expected
+
+
 def test_another_payload_and_another_axis_are_reported() -> None:
     plant = identified_plant()
     heavy = replace(plant, payload=replace(plant.payload, mass_kg=known(20.0, 0.1)))
