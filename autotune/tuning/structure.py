@@ -75,8 +75,11 @@ class StructureChoice:
         if "biquad" in self.costs:
             said += f", {shown('biquad')} with a biquad too"
         words = {"gains": "the four gains in their bounds", "noise": "the four gains", "biquad": "the biquad"}
-        is_last = self.taken == list(self.costs)[-1]
-        kept = "" if is_last else f", since more saves less than {100.0 * PRICE:g} %"
+        kept = f", since more saves less than {100.0 * PRICE:g} %"
+        if all(cost is None for name, cost in self.costs.items() if name != self.taken):
+            kept = ", the only design"
+        elif self.taken == list(self.costs)[-1]:
+            kept = ""
         return f"{said}. Taken: {words[self.taken]}{kept}; margins, admittance and a hand are asked for alike."
 
 

@@ -11,7 +11,7 @@ from operator import attrgetter
 
 import numpy as np
 
-from ..arrays import BoolArray, FloatArray
+from ..arrays import BoolArray, FloatArray, IntArray
 from ..contact.transient import longest_run
 from ..errors import ParameterError
 from ..model.controller import THETA, AdmittanceController
@@ -199,10 +199,10 @@ class BatchEvaluator:
             asked=problem.requirements,
         )
         limit = problem.requirements.command_noise
-        if limit is not None:
-            self._ask_noise(limit, found, designs, numbers, sampling, everywhere=margins_if_missed)
-        if self.held is not None:
-            self._ask_hands(self.held, found, numbers, sampling, everywhere=margins_if_missed)
+        if limit is not None and len(looked_at := _looked_at(found, everywhere=margins_if_missed)):
+            self._ask_noise(limit, found, looked_at, designs, numbers, sampling)
+        if self.held is not None and len(looked_at := _looked_at(found, everywhere=margins_if_missed)):
+            self._ask_hands(self.held, found, looked_at, numbers, sampling)
         missed, is_slow = found.violation > 0.0, bool(self.slow) or self._has_slow_objective
         for i in range(len(designs)):
             if whole[i, VERDICT] == DOUBTFUL:
@@ -217,17 +217,13 @@ class BatchEvaluator:
         self,
         limit: NoiseLimit,
         found: BatchEvaluation,
+        looked_at: IntArray,
         designs: FloatArray,
         numbers: FloatArray,
         sampling: tuple[float, float, bool],
-        *,
-        everywhere: bool,
     ) -> None:
-        """Write the command's noise of stable designs, of those that miss something only `everywhere`."""
+        """Write the command's noise of the designs that are looked at."""
         asked = self.prepared.problem.requirements
-        looked_at = np.flatnonzero(found.is_stable if everywhere else found.violation == 0.0)
-        if not len(looked_at):
-            return
         loops, _, _ = self.plants
         speeds = np.empty((len(looked_at), len(self.prepared.plants)))
         noises = limit.force_noise_rms_n or 0.0, limit.position_noise_rms_m or 0.0
@@ -242,16 +238,12 @@ class BatchEvaluator:
         self,
         held: Plants,
         found: BatchEvaluation,
+        looked_at: IntArray,
         numbers: FloatArray,
         sampling: tuple[float, float, bool],
-        *,
-        everywhere: bool,
     ) -> None:
-        """Write the least modulus in the hands of stable designs, of those that miss something only `everywhere`."""
+        """Write the least modulus in the hands of the designs that are looked at."""
         asked = self.prepared.problem.requirements
-        looked_at = np.flatnonzero(found.is_stable if everywhere else found.violation == 0.0)
-        if not len(looked_at):
-            return
         count = len(self.prepared.plants)
         moduli = np.empty((len(looked_at), len(held[1])))
         find_moduli(held, numbers[looked_at], sampling, moduli)
@@ -323,6 +315,11 @@ class BatchEvaluator:
             value[unstable] = np.nan
         soft = {name: rows.pop(name) for name in asked.soft_n}
         return rows, soft
+
+
+def _looked_at(found: BatchEvaluation, *, everywhere: bool) -> IntArray:
+    """Return the designs a dear requirement is asked of: stable ones, and if not `everywhere` that miss nothing."""
+    return np.flatnonzero(found.is_stable if everywhere else found.violation == 0.0)
 
 
 def _settle(found: BatchEvaluation, index: int, evaluation: Evaluation) -> None:
