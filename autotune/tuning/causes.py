@@ -103,15 +103,17 @@ def find_causes(problem: DesignProblem, *, seed: int, together: int = 1) -> tupl
 
 def explanation_message(name: str, problem: DesignProblem, why: Explanation) -> str:
     """Return sentences on what would be enough, what is in the way, and the lines for `problem.yaml`."""
-    said = [relaxation_message(problem, why.relaxations)]
+    turning = name in ROTATIONAL_AXES
+    said = [relaxation_message(problem, why.relaxations, turning=turning)]
     said.append(_causes_message(name, problem, why))
     if why.found is not None:
-        objective, turning = problem.objective, name in ROTATIONAL_AXES
+        objective = problem.objective
         unit = objective.unit_on(turning=turning)
         best = f"{objective.value(why.found.evaluation.cost):.4g} {unit}".rstrip()
+        lines = "; ".join(lines_to_paste(why.suggestion))
         said.append(
-            f"Checked: with these lines in problem.yaml {place_to_paste(why.suggestion)} the search finds a "
-            f"controller, {objective.title} {best}: {'; '.join(lines_to_paste(why.suggestion))}"
+            f"Checked: with these lines in problem.yaml {place_to_paste(why.suggestion)}, a little easier than just "
+            f"enough, the search finds a controller, {objective.title} {best}: {lines}"
         )
     if why.is_known_too_little:
         said.append(

@@ -48,11 +48,12 @@ class Relaxation:
         """By which share of what is asked it would have to be relaxed."""
         return abs(self.possible - self.asked) / self.asked
 
-    def __str__(self) -> str:
+    def describe(self, unit: str) -> str:
+        """Return what would be enough in words; `unit` is empty where the requirement's name holds it."""
         if self.name == EVERY_REQUIREMENT:
             return f"all requirements together at {self.possible:g} % of what is asked"
         gains = "" if self.damping is None else f" (with B_a {self.damping:.3g})"
-        return f"{self.name} {self.possible:g} instead of {self.asked:g}{gains}"
+        return f"{self.name} {self.possible:g} instead of {f'{self.asked:g} {unit}'.strip()}{gains}"
 
     def within(self, requirements: Requirements, share: float = 0.0) -> Requirements:
         """Return the requirements with this relaxation, easier by a further share."""
@@ -153,9 +154,9 @@ def is_feasible(problem: DesignProblem, *, seed: int) -> bool:
     return found is not None and found.ratio <= 1.0
 
 
-def relaxation_message(problem: DesignProblem, found: Sequence[Relaxation]) -> str:
+def relaxation_message(problem: DesignProblem, found: Sequence[Relaxation], *, turning: bool = False) -> str:
     """Return sentences on what would be enough, for which requirements nothing was found, and what else helps."""
-    enough = "; or ".join(map(str, found))
+    enough = "; or ".join(each.describe(_unit(problem.requirements, each.name, turning=turning)) for each in found)
     names = {each.name for each in found}
     others = [name for name in asked_numbers(problem) if name not in names]
     if EVERY_REQUIREMENT in names:
@@ -166,11 +167,19 @@ def relaxation_message(problem: DesignProblem, found: Sequence[Relaxation]) -> s
         said = f"Enough by itself would be: {enough}.{useless}"
     asked = problem.requirements.asked()
     notes = "".join(
-        problem.requirements.kind(each.name).easing_note(asked[each.name], each.possible)
+        problem.requirements.kind(each.name).easing_note(asked[each.name], each.possible, turning=turning)
         for each in found
         if each.name in asked
     )
     return f"{said}{notes} Or narrow the ranges of stiffness and payload, or widen the bounds."
+
+
+def _unit(requirements: Requirements, name: str, *, turning: bool) -> str:
+    """Return the unit of a requirement whose name does not end in it: one that has several keys."""
+    if name == EVERY_REQUIREMENT:
+        return ""
+    kind = requirements.kind(name)
+    return kind.unit_on(turning=turning) if kind.asked_as is not None else ""
 
 
 def asked_numbers(problem: DesignProblem) -> dict[str, float]:

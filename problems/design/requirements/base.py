@@ -116,9 +116,9 @@ class Requirement(Titled, ABC, Generic[Value]):
         words = f"{self.shown_scale * self.threshold(asked):g} {self.unit_on(turning=turning)}".strip()
         return f"at most {words}" if self.is_upper_limit else words
 
-    def easing_note(self, asked: Value, possible: float) -> str:
+    def easing_note(self, asked: Value, possible: float, *, turning: bool = False) -> str:
         """Return a sentence on what else than the threshold could be eased, `possible` being what would be met."""
-        del asked, possible
+        del asked, possible, turning
         return ""
 
     @abstractmethod

@@ -116,6 +116,10 @@ def led_mass_kg(asked: Mapping[str, Any], lever_m: float = 1.0) -> float:
     return HandImpedance().turned(lever_m).mass_kg
 
 
+def _speed_unit(*, turning: bool) -> str:
+    return "rad/s" if turning else "m/s"
+
+
 class ContactAtSpeedLimit(Requirement[ContactAtSpeed]):
     """max F_e of every scenario's contact at that speed [N]."""
 
@@ -145,15 +149,16 @@ class ContactAtSpeedLimit(Requirement[ContactAtSpeed]):
 
     def describe(self, asked: ContactAtSpeed, *, turning: bool = False) -> str:
         """Return force, speed and what the hand does in words."""
-        speed = f"{asked.speed_m_s:g} {'rad/s' if turning else 'm/s'}"
+        speed = f"{asked.speed_m_s:g} {_speed_unit(turning=turning)}"
         return f"at most {asked.max_force_n:g} {self.unit_on(turning=turning)} at {speed}, the hand " + (
             asked.hand.replace("_", " ")
         )
 
-    def easing_note(self, asked: ContactAtSpeed, possible: float) -> str:
+    def easing_note(self, asked: ContactAtSpeed, possible: float, *, turning: bool = False) -> str:
         """Return the speed at which the force would hold: a contact's force scales with its speed."""
-        speed = asked.speed_m_s * asked.max_force_n / possible
-        return f" A contact's force scales with its speed: {asked.max_force_n:g} would hold at {rounded_down(speed):g}."
+        force = f"{asked.max_force_n:g} {self.unit_on(turning=turning)}"
+        speed = f"{rounded_down(asked.speed_m_s * asked.max_force_n / possible):g} {_speed_unit(turning=turning)}"
+        return f" A contact's force scales with its speed: {force} would hold at {speed}."
 
     def count(self, prepared: PreparedPlants) -> int:
         """Return the number of scenarios."""

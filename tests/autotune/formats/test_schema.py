@@ -12,7 +12,7 @@ from autotune.formats.canonical import dump_json
 from autotune.formats.controller import controller_tree
 from autotune.formats.identified import identified_tree
 from autotune.formats.records import ROTATIONAL_KEYS
-from autotune.formats.schema import load_schema
+from autotune.formats.schema import load_schema, violations
 from identification.result import Identified
 from tests.autotune.formats.samples import identified_results, make_controller, make_identified
 
@@ -85,3 +85,14 @@ def test_the_readers_are_imported_without_the_slow_libraries(repository: Path) -
     code = "import sys, autotune.formats, autotune.formats.controller; print('jsonschema' in sys.modules)"
     run = subprocess.run([sys.executable, "-c", code], cwd=repository, capture_output=True, text=True, check=True)
     assert run.stdout.strip() == "False"
+
+
+@pytest.mark.parametrize(
+    ("given", "found"),
+    [({}, "neither"), ({"max_force_n": 140.0, "body_region": "hand"}, "max_force_n and body_region")],
+)
+def test_keys_of_which_exactly_one_belongs_are_named(given: dict[str, Any], found: str) -> None:
+    tree = {"requirements": {"contact_at_speed": {"speed_m_s": 0.05, **given}}}
+    (violation,) = violations(tree, "problem")
+    assert violation.place == ("requirements", "contact_at_speed")
+    assert (violation.must, violation.found) == ("given exactly one of max_force_n and body_region", found)

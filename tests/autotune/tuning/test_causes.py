@@ -80,7 +80,7 @@ def test_where_no_number_of_the_plant_is_enough_that_is_said() -> None:
         relaxations=(Relaxation(name="free_space_admittance", asked=7e-4, possible=1e-4, damping=9876.0),)
     )
     message = explanation_message("x", problem, why)
-    assert "free_space_admittance 0.0001 instead of 0.0007 (with B_a 9.88e+03)" in message
+    assert "free_space_admittance 0.0001 instead of 0.0007 m/s/N (with B_a 9.88e+03)" in message
     assert "8.91e+03 N·s/m of damping to ground (B_p) would not be enough" in message
     assert "problem.yaml" not in message
 

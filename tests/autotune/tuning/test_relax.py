@@ -47,7 +47,7 @@ def test_where_no_single_requirement_is_enough_all_together_are_eased() -> None:
     (found,) = find_relaxations(problem)
     assert found.name == EVERY_REQUIREMENT
     assert 5.0 < found.possible < 100.0
-    assert str(found) == f"all requirements together at {found.possible:g} % of what is asked"
+    assert found.describe("") == f"all requirements together at {found.possible:g} % of what is asked"
     share = found.possible / 100.0
     asked: dict[str, Any] = {name: value * share for name, value in asked_numbers(problem).items()}
     asked["max_peak_force_n"] = 30.5 / share

@@ -101,8 +101,9 @@ def test_what_cannot_be_asked_is_refused(said: dict[str, Any], message: str) -> 
 
 
 def test_an_unmet_limit_names_the_speed_at_which_it_would_hold() -> None:
-    note = ContactAtSpeedLimit().easing_note(ContactAtSpeed(speed_m_s=0.1, max_force_n=140.0), 280.0)
-    assert "140 would hold at 0.05" in note
+    asked = ContactAtSpeed(speed_m_s=0.1, max_force_n=140.0)
+    assert "140 N would hold at 0.05 m/s." in ContactAtSpeedLimit().easing_note(asked, 280.0)
+    assert "140 N·m would hold at 0.05 rad/s." in ContactAtSpeedLimit().easing_note(asked, 280.0, turning=True)
 
 
 def test_the_forces_of_the_body_regions_are_those_of_the_specification() -> None:
