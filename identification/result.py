@@ -1,5 +1,6 @@
 """Results of an identification: every parameter with its uncertainty and a verdict, and the phases of the log."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
@@ -259,6 +260,9 @@ class RobotEstimate:
     bandwidth_hz: Estimate
 
 
+_ROUNDING = 1e-6
+
+
 @dataclass(frozen=True, kw_only=True)
 class Covariance:
     """How the errors of one axis go together: `matrix` (p, p) in SI, in the order of `names`.
@@ -284,6 +288,11 @@ class Covariance:
         least = min(row[i] for i, row in enumerate(self.matrix))
         if least < 0.0:
             raise ParameterError("matrix", least, "0 or more on the diagonal, which holds variances")
+        for i, row in enumerate(self.matrix):
+            for j in range(i):
+                if abs(row[j]) > (1.0 + _ROUNDING) * math.sqrt(row[i]) * math.sqrt(self.matrix[j][j]):
+                    pair = f"{row[j]:g} of {self.names[j]} and {self.names[i]}"
+                    raise ParameterError("matrix", pair, "at most the product of both deviations beside the diagonal")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,7 +11,7 @@ from problems.frozen import freeze
 
 from .atomic import write_atomic
 from .canonical import plain
-from .records import read_record, record_tree, rename_axis_keys
+from .records import EntryError, read_record, record_tree, rename_axis_keys
 from .schema import VERSION, check_document, check_format, check_tree
 from .yaml12 import Document, dump_yaml, load_document, parse_document
 
@@ -78,7 +78,10 @@ def _checked(document: Document) -> IdentifiedFile:
     check_document(document, "identified")
     body = {key: value for key, value in document.tree.items() if key not in ("format", "version", "provenance")}
     body["axes"] = {axis: rename_axis_keys(axis, tree, reading=True) for axis, tree in body["axes"].items()}
-    result = read_record(Identified, body)
+    try:
+        result = read_record(Identified, body)
+    except EntryError as refused:
+        document.refuse(refused.place, str(refused))
     _check_values(document, result)
     return IdentifiedFile(
         result=result,

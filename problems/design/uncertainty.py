@@ -98,7 +98,7 @@ class Ellipsoid:
         except np.linalg.LinAlgError:
             flattest = 0.0
         if flattest < _FLATTEST:
-            raise ParameterError("ellipsoid.covariance", self.covariance, must)
+            raise ParameterError("ellipsoid.covariance", "errors that are no further apart than rounding", must)
 
     @cached_property
     def _root(self) -> FloatArray:

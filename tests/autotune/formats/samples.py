@@ -1,5 +1,6 @@
 """Whole, plausible contents of the files, and strategies for arbitrary ones."""
 
+import math
 from dataclasses import replace
 
 from hypothesis import strategies as st
@@ -354,11 +355,10 @@ FIT = FitQuality(
 @st.composite
 def covariances(draw: st.DrawFn) -> Covariance:
     names = draw(st.lists(st.text(min_size=1, max_size=6), min_size=1, max_size=3, unique=True))
-    half = {(i, j): draw(FLOATS.map(abs) if i == j else FLOATS) for i in range(len(names)) for j in range(i + 1)}
+    root, share = [draw(FLOATS.map(abs).map(math.sqrt)) for _ in names], draw(st.floats(-1.0, 1.0))
+    matrix = [[a * b * (1.0 if i == j else share) for j, b in enumerate(root)] for i, a in enumerate(root)]
     return Covariance(
-        names=tuple(names),
-        values=tuple(draw(FLOATS) for _ in names),
-        matrix=tuple(tuple(half[max(i, j), min(i, j)] for j in range(len(names))) for i in range(len(names))),
+        names=tuple(names), values=tuple(draw(FLOATS) for _ in names), matrix=tuple(tuple(row) for row in matrix)
     )
 
 

@@ -1,3 +1,4 @@
+import re
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -81,6 +82,7 @@ def test_a_wrench_filter_is_a_corner_or_a_delay(tmp_path: Path, entry: str, reas
         (("K_s",), (1.0, 2.0), ((1.0,),), "as many numbers as there are names, 1"),
         (("K_s", "B_s"), (1.0, 2.0), ((1.0, 0.0),), "2 rows of 2 numbers"),
         (("K_s", "B_s"), (1.0, 2.0), ((1.0, 0.5), (0.4, 1.0)), "symmetric"),
+        (("K_s", "B_s"), (1.0, 2.0), ((4.0, 7.0), (7.0, 9.0)), "product of both deviations .*found '7 of K_s and B_s'"),
         (("K_s",), (3e5,), ((-1.0,),), "0 or more on the diagonal, which holds variances, found -1"),
     ],
 )
@@ -89,6 +91,18 @@ def test_a_covariance_that_is_none_is_refused(
 ) -> None:
     with pytest.raises(ParameterError, match=must):
         Covariance(names=names, values=values, matrix=matrix)
+
+
+def test_a_covariance_that_is_none_is_refused_with_file_and_line(tmp_path: Path) -> None:
+    path = tmp_path / "identified.yaml"
+    result, covariance = make_identified(), Covariance(names=("omega",), values=(20.0,), matrix=((1.0,),))
+    axes = {name: replace(axis, covariance=covariance) for name, axis in result.axes.items()}
+    write_identified(path, replace(result, axes=axes), {})
+    text = path.read_text(encoding="utf-8")
+    line = next(i for i, each in enumerate(text.splitlines(), 1) if each.lstrip().startswith("matrix:"))
+    path.write_text(re.sub(r"(matrix: \[\[)", r"\g<1>-", text), encoding="utf-8")
+    with pytest.raises(UsageError, match=rf"identified\.yaml, line {line}: axes\.x\.covariance\.matrix must be"):
+        read_identified(path)
 
 
 def test_empty_remarks_are_left_out() -> None:
