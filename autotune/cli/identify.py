@@ -108,8 +108,9 @@ def command(
 
     LOGs that follow each other within a second are one recording; others are identified apart and combined, and
     parameters on which they disagree are named. A recording needs wrench, measured and commanded flange pose, with 6
-    to 12 tilted poses at rest, a commanded sweep in free space, and contacts. Exit code 3: a log cannot be used. 4: a
-    parameter is unidentifiable, or logs disagree; without --allow-partial nothing is written then.
+    to 12 tilted poses at rest, a commanded sweep in free space, and contacts. Exit code 3: a log cannot be used. 4: the
+    payload's mass or centre, the robot's r(s) or delay, K_s, B_s, B_p or a surface's K_e is unidentifiable, or logs
+    disagree; without --allow-partial nothing is written then.
     """
     from autotune.annotations import check_annotations, layout_path, write_annotations
     from autotune.formats.atomic import check_target
