@@ -151,7 +151,7 @@ def save_controller(
             exploration.provenance,
             ProofOptions(),
             progress,
-            exploration.strategies,
+            strategies=exploration.strategies,
             together=None if asked is None else TogetherCheck(asked, ProofOptions()),
         )
         checks = len(report.checks)

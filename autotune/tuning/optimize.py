@@ -51,10 +51,10 @@ class Optimized:
     """A controller that passed validation, the searches behind it, their optimality, and the checks it passed.
 
     `compared` puts it beside the present gains, axis by axis, if they are known, and `before_after` beside the contacts
-    of the log; `compliance` holds the stiffness
-    that was chosen for the axis, where the problem left it open; `defaults` what was asked by default and followed the
-    cell. What the user should know is in the provenance, as `notes`. `unchecked_together` says why the axes were not
-    checked on their common payload, `structures` what further structures of the law do.
+    of the log; `compliance` holds the stiffness that was chosen for the axis, where the problem left it open;
+    `defaults` what was asked by default and followed the cell. What the user should know is in the provenance, as
+    `notes`. `unchecked_together` says why the axes were not checked on their common payload, `structures` what further
+    structures of the law do.
     """
 
     controller: Controller
@@ -170,49 +170,47 @@ def certify(
     provenance: Mapping[str, Any],
     proof: ProofOptions,
     progress: Callable[[float], None],
-    strategies: StrategySettings | None = None,
+    *,
     proved: Mapping[str, AxisProof] | None = None,
+    strategies: StrategySettings | None = None,
     limits: LimitsSettings | None = None,
     together: Callable[[Controller, Prover], Controller] | None = None,
     soft: SoftPayload | None = None,
-    restated: bool = False,
 ) -> tuple[Controller, ValidationReport]:
     """Prove what can be proved of the designs, write them down, and return the controller once validation passed it.
 
-    `strategies` asks for what is chosen for these designs beside gains, `limits` says what is known of the cell for
-    those of the runtime; `together` adds what is certified of all axes on their payload, `soft` with a bumper;
-    `progress` gets the share of
-    the work done since the last call; `proved` is what has been proved already. Where validation finds smaller margins
-    than the search did, they are sought everywhere, and stated anew (`restated`). Raises CertificateError when a claim
-    cannot be proved or verified, RefutedError among them (`prove_search`), and what `choose_strategies` and `together`
-    raise.
+    `proved` is what has been proved already, `strategies` asks for what is chosen for these designs beside gains,
+    `limits` says what is known of the cell for those of the runtime; `together` adds what is certified of all axes on
+    their payload, `soft` what is with a bumper; `progress` gets the share of the work done since the last call. Where
+    validation finds smaller margins than the search did, they are sought everywhere, and stated anew. Raises
+    CertificateError when a claim cannot be proved or verified, RefutedError among them (`prove_search`), and what
+    `choose_strategies` and `together` raise.
     """
     for name, search in searches.items():
         check_within_bounds(search, name)
     found = _prove(searches, proof, progress) if proved is None else proved
-    proofs = {name: each.proofs for name, each in found.items()}
-    regions = {name: each.regions for name, each in found.items()}
-    held = {name: each.held for name, each in found.items() if each.held is not None}
-    peaks = {name: each.peak for name, each in found.items() if each.peak is not None and strategies is None}
-    bouncing = {name: each.bouncing for name, each in found.items() if each.bouncing is not None}
-    controller = build_controller(
-        searches, payload, proofs, regions, provenance, held=held, peaks=peaks, bouncing=bouncing
-    )
-    prover = Prover(tuple(answer for each in found.values() for answer in each.answers))
     if strategies is not None:
-        controller = choose_strategies(controller, searches, strategies, prover)
-    controller = with_limits(controller, limits or LimitsSettings())
-    if together is not None:
-        controller = together(controller, prover)
-    if soft is not None:
-        controller = soft.stated(controller, prover, proof)
-    checked = validate_controller(controller, lambda done: progress((1.0 - _PROOF_SHARE) * done), proved=prover.answers)
+        # Peaks are proved of the gains alone.
+        found = {name: replace(each, peak=None) for name, each in found.items()}
+
+    def stated(results: Mapping[str, SearchResult]) -> tuple[Controller, ValidationReport]:
+        controller = build_controller(results, payload, found, provenance)
+        prover = Prover(tuple(answer for each in found.values() for answer in each.answers))
+        if strategies is not None:
+            controller = choose_strategies(controller, results, strategies, prover)
+        controller = with_limits(controller, limits or LimitsSettings())
+        if together is not None:
+            controller = together(controller, prover)
+        if soft is not None:
+            controller = soft.stated(controller, prover, proof)
+        share = 1.0 - _PROOF_SHARE
+        return controller, validate_controller(controller, lambda done: progress(share * done), proved=prover.answers)
+
+    controller, checked = stated(searches)
     doubted = {each.axis for each in checked.checks if each.name == MARGINS_CHECK and not each.passed}
-    if doubted and not restated:
-        searches = {name: _with_every_margin(each) if name in doubted else each for name, each in searches.items()}
-        return certify(
-            searches, payload, provenance, proof, progress, strategies, found, limits, together, soft, restated=True
-        )
+    if doubted:
+        every = {name: _with_every_margin(each) if name in doubted else each for name, each in searches.items()}
+        controller, checked = stated(every)
     checked.require()
     return controller, checked
 

@@ -10,8 +10,6 @@ from autotune.formats.certificate_record import (
     AxisDomain,
     AxisMargins,
     Certificate,
-    Proof,
-    ProvenRegion,
     Requirement,
     SoftRequirement,
 )
@@ -28,9 +26,9 @@ from autotune.formats.controller_record import (
     ScenarioPrediction,
 )
 from autotune.formats.limits import Biquad, CollisionResponse
-from autotune.formats.proof_records import BouncingProof, HeldProof, PeakProof
 from autotune.formats.units import ROTATIONAL_AXES, axis_units
 from autotune.text import scenario_text
+from autotune.validation.axis_proof import AxisProof
 from autotune.validation.driving_arm import driven_plants
 from autotune.validation.validation_samples import sampled_claims
 from identification.errors import EstimateError
@@ -70,16 +68,10 @@ MARGIN_NAMES = ("modulus", "gain_db", "phase_deg", "delay_s")
 def build_controller(
     results: Mapping[str, SearchResult],
     payload: RuntimePayload,
-    proofs: Mapping[str, tuple[Proof, ...]],
-    regions: Mapping[str, tuple[ProvenRegion, ...]],
+    proved: Mapping[str, AxisProof],
     provenance: Mapping[str, Any],
-    held: Mapping[str, HeldProof] | None = None,
-    peaks: Mapping[str, PeakProof] | None = None,
-    bouncing: Mapping[str, BouncingProof] | None = None,
 ) -> Controller:
     """Assemble the controller of all tuned axes.
-
-    `proofs`, `regions`, `held`, `peaks` and `bouncing` are what validation's code has shown, per axis.
 
     The axes share h, filters and payload, and axes of a kind their requirements; they come from one identified file
     and one problem. `payload` is what the runtime compensates.
@@ -111,25 +103,20 @@ def build_controller(
             sample_time_s=first.sample_time_s,
             requirements=asked.get(False, {}),
             rotational_requirements=asked.get(True),
-            proved=tuple(proof for of_axis in proofs.values() for proof in of_axis),
+            proved=tuple(proof for each in proved.values() for proof in each.proofs),
             sampled=tuple(
                 claim
                 for name in results
                 for claim in sampled_claims(
-                    domain[name],
-                    margins[name],
-                    predicted[name],
-                    name,
-                    regions.get(name, ()),
-                    (bouncing or {}).get(name),
+                    domain[name], margins[name], predicted[name], name, proved[name].regions, proved[name].bouncing
                 )
             ),
             margins=margins,
             soft=soft or None,
-            continuous=regions or None,
-            held=held or None,
-            peaks=peaks or None,
-            bouncing=bouncing or None,
+            continuous={name: each.regions for name, each in proved.items()} or None,
+            held={name: each.held for name, each in proved.items() if each.held is not None} or None,
+            peaks={name: each.peak for name, each in proved.items() if each.peak is not None} or None,
+            bouncing={name: each.bouncing for name, each in proved.items() if each.bouncing is not None} or None,
         ),
         provenance=provenance,
     )

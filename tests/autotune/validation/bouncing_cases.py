@@ -53,7 +53,7 @@ def written(law: AdmittanceController, axis: str = "x") -> Controller:
         mass_kg=M_P, com_m=(0.0, 0.0, 0.1), force_bias_n=(0.0, 0.0, 0.0), torque_bias_n_m=(0.0, 0.0, 0.0)
     )
     proof = prove_axis(problem.plants, law, PERIOD_S, axis, modulus)
-    return build_controller({axis: search}, payload, {axis: proof.proofs}, {axis: proof.regions}, {"tool": "test"})
+    return build_controller({axis: search}, payload, {axis: proof}, {"tool": "test"})
 
 
 @cache
