@@ -1,6 +1,8 @@
 """What the fit of an axis says of a turn: units, weight, inertia, and a simulated cell found again."""
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from autotune.simulation.simulate import simulate_cell
 from autotune.simulation.truth import SimulatedCell
 from identification.axes.straight import commanded_motion, find_axes, free_motions, unguided_spans
 from identification.axes.turning import AxisTurn, find_turns, rests_after, unroll
+from identification.axis_command import CellSignals
 from identification.joint_fit.data import build_joint_data
 from identification.joint_fit.fit import identify_joint
 from identification.joint_fit.latency import WrenchLatency
@@ -25,8 +28,8 @@ from identification.result import Estimate, Status
 from identification.robot.coupling import CouplingFit, FreeMotion, Noise, identify_coupling
 from identification.robot.position_loop import identify_robot
 from identification.signals.aligned import align
-from identification.signals.segments import find_motion
-from identification.turn_estimate import fit_about_axis, inertia_findings, path_of
+from identification.signals.segments import Span, find_motion
+from identification.turn_estimate import fit_about_axis, identify_turn, inertia_findings, path_of
 from identification.verdicts import unidentifiable
 from problems.arrays import FloatArray
 from problems.model.axis_kind import LEVER_M
@@ -34,7 +37,7 @@ from problems.model.controller import AdmittanceController
 from problems.model.robot import RobotModel
 from tests.autotune.formats.samples import FIT
 from tests.identification.synthetic import Load, felt_force, sweep
-from tests.identification.turned import H_S, RATE_HZ, recorded, to_and_fro, turns_of
+from tests.identification.turned import H_S, RATE_HZ, WEIGHTLESS, recorded, to_and_fro, turns_of
 
 
 def joint_fit(names: tuple[str, ...], values: FloatArray) -> JointFit:
@@ -83,28 +86,60 @@ def test_a_fit_is_reported_in_the_units_of_a_rotation() -> None:
     assert path_of((3.0, 0.1)) == pytest.approx((3.0 / LEVER_M**2, 0.1 / LEVER_M**2))
 
 
+def no_inertia() -> InertiaFit:
+    unknown = unidentifiable(note="not turned")
+    return InertiaFit(
+        components=6 * (unknown,), mass_kg=unknown, lag_s=0.0, lag_std_s=0.0, moves=4, left_out=0, findings=()
+    )
+
+
+def test_a_rest_is_a_hold_under_more_than_six_residuals_of_the_torque(monkeypatch: pytest.MonkeyPatch) -> None:
+    residual_n_m, angle = 0.5, to_and_fro()
+    # The tool rests four times after a turn: twice with the angle, with a little less and a little more than 3 N·m.
+    torque = np.where(angle > 0.059, 2.7, 0.0)
+    torque[len(torque) // 2 :] *= 3.3 / 2.7
+    about_x = np.array([1.0, 0.0, 0.0])
+    recording = recorded(np.outer(angle, about_x), torque=np.outer(torque, about_x))
+    log = align(recording)
+    motion = find_motion(log)
+    gravity = replace(WEIGHTLESS, torque_residual_rms_n_m=residual_n_m)
+    (turn,) = find_turns(recording, log, motion, gravity)
+    held: list[Span] = []
+
+    def fit_axis(*arguments: Any) -> SimpleNamespace:
+        held.extend(arguments[2])
+        return SimpleNamespace(fit=None)
+
+    monkeypatch.setattr("identification.turn_estimate.fit_axis", fit_axis)
+    cell = CellSignals(
+        recording=recording,
+        log=log,
+        motion=motion,
+        gravity=gravity,
+        noise_rms_n=0.0,
+        rest_residual_n=0.0,
+        force_S_n=np.zeros((len(angle), 3)),
+        given={},
+        robots={},
+    )
+    assert identify_turn(cell, turn, no_inertia()) is None
+    assert [float(np.median(torque[span.slice])) for span in held] == [pytest.approx(3.3)]
+
+
 @pytest.mark.parametrize(("value", "std", "agrees"), [(0.48, 5e-3, True), (0.6, 5e-3, False), (0.6, 0.1, True)])
 def test_the_inertia_of_a_turn_is_compared_with_the_tensors(value: float, std: float, agrees: bool) -> None:
     values = np.array([2e5, 100.0, 200.0, 12.0])
     turn = any_turn(0.0)
     fit = fit_about_axis(joint_fit(COUPLING_NAMES, values), turn)
     xx = Estimate(value=value, std=std, status=Status.IDENTIFIED)
-    unknown = unidentifiable(note="not turned")
-    tensor = InertiaFit(
-        components=(xx, *(5 * (unknown,))),
-        mass_kg=unknown,
-        lag_s=0.0,
-        lag_std_s=0.0,
-        moves=4,
-        left_out=0,
-        findings=(),
-    )
+    unknown = no_inertia()
+    tensor = replace(unknown, components=(xx, *unknown.components[1:]))
     found = inertia_findings(fit, turn, tensor)
     assert [f.code for f in found] == ([] if agrees else ["inertia-disagreement"])
     if found:
         assert "Axis rx" in found[0].message
         assert "0.48 ± 0.00048" in found[0].message
-    assert inertia_findings(fit, turn, replace(tensor, components=6 * (unknown,))) == ()
+    assert inertia_findings(fit, turn, unknown) == ()
 
 
 def held_up(angle: FloatArray, load: Load, weight: float) -> FloatArray:
