@@ -1,17 +1,19 @@
 """Change random places of the code, one at a time, and see whether the tests notice.
 
-Each change goes into a copy of the checkout. The tests of the changed module run first, then those that import it, then
-those of its room, without the slow ones, up to the first that fails. What none has noticed within the time for one
-change counts as survived; a test that does not end has noticed it. Functions are changed in their source, not wrapped
-at run time as mutation libraries do: the compiler of the kernels would not take a wrapped one.
+Each change goes into a copy of the checkout, in which the kernels are compiled already. The tests of the changed module
+and those of its room that import it run first, then those elsewhere that import it and the rest of its room, without
+the slow ones, up to the first that fails. What none has noticed within the processor time for one change counts as
+survived; a test that does not end has noticed it. Functions are changed in their source, not wrapped at run time as
+mutation libraries do: the compiler of the kernels would not take a wrapped one.
 """
 
 import argparse
 import ast
+import math
 import os
 import random
 import re
-import select
+import resource
 import shutil
 import signal
 import subprocess
@@ -21,8 +23,10 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
+from enum import StrEnum
 from pathlib import Path
-from queue import SimpleQueue
+
+import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 FLOORS = ("problems", "identification", "autotune")
@@ -31,7 +35,9 @@ _SWAPS: dict[type[ast.AST], type[ast.AST]] = {
     ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.In: ast.NotIn, ast.NotIn: ast.In,
     ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.And: ast.Or, ast.Or: ast.And,
 }  # fmt: skip
-_NOTHING_COLLECTED = 5  # pytest's exit code
+_LIMIT, _SILENCE = "MUTATE_LIMIT_S", "MUTATE_SILENCE_S"
+# A test that waits for ever uses no processor time: what has not used it up in so many times as long waits.
+_WAITING = 10.0
 _NAMES = {"min": "max", "max": "min", "any": "all", "all": "any"}
 
 
@@ -110,15 +116,19 @@ def _text(node: ast.expr) -> str:
     return f"({ast.unparse(ast.fix_missing_locations(node))})"
 
 
-def files_of_tests(path: Path, root: Path) -> list[Path]:
-    """Return the files of tests to run, nearest first: the module's own, those that import it, those of its room."""
+def files_of_tests(path: Path, root: Path) -> tuple[list[Path], list[Path]]:
+    """Return the files of tests to run, nearest first.
+
+    First the module's own and those of its room that import it, then those elsewhere that import it and the rest of the
+    room: the folder of the tests for the module's package or, where there is none, for the package around it.
+    """
     name = ".".join(path.with_suffix("").parts)
     package, _, last = name.rpartition(".")
     # As `from package.module import …`, `import package.module` and `from package import (…, module, …)`.
     imports = re.compile(
         rf"(from|import) {re.escape(name)}\b|from {re.escape(package)} import (\([^)]*|[^\n]*)\b{re.escape(last)}\b"
     )
-    room = root / "tests" / path.parent
+    room = next(folder for each in path.parents if (folder := root / "tests" / each).is_dir())
     every = sorted((root / "tests").rglob("test_*.py"))
 
     def distance(test: Path) -> int:
@@ -128,56 +138,84 @@ def files_of_tests(path: Path, root: Path) -> list[Path]:
         return {(True, True): 1, (True, False): 2, (False, True): 3}.get((is_importer, test.is_relative_to(room)), 4)
 
     ranked = sorted((distance(test), test) for test in every)
-    return [test for rank, test in ranked if rank < 4]
+    return [test for rank, test in ranked if rank < 2], [test for rank, test in ranked if 2 <= rank < 4]
 
 
-def survives(mutant: Mutant, root: Path, limit_s: float, silence_s: float) -> bool:
-    """Run the tests on the changed copy `root`; what takes longer than the limit survives, silence is a hang."""
+class Verdict(StrEnum):
+    """What became of a change."""
+
+    CAUGHT = "caught"
+    SURVIVED = "SURVIVED"
+    OUT_OF_TIME = "SURVIVED so far"
+    """The tests had not ended when their time was over."""
+
+
+def judge(mutant: Mutant, root: Path, limit_s: float, silence_s: float) -> Verdict:
+    """Run the tests on the copy `root`, which is changed for good: for `limit_s` the near ones, then the others."""
     target = root / mutant.path
     source = target.read_bytes()
-    files = [str(file.relative_to(root)) for file in files_of_tests(mutant.path, root)]
-    options = ("-q", "-x", "-m", "not slow", "-n", "0", "--no-header", "--tb=no", "-p", "no:cacheprovider")
-    command = [sys.executable, "-m", "pytest", *options, *files]
+    # The file may be linked from another copy.
+    target.unlink()
     target.write_bytes(mutant.applied(source))
-    try:
-        with subprocess.Popen(
-            command,
-            cwd=root,
-            env={**os.environ, "PYTHONPATH": str(root)},
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            start_new_session=True,
-        ) as run:
-            try:
-                return _is_unnoticed(run, limit_s, silence_s)
-            finally:
-                if run.poll() is None:
-                    os.killpg(run.pid, signal.SIGKILL)
-    finally:
-        target.write_bytes(source)
+    verdicts = []
+    for files in files_of_tests(mutant.path, root):
+        if files:
+            verdicts.append(run_tests(files, root, limit_s, silence_s))
+            if verdicts[-1] is Verdict.CAUGHT:
+                return Verdict.CAUGHT
+    return Verdict.OUT_OF_TIME if Verdict.OUT_OF_TIME in verdicts else Verdict.SURVIVED
 
 
-def _is_unnoticed(run: "subprocess.Popen[bytes]", limit_s: float, silence_s: float) -> bool:
-    """Follow the dots of pytest, one for each test that passed."""
-    assert run.stdout is not None
-    ends, shown = time.monotonic() + limit_s, run.stdout.fileno()
-    while True:
-        left = ends - time.monotonic()
-        if left <= 0.0:
-            return True
-        if not select.select([shown], [], [], min(left, silence_s))[0]:
-            return left <= silence_s
-        if not os.read(shown, 4096):
-            return run.wait() in (0, _NOTHING_COLLECTED)
+def run_tests(files: list[Path], root: Path, limit_s: float, silence_s: float) -> Verdict:
+    """Run files of tests in their order up to the first that fails; both times are processor times of their process."""
+    options = ("-q", "-x", "-m", "not slow", "-n", "0", "--no-header", "--tb=no", "-p", "no:cacheprovider")
+    with subprocess.Popen(
+        [sys.executable, "-m", "pytest", "-p", "tools.mutate", *options, *map(str, files)],
+        cwd=root,
+        env={**os.environ, "PYTHONPATH": str(root), _LIMIT: str(limit_s), _SILENCE: str(silence_s)},
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.STDOUT,
+        start_new_session=True,
+    ) as run:
+        try:
+            code = run.wait(_WAITING * limit_s)
+        except subprocess.TimeoutExpired:
+            return Verdict.CAUGHT
+        finally:
+            if run.poll() is None:
+                os.killpg(run.pid, signal.SIGKILL)
+    if code == -signal.SIGXCPU:
+        return Verdict.OUT_OF_TIME
+    return Verdict.SURVIVED if code in (0, pytest.ExitCode.NO_TESTS_COLLECTED) else Verdict.CAUGHT
 
 
-def _copied(folder: Path) -> Path:
-    """Return a copy of the checkout, with the recorded logs beside it where there are any."""
+def pytest_configure() -> None:
+    """Let the system end this process, as a plugin of pytest, after the processor time for one change."""
+    seconds = math.ceil(float(os.environ[_LIMIT]))
+    resource.setrlimit(resource.RLIMIT_CPU, (seconds, resource.getrlimit(resource.RLIMIT_CPU)[1]))
+
+
+def pytest_runtest_logstart() -> None:
+    """Let it be ended by another signal where one test uses the processor time after which it does not end."""
+    signal.setitimer(signal.ITIMER_PROF, float(os.environ[_SILENCE]))
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Restore the order of the files: those with slow tests come first elsewhere."""
+    rank = {Path(file): i for i, file in enumerate(config.args)}
+    items.sort(key=lambda item: rank[item.path])
+
+
+def _prepared(folder: Path) -> Path:
+    """Return a copy of the checkout with compiled kernels, and the recorded logs beside it where there are any."""
     ignored = shutil.ignore_patterns(".git", ".venv", "*.egg-info", ".mypy_cache", "autotune-demo", "site")
     copy = folder / "checkout"
     shutil.copytree(ROOT, copy, ignore=ignored)
     if (ROOT.parent / "shared").is_dir():
         (folder / "shared").symlink_to((ROOT.parent / "shared").resolve())
+    command = (sys.executable, "-m", "autotune", "warm", "--quiet")
+    subprocess.run(command, cwd=copy, env={**os.environ, "PYTHONPATH": str(copy)}, check=True)
     return copy
 
 
@@ -189,38 +227,45 @@ def main() -> int:
     parser.add_argument("--count", type=int, default=60)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--jobs", type=int, default=2, help="how many changes at a time, each in a copy of its own")
-    parser.add_argument("--limit", type=float, default=150.0, help="seconds for the tests of one change")
-    parser.add_argument("--silence", type=float, default=90.0, help="seconds after which a test does not end")
+    parser.add_argument(
+        "--limit",
+        type=float,
+        default=150.0,
+        help="processor seconds for the near tests of a change, and for the others",
+    )
+    parser.add_argument("--silence", type=float, default=60.0, help="those after which a test does not end")
     options = parser.parse_args()
-    draw = random.Random(options.seed)
-    modules = options.modules or [
+    mutants = drawn(options.modules, options.count, random.Random(options.seed))
+    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(options.jobs) as threads:
+        ready = _prepared(Path(folder))
+
+        def judged(mutant: Mutant) -> tuple[Verdict, float]:
+            begun = time.monotonic()
+            # Beside the logs; links take no time, and what a change makes of the caches ends with its copy.
+            with tempfile.TemporaryDirectory(dir=folder) as copy:
+                shutil.copytree(ready, copy, copy_function=os.link, dirs_exist_ok=True)
+                return judge(mutant, Path(copy), options.limit, options.silence), time.monotonic() - begun
+
+        caught, running = 0, {threads.submit(judged, mutant): mutant for mutant in mutants}
+        for i, done in enumerate(as_completed(running)):
+            verdict, lasted_s = done.result()
+            caught += verdict is Verdict.CAUGHT
+            print(f"{i + 1:3d} {verdict:15s} {lasted_s:5.0f} s  {running[done]}", flush=True)
+    print(f"{caught} of {options.count} caught ({100.0 * caught / options.count:.0f} %)")
+    return 0
+
+
+def drawn(modules: list[Path], count: int, draw: random.Random) -> list[Mutant]:
+    """Draw changes, each of a module drawn among those given, or among all."""
+    every = (
         file.relative_to(ROOT)
         for floor in FLOORS
         for file in sorted((ROOT / floor).rglob("*.py"))
         if file.stat().st_size
-    ]
-    pool = {path: find_mutants(path, (ROOT / path).read_bytes()) for path in modules}
+    )
+    pool = {path: find_mutants(path, (ROOT / path).read_bytes()) for path in modules or every}
     pool = {path: mutants for path, mutants in pool.items() if mutants}
-    mutants = [draw.choice(pool[draw.choice(list(pool))]) for _ in range(options.count)]
-    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(options.jobs) as threads:
-        copies: SimpleQueue[Path] = SimpleQueue()
-        for job in range(options.jobs):
-            copies.put(_copied(Path(folder) / str(job)))
-
-        def judged(mutant: Mutant) -> tuple[bool, float]:
-            begun, root = time.monotonic(), copies.get()
-            try:
-                return survives(mutant, root, options.limit, options.silence), time.monotonic() - begun
-            finally:
-                copies.put(root)
-
-        caught, running = 0, {threads.submit(judged, mutant): mutant for mutant in mutants}
-        for i, done in enumerate(as_completed(running)):
-            lives, lasted_s = done.result()
-            caught += not lives
-            print(f"{i + 1:3d} {'SURVIVED' if lives else 'caught  '} {lasted_s:5.0f} s  {running[done]}", flush=True)
-    print(f"{caught} of {options.count} caught ({100.0 * caught / options.count:.0f} %)")
-    return 0
+    return [draw.choice(pool[draw.choice(list(pool))]) for _ in range(count)]
 
 
 if __name__ == "__main__":
