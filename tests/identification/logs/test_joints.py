@@ -129,16 +129,20 @@ def test_ros_1_holds_the_same(arm: Path, tmp_path: Path) -> None:
     assert same(read_recording(path, Cell().with_urdf(arm, "tool0")).pose, poses(arm))
 
 
-def read_beside(arm: Path, tmp_path: Path, pose: Array) -> tuple[Recording, str, str]:
-    """Read a log that also has a pose topic, and return how it compares."""
+def read_both(arm: Path, tmp_path: Path, pose: Array, count: int | None = None) -> Recording:
+    """Read a log that also has a pose topic, with the joints of its first `count` samples."""
 
     def stamped(i: int, stamp: int) -> Tree:
         return {"header": header(stamp), "pose": {"position": xyz(pose[i, :3]), "orientation": xyzw(pose[i, 3:])}}
 
     topic = Topic(topic="/tcp_pose", type_name="geometry_msgs/msg/PoseStamped", message=stamped)
-    recording = read_recording(
-        write_log(tmp_path / "run.mcap", [FT, JOINT_STATES, topic]), Cell().with_urdf(arm, "tool0")
-    )
+    joints = JOINT_STATES if count is None else replace(JOINT_STATES, count=count)
+    return read_recording(write_log(tmp_path / "run.mcap", [FT, joints, topic]), Cell().with_urdf(arm, "tool0"))
+
+
+def read_beside(arm: Path, tmp_path: Path, pose: Array) -> tuple[Recording, str, str]:
+    """Read a log that also has a pose topic, and return how it compares."""
+    recording = read_both(arm, tmp_path, pose)
     [found] = [finding for finding in recording.findings if finding.code.startswith("joints-")]
     return recording, found.code, found.message
 
@@ -147,6 +151,14 @@ def test_a_pose_topic_goes_before_and_is_compared(arm: Path, tmp_path: Path) -> 
     recording, code, _ = read_beside(arm, tmp_path, poses(arm))
     assert recording.pose.topic == "/tcp_pose"
     assert code == "joints-agree"
+
+
+@pytest.mark.parametrize(("count", "is_compared"), [(9, False), (10, True)])
+def test_few_samples_of_the_joints_are_compared_with_nothing(
+    arm: Path, tmp_path: Path, count: int, is_compared: bool
+) -> None:
+    found = read_both(arm, tmp_path, poses(arm), count).findings
+    assert any(each.code == "joints-agree" for each in found) == is_compared
 
 
 def test_a_pose_of_another_tip_is_reported_with_its_offset(arm: Path, tmp_path: Path) -> None:

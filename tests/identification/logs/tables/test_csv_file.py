@@ -133,6 +133,16 @@ def test_lines_before_and_among_the_rows_are_left_out_where_declared(tmp_path: P
         read_table(path, layout)
 
 
+@pytest.mark.parametrize(
+    ("second", "rows"),
+    [("N,", [[1, 2], [3, 4]]), (",mm", [[1, 2], [3, 4]]), (",", [[math.nan] * 2, [1, 2], [3, 4]])],
+    ids=["the second has none", "the first has none", "no units"],
+)
+def test_a_column_may_be_without_a_unit(tmp_path: Path, second: str, rows: list[list[float]]) -> None:
+    path = write(tmp_path / "run.csv", f"a,b\n{second}\n1,2\n3,4\n")
+    assert np.array_equal(read_table(path, AB).values, np.array(rows, dtype=float), equal_nan=True)
+
+
 def test_a_row_of_numbers_is_no_line_of_units(tmp_path: Path) -> None:
     path = write(tmp_path / "run.csv", "a,b\n1.5,2\n3,4\n")
     with pytest.raises(LogError, match=r"run\.csv, line 2: `header_rows: 2` takes it for one of names or units"):
