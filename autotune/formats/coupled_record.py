@@ -125,9 +125,8 @@ class CoupledCertificate:
     groups), each checked whole; `neglected` is the share of its modulus that one loses to the axes outside of it.
     `modulus` is the smallest singular value of I + L at `modulus_hz`, torques divided by the lever of 0.2 m, the loops
     cut at the forces or at the commands, whichever is less;
-    `modulus_apart` that of the axes one by one, `disk` the disk margin of all loops at a time, `mode_hz` the frequency
-    of the slowest decaying mode that swings. `points` are contacts by axis, `method` says how they were found;
-    `min_modulus` is what was asked of `modulus`.
+    `modulus_apart` that of the axes one by one, `disk` the disk margin of all loops at a time. `points` are
+    contacts by axis, `method` says how they were found; `min_modulus` is what was asked of `modulus`.
     """
 
     axes: Annotated[tuple[Axis, ...], Rule(minItems=1)]
