@@ -29,7 +29,7 @@ def coefficients(family: Family, cell: FloatArray) -> tuple[Raw, Raw]:
 
 def half_widths(cell: FloatArray) -> FloatArray:
     """Return half the width of a cell along each coordinate, rounded up, as its middle is not exactly in the middle."""
-    return np.asarray(0.5 * (cell[:, 1] - cell[:, 0]) * (1.0 + 1e-12) + 2.0 * np.spacing(np.mean(cell, axis=1)))
+    return np.asarray(0.5 * (cell[:, 1] - cell[:, 0]) * (1.0 + 1e-12) + 2.0 * np.spacing(np.abs(np.mean(cell, axis=1))))
 
 
 def with_derivatives(cell: FloatArray, middle: Groups, everywhere: Groups) -> PlantCell:

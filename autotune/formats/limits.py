@@ -47,7 +47,7 @@ class VariableDampingSettings:
             raise ParameterError("lowest", self.lowest, f"at most the highest, {self.highest:g}")
         if not 0.0 <= self.decay_s_per_m < math.inf:
             raise ParameterError("decay_s_per_m", self.decay_s_per_m, "at least 0")
-        if self.update_periods < 1:
+        if not 1 <= self.update_periods < math.inf:
             raise ParameterError("update_periods", self.update_periods, "at least 1")
 
 

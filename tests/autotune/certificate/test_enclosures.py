@@ -2,9 +2,12 @@
 
 import math
 from dataclasses import replace
+from fractions import Fraction
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from autotune.certificate import certify as certify_module
 from autotune.certificate.balls import (
@@ -21,6 +24,7 @@ from autotune.certificate.balls import (
 from autotune.certificate.base_plant import fails_at
 from autotune.certificate.bounds import judge
 from autotune.certificate.family import Family
+from autotune.certificate.plant_cells import half_widths
 from autotune.certificate.plant_polynomials import plant_polynomials
 from problems.arrays import FloatArray
 from problems.model.controller import AdmittanceController
@@ -188,3 +192,13 @@ def test_several_derivatives_at_once_are_those_along_one_after_the_other() -> No
     (power,) = exponential(np.array([[x * y]], dtype=object))[0]
     slopes = [float(power.derivative[0, along].mid()) for along in range(2)]
     assert slopes == pytest.approx([0.7 * math.exp(0.21), 0.3 * math.exp(0.21)], rel=1e-15)
+
+
+@given(st.floats(-1e6, 1e6), st.floats(1e-9, 1e6))
+def test_the_middle_and_half_the_width_hold_a_cell_and_hardly_more(low: float, width: float) -> None:
+    cell = np.array([[low, low + width], [0.0, 0.0]])
+    half, middle = half_widths(cell), np.mean(cell, axis=1)
+    for i, (first, last) in enumerate(cell):
+        reach = (Fraction(middle[i]) - Fraction(half[i]), Fraction(middle[i]) + Fraction(half[i]))
+        assert reach[0] <= Fraction(first) <= Fraction(last) <= reach[1]
+        assert half[i] <= 0.5 * (last - first) * (1.0 + 1e-9) + 4.0 * np.spacing(abs(first) + abs(last))

@@ -6,7 +6,9 @@ from typing import Any
 import pytest
 
 from autotune.errors import UsageError
+from autotune.formats.bumper_record import BumperContacts
 from autotune.formats.problem import ProblemSpec, read_problem
+from autotune.formats.records import record_tree
 from problems.errors import ParameterError
 from problems.model.plant import Bumper
 
@@ -52,3 +54,11 @@ def test_what_is_no_bumper_is_refused_with_its_line(path: Path, entry: str, said
 def test_what_is_no_value_of_a_problem_is_refused_where_it_is_made(given: Any, said: str) -> None:
     with pytest.raises(ParameterError, match=said):
         ProblemSpec(bumper=given)
+
+
+def test_where_nothing_was_proved_nothing_is_written_of_a_proof() -> None:
+    sampled = {"modulus": 0.5, "peak_contact_force_n": 60.0, "peak_sensor_force_n": 50.0, "plants": 9.0}
+    contacts = BumperContacts(**sampled, hardest={"mass_kg": 16.0})
+    proof = ("proved_modulus", "share", "cells", "arcs", "budget_s", "run_time_s")
+    assert [getattr(contacts, name) for name in proof] == [0.0] * len(proof)
+    assert record_tree(contacts) == {**sampled, "hardest": {"mass_kg": 16.0}}

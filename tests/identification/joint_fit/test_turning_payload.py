@@ -2,6 +2,8 @@
 
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -11,7 +13,8 @@ from identification.axis_findings import payload_findings
 from identification.joint_fit.data import JointData, usual_coupling
 from identification.joint_fit.fit import identify_joint
 from identification.joint_fit.result import JointFit
-from identification.joint_fit.turning_payload import _low_pass
+from identification.joint_fit.segments import Segment
+from identification.joint_fit.turning_payload import _low_pass, _weights
 from identification.payload.turning import turning_force
 from identification.signals.segments import Span
 from problems.arrays import FloatArray
@@ -130,3 +133,15 @@ def test_a_mode_faster_than_a_slow_log_shows_is_no_reason_to_end(cutoff_hz: floa
     sections = _low_pass(cutoff_hz, 1.0 / 294.3)
     assert np.all(np.isfinite(sections))
     np.testing.assert_allclose(sosfiltfilt(sections, np.ones(400)), 1.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("period_s", [5e-4, 1e-3, 2e-3])
+def test_what_turns_comes_and_goes_by_ramps_around_the_spans(period_s: float) -> None:
+    first, second = Segment(start=200, stop=300), Segment(start=600, stop=601)
+    problem = SimpleNamespace(signals=SimpleNamespace(period_s=period_s), segments=(first, second))
+    weights = _weights(cast(Any, problem), 900)
+    assert bool(np.all(weights[first.slice] == pytest.approx(1.0)))
+    # 8 ms around a span, and ramps of 4 ms about that end: no step is larger than a sample is of a ramp.
+    assert np.max(np.abs(np.diff(weights))) == pytest.approx(period_s / 4e-3)
+    assert np.sum(weights) == pytest.approx(101 + 4 * 8e-3 / period_s)
+    assert np.flatnonzero(weights)[0] == pytest.approx(200 - 10e-3 / period_s, abs=1)

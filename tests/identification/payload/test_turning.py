@@ -7,6 +7,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from identification.axis_command import CellSignals
 from identification.payload.inertia import PAIRS
 from identification.payload.turning import turning_force, turning_of_payload
 from identification.result import Estimate, Status
@@ -57,3 +58,20 @@ def test_an_axis_about_whose_neighbours_the_inertia_is_unknown_has_none() -> Non
         assert along[:, 2] == pytest.approx(moved()[2][:, 2], abs=0.15 * float(np.std(moved()[2][:, 2])))
     assert found((unknown,) * 6) is None
     assert found((unknown, *tensor()[1:2], unknown, *tensor()[3:])) is None
+
+
+@pytest.mark.parametrize("lacking", [(), (1,)])
+def test_an_axis_has_its_column_of_what_turns_where_all_of_it_is_known(lacking: tuple[int, ...]) -> None:
+    turning = np.arange(12.0).reshape(4, 3)
+    turning[2, list(lacking)] = np.nan
+    found = {
+        name: CellSignals.turning_of(cast(Any, SimpleNamespace(turning_S_n=turning)), name)
+        for name in ("x", "y", "z", "ry")
+    }
+    assert found.pop("ry") is None
+    for i, column in enumerate(found.values()):
+        if i in lacking:
+            assert column is None
+        else:
+            np.testing.assert_array_equal(column, turning[:, i])
+    assert CellSignals.turning_of(cast(Any, SimpleNamespace(turning_S_n=None)), "x") is None

@@ -10,7 +10,7 @@ from identification.touches.surfaces import _growth
 @pytest.mark.parametrize("slope", [2e2, 5e4])
 def test_a_straight_rise_may_have_begun_so_often_the_time_that_it_took(begins_s: float, slope: float) -> None:
     step_s, start = 4e-3, 30
-    time = step_s * np.arange(80)
+    time = step_s * np.arange(80, dtype=np.float64)
     force = slope * np.maximum(time - begins_s, 0.0)
     longest_s, stop = _growth(time, force, start)
     # From half the force of `start` to the first sample of twice as much all lies on one line.
@@ -20,7 +20,7 @@ def test_a_straight_rise_may_have_begun_so_often_the_time_that_it_took(begins_s:
 
 def test_a_force_that_falls_before_it_has_doubled_rises_no_further_than_its_first_sample() -> None:
     step_s, start = 4e-3, 20
-    time = step_s * np.arange(60)
+    time = step_s * np.arange(60, dtype=np.float64)
     force = np.interp(np.arange(60), [start - 1, start, start + 2, 50], [0.0, 10.0, 5.0, 40.0])
     longest_s, stop = _growth(time, force, start)
     assert stop == start + 1

@@ -6,10 +6,12 @@ import pickle
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
+from problems.design.evaluation import build_scenarios
 from problems.design.requirements import (
     BUILT_IN,
     FIELDS,
@@ -21,6 +23,7 @@ from problems.design.requirements import (
     RequirementValue,
 )
 from problems.errors import ParameterError
+from tests.autotune.tuning.cases import design_problem
 from tests.problems.axes import LAW
 
 EVERYTHING = Requirements(
@@ -30,6 +33,7 @@ EVERYTHING = Requirements(
     passivity=PassivityTarget(passive_below_hz=12.0),
     multiplicative_error=MultiplicativeError(min_modulus=0.4, points=((5.0, 0.2),)),
 )
+GOOD = np.array([6.0, 1500.0, 0.02, 0.005])
 UPPER = ("max_peak_force_n", "command_noise")
 
 
@@ -144,3 +148,13 @@ def test_every_registered_requirement_is_an_argument_by_its_name() -> None:
     assert not Requirements(min_damping_ratio=None).further
     with pytest.raises(ParameterError, match=r"min_dampin must be left out, or be one of modulus_margin, .*soft_n"):
         Requirements(min_dampin=0.2)
+
+
+@pytest.mark.parametrize("name", FIELDS)
+def test_the_worst_scenario_alone_is_as_bad_as_all(name: str) -> None:
+    requirement, asked, problem = BUILT_IN[name], getattr(EVERYTHING, name), design_problem()
+    design = build_scenarios(problem, problem.scenarios(2, 2)).stable(problem.controller(GOOD))
+    worst = requirement.worst_scenario(asked, design)
+    alone = build_scenarios(problem, [worst]).stable(design.controller)
+    found = np.max(requirement.ratios(asked, design))
+    assert np.max(requirement.ratios(asked, alone)) == pytest.approx(found, rel=1e-9)
