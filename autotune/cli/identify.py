@@ -222,6 +222,8 @@ def print_identified(result: "Identified", out: Path) -> None:
             print_message(line)
     for timeline in result.timelines:
         if timeline.touches:
+            if timeline.log:
+                print_message(f"touches in {timeline.log}, from its start:")
             print_table([touch_columns(timeline), *touch_rows(timeline)], left=(0, 1, 8), point=(2, 3, 4, 6))
             if note := touch_note(timeline):
                 print_message(note)

@@ -208,7 +208,7 @@ def _log_section(result: Identified, evidence: Sequence[Evidence], summaries: Se
     blocks += [_phase_table(result)] if any(timeline.phases for timeline in result.timelines) else []
     for timeline in result.timelines:
         if timeline.touches:
-            caption = f"Touches{f' of {timeline.log}' if timeline.log else ''}"
+            caption = f"Touches{f' of {timeline.log}, from its start' if timeline.log else ''}"
             blocks.append(build_table(caption, touch_columns(timeline), touch_rows(timeline), numbers=range(2, 8)))
             if note := touch_note(timeline):
                 blocks.append(Note(text=note, kind="info"))

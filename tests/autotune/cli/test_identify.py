@@ -3,10 +3,12 @@
 import json
 import subprocess
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from autotune.cli.identify import print_identified
 from autotune.formats.identified import read_identified
 from autotune.formats.yaml12 import load_yaml
 from autotune.simulation.truth import SimulatedCell
@@ -52,6 +54,19 @@ def test_people_see_a_table_and_what_comes_next_on_standard_error(first_run: tup
     assert "commanded-motion" in line
     assert lines[-1] == "written: identified.yaml"
     assert [path.name for path in folder.iterdir()] == ["identified.yaml"]
+
+
+def test_touches_of_several_logs_say_of_which_and_from_when(
+    first_run: tuple[Path, str, str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    found = read_identified(first_run[0] / "identified.yaml").result
+    (line,) = found.timelines
+    print_identified(
+        replace(found, timelines=tuple(replace(line, log=log) for log in ("one", "two"))), Path("out.yaml")
+    )
+    lines = capsys.readouterr().out.splitlines()
+    for log in ("one", "two"):
+        assert lines[lines.index(f"touches in {log}, from its start:") + 1].startswith("touch  cause")
 
 
 def test_json_is_the_tree_of_the_file_and_the_same_log_gives_the_same_bytes(
