@@ -1,10 +1,11 @@
 """Change random places of the code, one at a time, and see whether the tests notice.
 
-Each change goes into a copy of the checkout, in which the kernels are compiled already. The tests of the changed module
-and those of its room that import it run first, then those elsewhere that import it and the rest of its room, without
-the slow ones, up to the first that fails. What none has noticed within the processor time for one change counts as
-survived; a test that does not end has noticed it. Functions are changed in their source, not wrapped at run time as
-mutation libraries do: the compiler of the kernels would not take a wrapped one.
+Each change goes into a copy of the checkout, in which the kernels are compiled already. Three groups of tests, without
+the slow ones, run up to the first that fails: those of the changed module and those of its room that import it, those
+elsewhere that import it and the rest of its room, and those that import a module that imports it. What none has noticed
+within the processor time for a group counts as survived; a test that does not end has noticed it. Functions are changed
+in their source, not wrapped at run time as mutation libraries do: the compiler of the kernels would not take a wrapped
+one.
 """
 
 import argparse
@@ -12,7 +13,6 @@ import ast
 import math
 import os
 import random
-import re
 import resource
 import shutil
 import signal
@@ -24,6 +24,7 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -116,29 +117,46 @@ def _text(node: ast.expr) -> str:
     return f"({ast.unparse(ast.fix_missing_locations(node))})"
 
 
-def files_of_tests(path: Path, root: Path) -> tuple[list[Path], list[Path]]:
-    """Return the files of tests to run, nearest first.
+def files_of_tests(path: Path) -> tuple[list[Path], ...]:
+    """Return the groups of files of tests of a module, nearest first; all relative to the checkout.
 
-    First the module's own and those of its room that import it, then those elsewhere that import it and the rest of the
-    room: the folder of the tests for the module's package or, where there is none, for the package around it.
+    The room is the folder of the tests for the module's package or, where there is none, for the package around it.
     """
-    name = ".".join(path.with_suffix("").parts)
-    package, _, last = name.rpartition(".")
-    # As `from package.module import …`, `import package.module` and `from package import (…, module, …)`.
-    imports = re.compile(
-        rf"(from|import) {re.escape(name)}\b|from {re.escape(package)} import (\([^)]*|[^\n]*)\b{re.escape(last)}\b"
-    )
-    room = next(folder for each in path.parents if (folder := root / "tests" / each).is_dir())
-    every = sorted((root / "tests").rglob("test_*.py"))
+    name = _module(path)
+    room = next(folder for each in path.parents if (ROOT / (folder := "tests" / each)).is_dir())
+    importers = {_module(file) for file in _files(*FLOORS) if name in _imports(file)}
 
     def distance(test: Path) -> int:
-        if test == room / f"test_{last}.py":
+        if test == room / f"test_{path.name}":
             return 0
-        is_importer = imports.search(test.read_text(encoding="utf-8")) is not None
-        return {(True, True): 1, (True, False): 2, (False, True): 3}.get((is_importer, test.is_relative_to(room)), 4)
+        if name in _imports(test):
+            return 1 if test.is_relative_to(room) else 2
+        return 3 if test.is_relative_to(room) else 5 - bool(importers & _imports(test))
 
-    ranked = sorted((distance(test), test) for test in every)
-    return [test for rank, test in ranked if rank < 2], [test for rank, test in ranked if 2 <= rank < 4]
+    ranked = sorted((distance(test), test) for test in _files("tests") if test.name.startswith("test_"))
+    return tuple([test for rank, test in ranked if rank in group] for group in ((0, 1), (2, 3), (4,)))
+
+
+def _files(*folders: str) -> list[Path]:
+    return [file.relative_to(ROOT) for folder in folders for file in sorted((ROOT / folder).rglob("*.py"))]
+
+
+def _module(path: Path) -> str:
+    return ".".join(path.with_suffix("").parts).removesuffix(".__init__")
+
+
+@cache
+def _imports(path: Path) -> frozenset[str]:
+    """Return the modules that a file imports, and whatever else it imports from them."""
+    found = set[str]()
+    for node in ast.walk(ast.parse((ROOT / path).read_bytes())):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            above = path.parts[: -node.level] if node.level else ()
+            source = ".".join((*above, *filter(None, [node.module])))
+            found |= {source, *(f"{source}.{alias.name}" for alias in node.names)}
+    return frozenset(found)
 
 
 class Verdict(StrEnum):
@@ -151,14 +169,14 @@ class Verdict(StrEnum):
 
 
 def judge(mutant: Mutant, root: Path, limit_s: float, silence_s: float) -> Verdict:
-    """Run the tests on the copy `root`, which is changed for good: for `limit_s` the near ones, then the others."""
+    """Run the tests on the copy `root`, which is changed for good: each group for `limit_s`."""
     target = root / mutant.path
     source = target.read_bytes()
     # The file may be linked from another copy.
     target.unlink()
     target.write_bytes(mutant.applied(source))
     verdicts = []
-    for files in files_of_tests(mutant.path, root):
+    for files in files_of_tests(mutant.path):
         if files:
             verdicts.append(run_tests(files, root, limit_s, silence_s))
             if verdicts[-1] is Verdict.CAUGHT:
@@ -170,7 +188,7 @@ def run_tests(files: list[Path], root: Path, limit_s: float, silence_s: float) -
     """Run files of tests in their order up to the first that fails; both times are processor times of their process."""
     options = ("-q", "-x", "-m", "not slow", "-n", "0", "--no-header", "--tb=no", "-p", "no:cacheprovider")
     with subprocess.Popen(
-        [sys.executable, "-m", "pytest", "-p", "tools.mutate", *options, *map(str, files)],
+        [sys.executable, "-m", "pytest", "-p", "tools.mutate", *options, *(str(root / file) for file in files)],
         cwd=root,
         env={**os.environ, "PYTHONPATH": str(root), _LIMIT: str(limit_s), _SILENCE: str(silence_s)},
         stdout=subprocess.DEVNULL,
@@ -231,7 +249,7 @@ def main() -> int:
         "--limit",
         type=float,
         default=150.0,
-        help="processor seconds for the near tests of a change, and for the others",
+        help="processor seconds for each group of tests of a change",
     )
     parser.add_argument("--silence", type=float, default=60.0, help="those after which a test does not end")
     options = parser.parse_args()
@@ -257,13 +275,7 @@ def main() -> int:
 
 def drawn(modules: list[Path], count: int, draw: random.Random) -> list[Mutant]:
     """Draw changes, each of a module drawn among those given, or among all."""
-    every = (
-        file.relative_to(ROOT)
-        for floor in FLOORS
-        for file in sorted((ROOT / floor).rglob("*.py"))
-        if file.stat().st_size
-    )
-    pool = {path: find_mutants(path, (ROOT / path).read_bytes()) for path in modules or every}
+    pool = {path: find_mutants(path, (ROOT / path).read_bytes()) for path in modules or _files(*FLOORS)}
     pool = {path: mutants for path, mutants in pool.items() if mutants}
     return [draw.choice(pool[draw.choice(list(pool))]) for _ in range(count)]
 
