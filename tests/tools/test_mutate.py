@@ -53,24 +53,24 @@ def test_a_module_that_its_package_hands_on_has_the_tests_of_the_package() -> No
 
 
 @pytest.mark.parametrize(
-    ("code", "silence_s", "verdict"),
+    ("code", "limit_s", "silence_s", "verdict"),
     [
-        ("pass", 0.5, Verdict.SURVIVED),
-        ("while True: pass", 0.5, Verdict.CAUGHT),
-        ("while True: pass", 30.0, Verdict.OUT_OF_TIME),
+        ("pass", 60.0, 30.0, Verdict.SURVIVED),
+        ("while True: pass", 60.0, 0.5, Verdict.CAUGHT),
+        ("while True: pass", 1.0, 30.0, Verdict.OUT_OF_TIME),
     ],
     ids=["unnoticed", "a hang", "out of time"],
 )
 def test_what_pytest_answers_is_what_became_of_a_change(
-    code: str, silence_s: float, verdict: Verdict, tmp_path: Path
+    code: str, limit_s: float, silence_s: float, verdict: Verdict, tmp_path: Path
 ) -> None:
-    assert run_tests([_copy_with(code, tmp_path)], tmp_path, 2.0, silence_s) is verdict
+    assert run_tests([_copy_with(code, tmp_path)], tmp_path, limit_s, silence_s) is verdict
 
 
 def test_a_test_that_waits_for_ever_has_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(mutate, "_WAITING", 1.0)
+    monkeypatch.setattr(mutate, "_WAITING", 0.05)
     assert (
-        run_tests([_copy_with("import threading; threading.Event().wait()", tmp_path)], tmp_path, 2.0, 0.5)
+        run_tests([_copy_with("import threading; threading.Event().wait()", tmp_path)], tmp_path, 60.0, 30.0)
         is Verdict.CAUGHT
     )
 
@@ -81,7 +81,7 @@ def test_files_run_in_the_order_given(tmp_path: Path) -> None:
     second = file.with_name("test_second.py")
     second.write_text("import pathlib\ndef test_() -> None: pathlib.Path('reached').touch()\n")
     (tmp_path / "conftest.py").write_text("def pytest_collection_modifyitems(items): items.reverse()\n")
-    assert run_tests([file, second], tmp_path, 2.0, 0.5) is Verdict.CAUGHT
+    assert run_tests([file, second], tmp_path, 60.0, 30.0) is Verdict.CAUGHT
     assert not (tmp_path / "reached").exists()
 
 
