@@ -1,5 +1,6 @@
 """The entry point: find the command, run it, turn whatever happens into an exit code."""
 
+import atexit
 import contextlib
 import difflib
 import gc
@@ -182,8 +183,10 @@ def main(argv: Sequence[str] | None = None, *, entries: Mapping[str, CommandEntr
     Never raises: an error becomes one line on standard error and its code of `EXIT_CODES`; with `--json` also
     the object `{"error": {...}}` on standard output; with `--debug` the traceback as well.
     """
-    # What imports and logs make lives to the end: looking for cycles in it costs a twentieth of a run.
+    # What imports and logs make lives to the end: looking for cycles in it costs a twentieth of a run, and so does a
+    # last look as the interpreter ends.
     gc.set_threshold(_GARBAGE)
+    atexit.register(gc.freeze)
     arguments = list(sys.argv[1:] if argv is None else argv)
     _tolerate_narrow_encodings()
     _one_thread()

@@ -139,8 +139,9 @@ class BatchEvaluation:
         """By how much the worst requirement is missed: 0 where feasible, infinite where unstable."""
         if not self.rows:
             return np.where(self.is_stable, 0.0, np.inf)
-        worst = np.max([np.nan_to_num(value, nan=np.inf) for value in self.requirements.values()], axis=0)
-        return np.where(self.is_stable, np.maximum(worst - 1.0, 0.0), np.inf)
+        worst = np.max(list(self.requirements.values()), axis=0)
+        missed = np.minimum(np.maximum(worst - 1.0, 0.0), np.finfo(np.float64).max)
+        return np.where(self.is_stable & ~np.isnan(worst), missed, np.inf)
 
 
 @dataclass(frozen=True, kw_only=True)

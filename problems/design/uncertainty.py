@@ -111,6 +111,14 @@ class Ellipsoid:
     def _deviations(self) -> FloatArray:
         return np.sqrt(np.diag(np.array(self.covariance)))
 
+    @cached_property
+    def _middle(self) -> FloatArray:
+        return np.array(self.centre)
+
+    @cached_property
+    def _reach(self) -> float:
+        return math.sqrt(self.quantile)
+
     @property
     def quantile(self) -> float:
         """Return the χ² that bounds the quadratic form."""
@@ -122,8 +130,8 @@ class Ellipsoid:
 
     def sizes(self, points: FloatArray) -> FloatArray:
         """Return how far out each of several points (..., k) lies; 1 is the surface."""
-        scaled = np.linalg.solve(self._root, ((points - np.array(self.centre)) / self._deviations).T)
-        return np.asarray(np.linalg.norm(scaled, axis=0) / math.sqrt(self.quantile))
+        scaled = np.linalg.solve(self._root, ((points - self._middle) / self._deviations).T)
+        return np.asarray(np.linalg.norm(scaled, axis=0) / self._reach)
 
     def box(self) -> dict[str, Interval]:
         """Return the smallest box around the ellipsoid, without its negative part."""

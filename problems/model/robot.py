@@ -87,6 +87,8 @@ def cancel_common_factors(numerator: FloatArray, denominator: FloatArray) -> tup
     numerator, denominator = np.trim_zeros(numerator, "f"), np.trim_zeros(denominator, "f")
     if numerator.size == 0 or denominator.size == 0:
         raise ParameterError("robot r(s)", _text(numerator, denominator), "a ratio of two non-zero polynomials")
+    if numerator.size == 1:
+        return numerator / denominator[0], denominator / denominator[0]
     zeros, poles = list(np.roots(numerator)), list(np.roots(denominator))
     gain = numerator[0] / denominator[0]
     kept = []

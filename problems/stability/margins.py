@@ -35,7 +35,9 @@ _SLOW_SHARE = 8
 _BASE_POINTS = 64
 # Real parts of poles that are rounding: B_s = B_p = 0.
 _UNDAMPED = 1e-10
-_RESONANCE_POINTS = 25
+# Around a resonance, in its half-widths, and between those.
+_AROUND = np.linspace(-6.0, 6.0, 25)
+_BETWEEN = 0.5 * (_AROUND[1:] + _AROUND[:-1])
 _SHORT_OF_NYQUIST = 1e-9
 # Where the loop gain is next to nothing (below 1e-3), a crossover limits nothing.
 LARGEST_GAIN_DB = 60.0
@@ -128,12 +130,13 @@ def frequency_grid(sampled: SampledPlant, points: int = _BASE_POINTS) -> FloatAr
     for pole in np.linalg.eigvals(sampled.rate) / sampled.sample_time_s:
         if pole.imag > 0.0:
             width = max(-pole.real, 1e-4 * abs(pole))
-            around = np.linspace(-6.0, 6.0, _RESONANCE_POINTS)
             # The response of an undamped plant is infinite at the pole itself, where no margin is least.
             undamped = abs(pole.real) <= _UNDAMPED * abs(pole)
-            extra.append(pole.imag + width * (0.5 * (around[1:] + around[:-1]) if undamped else around))
+            extra.append(pole.imag + width * (_BETWEEN if undamped else _AROUND))
     grid = np.concatenate([base, *extra])
-    return np.unique(np.append(grid[(grid >= base[0]) & (grid < nyquist)], nyquist))
+    grid = np.sort(grid[(grid >= base[0]) & (grid < nyquist)])
+    # A grid is made for every plant: `np.unique` alone would take as long as all of this.
+    return np.append(grid[np.append(grid[1:] != grid[:-1], True)], nyquist)
 
 
 @lru_cache(maxsize=16)
