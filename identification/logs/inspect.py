@@ -14,7 +14,7 @@ from ..signals.recording import WEIGHT_NEEDS_ORIENTATION, sampling_rate_hz
 from .checks.clocks import ChannelClock, clock_findings, compare_clocks, measure_clock
 from .checks.robot_state import without_zero_torques
 from .containers.channel import Channel, ChannelInfo
-from .containers.formats import digests
+from .containers.formats import begin_digests, digests
 from .long_logs import WindowSpan, windows_of_part
 from .messages.decode import Series, Wanted
 from .numbers import number_fields, number_findings
@@ -74,6 +74,7 @@ def _inspect(
     # A pause of the recorder costs a long log what is around it.
     keeps = salvage or span.recorded_ns is not None
     with open_logs(files, declared, salvage=salvage, recorded_ns=span.recorded_ns) as logs:
+        begin_digests(files)
         if not span.is_whole:
             _check_timed(logs)
         infos = logs.infos

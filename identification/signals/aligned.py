@@ -221,13 +221,15 @@ def check_regular(topic: str, stamp_ns: StampArray, *, keeps_holes: bool = False
 
 def longest_whole(recording: Recording) -> Recording:
     """Return wrench and pose of the longest time in which neither has a hole, the recording itself if it has none."""
+    if not recording.keeps_holes:
+        return recording
     wrench, pose = recording.wrench, recording.pose
     gaps = [
         (int(stamps[i]), int(stamps[i + 1]))
         for stamps in (wrench.stamp_ns, pose.stamp_ns)
         for i in find_gaps(stamps).tolist()
     ]
-    if not recording.keeps_holes or not gaps:
+    if not gaps:
         return recording
     first = int(max(wrench.stamp_ns[0], pose.stamp_ns[0]))
     last = int(min(wrench.stamp_ns[-1], pose.stamp_ns[-1]))

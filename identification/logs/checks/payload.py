@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 
 from problems.arrays import BoolArray, FloatArray
+from problems.compiled import compiled
 
 from ...errors import EstimateError, LogError
 from ...payload.static_poses import StaticPose, collect_static_poses, rows_as_poses
@@ -78,12 +79,15 @@ def find_tare_jumps(log: AlignedLog) -> tuple[TareJump, ...]:
         return ()
     noise = column_medians(np.abs(np.diff(wrench, n=2, axis=0))) / (0.6745 * np.sqrt(6.0))
     least = np.maximum(_NOISE_FACTOR * noise, _SMALLEST)
-    steep = find_runs(np.any(np.abs(wrench[width:] - wrench[:-width]) > least, axis=1))
-    still = _still(log)
+    is_steep = np.zeros(len(wrench) - width, dtype=np.bool_)
+    for axis, limit in zip(wrench.T, least, strict=True):
+        is_steep |= np.abs(axis[width:] - axis[:-width]) > limit
+    steep = find_runs(is_steep)
+    moving = np.concatenate([[0], np.cumsum(~_still(log))])
     found = []
     for start, stop in zip(steep.starts.tolist(), steep.stops.tolist(), strict=True):
         first, last = start - side, stop + width + side
-        if stop - start > 2 * width or first < 0 or last > len(wrench) or not bool(np.all(still[first:last])):
+        if stop - start > 2 * width or first < 0 or last > len(wrench) or moving[first] != moving[last]:
             continue
         # The step lies between the last sample that the first steep difference starts from and the last one's end.
         jump = _jump(wrench[first:start], wrench[stop + width : last], noise, least)
@@ -166,7 +170,7 @@ def _judged(
         tuple(pose for pose in poses if start <= log.time_s[pose.span.start] < stop) for start, stop in pairwise(edges)
     ]
     # Of a side without more than the rest of the jump itself nothing is asked.
-    asked = [_distinct(side) for side in sides if len(side) > 1]
+    asked = [_distinct(_rests(side)[0]) for side in sides if len(side) > 1]
     if len(asked) <= 2 and min(asked, default=_FEWEST_BESIDE) >= _FEWEST_BESIDE:
         return finding
     return replace(
@@ -177,60 +181,81 @@ def _judged(
     )
 
 
-def _directions(poses: tuple[StaticPose, ...]) -> FloatArray:
-    gravity = np.array([pose.gravity_S_m_s2 for pose in poses])
+def _rests(poses: Sequence[StaticPose]) -> tuple[FloatArray, FloatArray]:
+    """Return gravity and force of rests, (n, 3) each."""
+    return np.array([pose.gravity_S_m_s2 for pose in poses]), np.array([pose.force_S_n for pose in poses])
+
+
+def _directions(gravity: FloatArray) -> FloatArray:
     return np.asarray(gravity / np.linalg.norm(gravity, axis=1, keepdims=True))
 
 
-def _distinct(poses: tuple[StaticPose, ...]) -> int:
-    """Count the directions of gravity, each taken for all within 2 degrees of it."""
-    if not poses:
+def _distinct(gravity: FloatArray) -> int:
+    """Count the directions of gravity (n, 3), each taken for all within 2 degrees of it."""
+    if not len(gravity):
         return 0
-    left, count = _directions(poses), 0
+    left, count = _directions(gravity), 0
     while len(left):
         left, count = left[left @ left[0] < _DISTINCT_COSINE], count + 1
     return count
 
 
-def _weigh(poses: tuple[StaticPose, ...]) -> tuple[FloatArray, float, float] | None:
+def _weigh(gravity: FloatArray, force: FloatArray) -> tuple[FloatArray, float, float] | None:
     """Return (m, b) of f = m g_S + b by an L1 fit, the mass's standard deviation and the scatter [N]; None if vague."""
-    if _distinct(poses) < _FEWEST_ORIENTATIONS:
+    if _distinct(gravity) < _FEWEST_ORIENTATIONS:
         return None
-    gravity = np.array([pose.gravity_S_m_s2 for pose in poses])
-    force = np.array([pose.force_S_n for pose in poses])
     swing = float(np.max(np.ptp(force, axis=0)))
     floor = min(_SCATTER_N, _SCATTER_SHARE * swing) + 1e-9
-    rows = np.column_stack([gravity.ravel(), np.tile(np.eye(3), (len(poses), 1))])
+    rows = np.column_stack([gravity.ravel(), np.tile(np.eye(3), (len(force), 1))])
     if np.linalg.cond(rows / np.array([9.81, 1.0, 1.0, 1.0])) > _LARGEST_CONDITION:
         return None
-    weights = np.ones(len(poses))
-    mass, bias = 0.0, np.zeros(3)
-    for _ in range(_ROUNDS):
-        # Least squares with a mean taken out: the bias is what the mean force has beyond the mean weight.
-        share = weights / weights.sum()
-        mean_gravity, mean_force = share @ gravity, share @ force
-        swung = gravity - mean_gravity
-        mass = float(share @ np.einsum("ij,ij->i", swung, force - mean_force))
-        mass /= float(share @ np.einsum("ij,ij->i", swung, swung))
-        bias = mean_force - mass * mean_gravity
-        misfit = np.linalg.norm(force - mass * gravity - bias, axis=1)
-        weights = 1.0 / np.maximum(misfit, floor)
+    bias, misfit = np.empty(3), np.empty(len(force))
+    mass = _fit_weight(gravity, force, floor, bias, misfit)
     scatter = max(1.4826 * float(np.median(misfit)), floor)
     inverse = np.linalg.inv(rows.T @ rows)
     return np.concatenate([[mass], bias]), scatter * float(np.sqrt(inverse[0, 0])), scatter
 
 
+@compiled
+def _fit_weight(gravity: FloatArray, force: FloatArray, floor: float, bias: FloatArray, misfit: FloatArray) -> float:
+    """Return m of f = m g_S + b by an L1 fit (least squares, weighted anew); fill in b (3,) and what it misses (n,)."""
+    mass = 0.0
+    weights, mean_gravity, mean_force = np.ones(len(force)), np.empty(3), np.empty(3)
+    for _ in range(_ROUNDS):
+        # With the means taken out: the bias is what the mean force has beyond the mean weight.
+        total, along, swung = np.sum(weights), 0.0, 0.0
+        for k in range(3):
+            mean_gravity[k] = np.sum(weights * gravity[:, k]) / total
+            mean_force[k] = np.sum(weights * force[:, k]) / total
+        for i in range(len(force)):
+            for k in range(3):
+                off = gravity[i, k] - mean_gravity[k]
+                along += weights[i] * off * (force[i, k] - mean_force[k])
+                swung += weights[i] * off**2
+        mass = along / swung
+        bias[:] = mean_force - mass * mean_gravity
+        for i in range(len(force)):
+            square = 0.0
+            for k in range(3):
+                square += (force[i, k] - mass * gravity[i, k] - bias[k]) ** 2
+            misfit[i] = np.sqrt(square)
+            weights[i] = 1.0 / max(misfit[i], floor)
+    return mass
+
+
 def _find_change(topic: str, log: AlignedLog, poses: tuple[StaticPose, ...]) -> tuple[Finding, float] | None:
     """Return the split of the rests at which the later ones stop fitting the earlier payload, and its time [s]."""
     best: tuple[tuple[float, float], Finding, float] | None = None
+    gravity, force = _rests(poses)
     for split in range(_FEWEST_ORIENTATIONS, len(poses) - _FEWEST_AFTER + 1):
         earlier, later = poses[:split], poses[split:]
-        before = _weigh(earlier)
+        before = _weigh(gravity[:split], force[:split])
         if before is None:
             continue
         solution, _, scatter = before
         # Both halves must be clean: a split in the wrong place mixes two payloads in one of them.
-        off = np.array([_left(pose, solution) for pose in later])
+        left = force - solution[0] * gravity - solution[1:]
+        off = left[split:]
         size = np.linalg.norm(off, axis=1)
         largest = max(_SIGNIFICANT * scatter, _SMALLEST_STEP_N)
         changed = float(np.mean(size > largest))
@@ -238,16 +263,12 @@ def _find_change(topic: str, log: AlignedLog, poses: tuple[StaticPose, ...]) -> 
             continue
         finding = _payload_change(topic, log, earlier, later)
         if finding is None:
-            free = tuple(p for p in earlier if float(np.linalg.norm(_left(p, solution))) <= largest)
+            near = np.linalg.norm(left[:split], axis=1) <= largest
+            free = tuple(pose for pose, is_near in zip(earlier, near, strict=True) if is_near)
             finding = _bias_change(topic, _times(log, earlier, later), later, off, returns=_returns(log, free, later))
         if finding is not None and (best is None or (-changed, scatter) < best[0]):
             best = ((-changed, scatter), finding, float(np.mean(_gap_s(log, earlier, later))))
     return None if best is None else best[1:]
-
-
-def _left(pose: StaticPose, solution: FloatArray) -> FloatArray:
-    """Return what mass and bias (4,) leave of the force at a rest (3,)."""
-    return np.asarray(pose.force_S_n - solution[0] * pose.gravity_S_m_s2 - solution[1:])
 
 
 def _gap_s(log: AlignedLog, earlier: tuple[StaticPose, ...], later: tuple[StaticPose, ...]) -> tuple[float, float]:
@@ -262,7 +283,7 @@ def _times(log: AlignedLog, earlier: tuple[StaticPose, ...], later: tuple[Static
 def _payload_change(
     topic: str, log: AlignedLog, earlier: tuple[StaticPose, ...], later: tuple[StaticPose, ...]
 ) -> Finding | None:
-    before, after = _weigh(earlier), _weigh(later)
+    before, after = _weigh(*_rests(earlier)), _weigh(*_rests(later))
     if before is None or after is None:
         return None
     first, second = float(before[0][0]), float(after[0][0])
@@ -287,7 +308,7 @@ def _bias_change(
     size = float(np.linalg.norm(step))
     if size < max(_SIGNIFICANT * spread, _SMALLEST_STEP_N) or together < _TOGETHER:
         return None
-    if _distinct(later) < 2 and not returns:
+    if _distinct(_rests(later)[0]) < 2 and not returns:
         return None
     components = ", ".join(f"{value:+.2f}" for value in step)
     return Finding.warning(
@@ -307,18 +328,17 @@ def _returns(log: AlignedLog, earlier: tuple[StaticPose, ...], later: tuple[Stat
         return np.array([log.position_B_m[pose.span.slice].mean(axis=0) for pose in poses])
 
     apart: NDArray[np.float64] = np.linalg.norm(places(later)[:, None] - places(earlier)[None], axis=2)
-    alike = _directions(later) @ _directions(earlier).T > _DISTINCT_COSINE
+    alike = _directions(_rests(later)[0]) @ _directions(_rests(earlier)[0]).T > _DISTINCT_COSINE
     return bool(np.mean(np.any((apart < _SAME_PLACE_M) & alike, axis=1)) > 0.5)
 
 
 def _unit_findings(topic: str, poses: tuple[StaticPose, ...]) -> Iterator[Finding]:
-    fit = _weigh(poses)
+    gravity, force = _rests(poses)
+    fit = _weigh(gravity, force)
     if fit is None:
         return
     solution, _, scatter = fit
     mass = float(solution[0])
-    gravity = np.array([pose.gravity_S_m_s2 for pose in poses])
-    force = np.array([pose.force_S_n for pose in poses])
     weight = mass * gravity
     fits = np.linalg.norm(force - weight - solution[1:], axis=1) < _SIGNIFICANT * scatter
     # The weight has to swing by far more than what is left over, or it may be anything.

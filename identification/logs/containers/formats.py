@@ -3,9 +3,12 @@
 import hashlib
 import stat
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from threading import Thread
 from typing import Protocol
 
 from ...errors import LogError
@@ -170,7 +173,20 @@ def _digest(path: Path) -> str:
 
 def digests(paths: Sequence[Path]) -> dict[str, str]:
     """Return the SHA-256 in hexadecimal of each log; of a folder that of its files' names and digests."""
-    return {str(path): _digest_in_state(path, *_state(path)) for path in paths}
+    try:
+        return {str(path): _digest_in_state(path, *_state(path)).result() for path in paths}
+    except LogError:
+        # Where it could not be read it may be by the next time, with no other state.
+        _digest_in_state.cache_clear()
+        raise
+
+
+def begin_digests(paths: Sequence[Path]) -> None:
+    """Begin what `digests` returns, in a thread beside whatever is done until then."""
+    for path in paths:
+        # Of a path that cannot be read, who reads it says so.
+        with suppress(OSError):
+            _digest_in_state(path, *_state(path))
 
 
 def _state(path: Path) -> tuple[int, int]:
@@ -180,10 +196,20 @@ def _state(path: Path) -> tuple[int, int]:
 
 
 @lru_cache(maxsize=64)
-def _digest_in_state(path: Path, size: int, changed_ns: int) -> str:
-    """Return the SHA-256 of a log; one that is read in many windows is not digested for each."""
+def _digest_in_state(path: Path, size: int, changed_ns: int) -> Future[str]:
+    """Return what will be the SHA-256 of a log; one that is read in many windows is not digested for each."""
     del size, changed_ns
-    return sha256_of(path)
+    found: Future[str] = Future()
+
+    def digest() -> None:
+        try:
+            found.set_result(sha256_of(path))
+        except BaseException as error:  # noqa: BLE001 - raised again in the thread that asks
+            found.set_exception(error)
+
+    # Nothing waits for it where reading fails, and it lets go of the interpreter's lock.
+    Thread(target=digest, name="sha256", daemon=True).start()
+    return found
 
 
 def _what_else(path: Path, head: bytes) -> str:
