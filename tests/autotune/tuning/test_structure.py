@@ -4,7 +4,7 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast, get_args
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ from autotune.export.targets import TARGETS
 from autotune.formats.controller import read_controller, write_controller
 from autotune.formats.controller_record import admittance_controller
 from autotune.formats.identified import IdentifiedFile
-from autotune.formats.problem import ProblemSpec
+from autotune.formats.problem import ProblemSpec, Structure
 from autotune.runtime.load import read_law
 from autotune.studies.front import FrontRequest
 from autotune.tuning import structure as structure_module
@@ -33,6 +33,7 @@ from problems.contact.nonlinear_simulation import simulate_nonlinear
 from problems.design.hand import HandImpedance
 from problems.design.problem import DEFAULT_BOUNDS, DesignProblem, NoiseLimit, Requirements
 from problems.design.requirements import HeldByHand
+from problems.errors import ParameterError
 from problems.model.controller import AdmittanceController
 from problems.model.plant import FREE_SPACE
 from problems.model.response import free_space_admittance, loop_response
@@ -258,3 +259,10 @@ def _acting_at_once(law: AdmittanceController) -> float:
     above = 1.0 + 2.0 * law.biquad_zero_damping_ratio * law.biquad_zero_s * s + (law.biquad_zero_s * s) ** 2
     below = 1.0 + 2.0 * law.biquad_pole_damping_ratio * law.biquad_pole_s * s + (law.biquad_pole_s * s) ** 2
     return above / below
+
+
+def test_a_structure_is_one_of_those_that_there_are() -> None:
+    for each in get_args(Structure):
+        assert ProblemSpec(structure=each).structure == each
+    with pytest.raises(ParameterError, match="structure must be one of gains, noise, biquad"):
+        ProblemSpec(structure=cast(Any, "other"))

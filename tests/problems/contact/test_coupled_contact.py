@@ -23,6 +23,7 @@ def test_without_an_offset_the_contact_is_that_of_the_axis_alone(surface: PointS
     alone = simulate_contact(pair, LAWS[0], approach)
     # The force is looked at four times in a sample: of a swing of 30 Hz 0.02 rad before its top at most.
     assert found.peak_contact_force_n == pytest.approx(alone.peak_contact_force_n, rel=3e-4)
+    assert found.time_of_peak_s == pytest.approx(alone.time_of_peak_s, abs=PERIOD_S / 8.0)
     assert found.peak_sensor_force_n == pytest.approx(alone.peak_sensor_force_n, rel=1e-6)
     assert found.approach_speed_m_s == pytest.approx(alone.contact_speed_m_s, rel=1e-6)
     assert found.rest_n == pytest.approx(alone.driving_force_n, rel=1e-6)
