@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from matplotlib.collections import QuadMesh
+from matplotlib.contour import ContourSet
 from matplotlib.figure import Figure
 
 from autotune.charts import bokeh_renderer, matplotlib_renderer
@@ -25,7 +27,7 @@ from autotune.charts.chart import (
     decimate,
     level_panels,
 )
-from autotune.charts.matplotlib_renderer import draw
+from autotune.charts.matplotlib_renderer import draw, draw_element
 from autotune.charts.palette import colour_variables, dark_colours
 from autotune.report.page import build_legend
 from autotune.report.stills import draw_stills, fitted_limits
@@ -251,3 +253,25 @@ def test_numbers_of_classes_have_no_ticks_between_them(count: int) -> None:
     assert all(float(tick).is_integer() for tick in shown)
     ticker = bokeh_renderer.draw_panel(panel, False).xaxis[0].ticker
     assert ticker.min_interval == 1.0
+
+
+@pytest.mark.parametrize("spacing", ["linear", "log"])
+def test_lines_of_equal_value_lie_where_the_values_are_theirs(spacing: Any) -> None:
+    x, y = np.linspace(1.0, 9.0, 33), np.linspace(0.0, 1.0, 5)
+    values = np.outer(np.ones(5), x)
+    values[4, 20] = np.nan
+    heat = Heat(x=x, y=y, values=values, label="force", smooth=True, spacing=spacing, limits=(1.0, 8.0))
+    axes = Figure().add_subplot()
+    draw_element(heat, axes)
+    (lines,) = (each for each in axes.collections if isinstance(each, ContourSet))
+    # The values are x, so each line is upright; none lies at an end of the colours or beyond.
+    assert np.size(lines.levels) >= 2
+    assert all(1.0 < level < 8.0 for level in lines.levels)
+    for level, path in zip(lines.levels, lines.get_paths(), strict=True):
+        np.testing.assert_allclose(np.asarray(path.vertices)[:, 0], level, rtol=1e-9)
+    assert {text.get_text() for text in axes.texts} <= {f"{level:.3g}" for level in lines.levels}
+    (colours,) = (each for each in axes.collections if isinstance(each, QuadMesh))
+    # What is above the limits has their colour, and no hole is left between the colours.
+    drawn = np.asarray(colours.get_array())
+    assert (float(np.min(drawn)), float(np.max(drawn))) == (1.0, 8.0)
+    assert not np.any(np.isnan(drawn))
