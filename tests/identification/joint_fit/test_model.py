@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.signal import lsim
 
-from identification.joint_fit.kernel import MOST_TAKEN, pressing, switch
+from identification.joint_fit.kernel import MOST_TAKEN, pressing, returns_at_once, switch
 from identification.joint_fit.model import ParameterLayout, body, held, payload_step, robot_model
 from identification.joint_fit.noise import Smoother
 from identification.joint_fit.path import commanded_path, measured_path
@@ -139,6 +139,23 @@ def test_an_impact_with_mass_keeps_the_momentum() -> None:
     assert touching
     assert state[1] == pytest.approx(0.75e-3, rel=1e-3)
     np.testing.assert_array_equal(state[2:], state[:2])
+
+
+@pytest.mark.parametrize("radians", [0.5, 2.0, 5.0])
+def test_an_environment_that_was_left_swings_back_as_a_damped_spring_does(radians: float) -> None:
+    """Within one sample, beside a payload that is far away and hardly moves."""
+    ratio, mass, start = 0.1, 0.5, 1e-3
+    surface = np.array([radians**2 * mass, 2.0 * ratio * radians * mass, mass])
+    of = body(np.array([1e-6, 0.0, 0.0, 6.0]), surface, 1.0)
+    assert not returns_at_once(of)
+    state = np.array([-1.0, 0.0, start, 0.0])
+    touching, steps = switch(state, (-1.0, 0.0, -1.0, 0.0), of, False, np.empty((MOST_TAKEN, 2)))
+    assert not touching
+    assert steps >= radians / 0.15
+    damped = radians * np.sqrt(1.0 - ratio**2)
+    swing = np.exp(-ratio * radians) * (np.cos(damped) + ratio * radians / damped * np.sin(damped))
+    # Steps of 0.15 rad by the fourth-order rule: 1e-6 of the amplitude each.
+    assert state[2] == pytest.approx(start * swing, abs=1e-4 * start)
 
 
 def test_a_step_in_contact_is_one_in_free_space_with_the_environment_added() -> None:
