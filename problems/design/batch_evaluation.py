@@ -34,8 +34,10 @@ from .batch_kernel import (
     VERDICT,
     Band,
     Contacts,
+    Loops,
     Plants,
     evaluate_designs,
+    find_contact_peaks,
     find_moduli,
     find_speed_noises,
     stack_contacts,
@@ -45,7 +47,8 @@ from .batch_kernel import (
 )
 from .evaluation import Evaluation, PreparedScenarios
 from .objectives import admittance_target
-from .requirements import HeldByHand, NoiseLimit, Requirements, target_response
+from .requirements import ContactAtSpeed, HeldByHand, NoiseLimit, Requirements, target_response
+from .requirements.contact_at_speed import led_contacts
 from .requirements.held_by_hand import held_plants
 from .stable_design import StableDesign
 
@@ -57,8 +60,8 @@ _MARGINS = {
 }
 EVERY_REQUIREMENT = "all requirements"
 """The goal that combines all requirements: the worst required/achieved of any."""
-_HELD, _NOISE = "held_by_hand", "command_noise"
-_FAST = (*_MARGINS, "free_space_admittance", "max_peak_force_n", _HELD, _NOISE)
+_HELD, _NOISE, _LED = "held_by_hand", "command_noise", "contact_at_speed"
+_FAST = (*_MARGINS, "free_space_admittance", "max_peak_force_n", _HELD, _NOISE, _LED)
 _CROSSOVERS = ("gain_margin_db", "phase_margin_deg", "delay_margin_s")
 
 _KIND = attrgetter("discretization", "compensation", "compensation_mass_kg")
@@ -148,7 +151,8 @@ class BatchEvaluation:
 class BatchEvaluator:
     """Prepared scenarios as the compiled loop takes them; `slow` are requirements that it does not know.
 
-    `held` are all plants in all hands, one plant after the other, where a modulus with a hand is asked for.
+    `held` are all plants in all hands, one plant after the other, where a modulus with a hand is asked for; `led` the
+    contacts that are led by hand where their peak is limited, those without the hand's mass first.
 
     With a `goal` that requirement is minimised in place of the objective, see `BatchEvaluation.towards`, and every
     design is evaluated in full; contacts are simulated only where a requirement asks for their peaks.
@@ -161,6 +165,7 @@ class BatchEvaluator:
     required: tuple[FloatArray, float, bool]
     slow: tuple[str, ...]
     held: Plants | None = None
+    led: tuple[Loops, Contacts] | None = None
     goal: str | None = None
 
     def evaluate(
@@ -204,13 +209,15 @@ class BatchEvaluator:
             self._ask_noise(limit, found, looked_at, designs, numbers, sampling)
         if self.held is not None and len(looked_at := _looked_at(found, everywhere=margins_if_missed)):
             self._ask_hands(self.held, found, looked_at, numbers, sampling)
+        if self.led is not None and len(looked_at := _looked_at(found, everywhere=margins_if_missed)):
+            self._ask_led(self.led, found, looked_at, designs, numbers, sampling)
         missed, is_slow = found.violation > 0.0, bool(self.slow) or self._has_slow_objective
         for i in range(len(designs)):
             if whole[i, VERDICT] == DOUBTFUL:
                 _settle(found, i, self.prepared.evaluate(designs[i], peaks_if_missed=peaks_if_missed))
             elif is_slow and found.is_stable[i] and (margins_if_missed or not missed[i]):
                 self._evaluate_slowly(found, i, problem.controller(designs[i]))
-        if not peaks_if_missed and (self.slow or limit is not None or self.held is not None):
+        if not peaks_if_missed and (self.slow or limit is not None or self.held is not None or self.led is not None):
             found.objective_rows[found.violation > 0.0] = np.inf
         return found if self.goal is None else found.towards(self.goal)
 
@@ -252,6 +259,28 @@ class BatchEvaluator:
         least = np.min(np.nan_to_num(moduli).reshape(len(looked_at), count, -1), axis=2)
         rows = found.soft_rows if _HELD in asked.soft_n else found.rows
         rows[_HELD][looked_at] = _hands_of(asked).min_modulus / np.maximum(least, 1e-300)
+
+    def _ask_led(
+        self,
+        led: tuple[Loops, Contacts],
+        found: BatchEvaluation,
+        looked_at: IntArray,
+        designs: FloatArray,
+        numbers: FloatArray,
+        sampling: tuple[float, float, bool],
+    ) -> None:
+        """Write the peaks of contacts that are led by hand of the designs that are looked at."""
+        asked, (loops, contacts) = self.prepared.problem.requirements, led
+        limit = _led_limit(asked)
+        peaks = np.empty((len(looked_at), len(contacts[2])))
+        longest = longest_run(self.prepared.problem.sample_time_s)
+        find_contact_peaks(loops, contacts, numbers[looked_at], sampling, limit.approach.numbers(), longest, peaks)
+        worst = np.max(peaks.reshape(len(looked_at), -1, len(self.prepared.pairs)), axis=1)
+        rows = found.soft_rows if _LED in asked.soft_n else found.rows
+        rows[_LED][looked_at] = worst / limit.max_force_n
+        for i in looked_at[np.isnan(worst).any(axis=1)].tolist():
+            law = self.prepared.problem.controller(designs[i])
+            rows[_LED][i] = asked.kind(_LED).ratios(limit, StableDesign(self.prepared, law))
 
     @property
     def _has_contacts(self) -> bool:
@@ -310,7 +339,7 @@ class BatchEvaluator:
         if asked.max_peak_force_n is not None:
             # Without a peak another requirement is missed anyway.
             rows["max_peak_force_n"] = np.nan_to_num(by_pair[:, :, PEAK_CONTACT] / asked.max_peak_force_n, nan=0.0)
-        written_later = [each for each in asked.asked() if each in (*self.slow, _HELD, _NOISE)]
+        written_later = [each for each in asked.asked() if each in (*self.slow, _HELD, _NOISE, _LED)]
         rows |= {name: np.zeros((len(whole), asked.kind(name).count(self.prepared))) for name in written_later}
         for value in rows.values():
             value[unstable] = np.nan
@@ -359,6 +388,7 @@ def build_batch_evaluator(prepared: PreparedScenarios) -> BatchEvaluator:
         required=(margins, 0.0 if wanted is None else wanted.min_m_s_per_n, crosses),
         slow=tuple(name for name in asked.asked() if name not in _FAST),
         held=_stack_held(prepared) if _HELD in asked.asked() else None,
+        led=_stack_led(prepared) if _LED in asked.asked() else None,
     )
 
 
@@ -373,6 +403,20 @@ def _stack_held(prepared: PreparedScenarios) -> Plants:
     asked = _hands_of(prepared.problem.requirements)
     held = [each for plant in prepared.plants for each in held_plants(asked, plant.sampled)]
     return stack_loops([each.sampled for each in held]), stack_responses(held), stack_grids(held)
+
+
+def _led_limit(asked: Requirements) -> ContactAtSpeed:
+    limit = asked.further[_LED]
+    assert isinstance(limit, ContactAtSpeed)  # the requirement of that name
+    return limit
+
+
+def _stack_led(prepared: PreparedScenarios) -> tuple[Loops, Contacts]:
+    """Return all contacts as a hand leads them, as `find_contact_peaks` takes them."""
+    asked = _led_limit(prepared.problem.requirements)
+    by_hand = zip(*(led_contacts(pair, asked.hand, asked.hand_mass_kg) for pair in prepared.pairs), strict=True)
+    led = [each for contacts in by_hand for each in contacts]
+    return stack_loops([each.contact for each in led] + [each.free for each in led]), stack_contacts(led)
 
 
 def _wrench_gain(target: PlantResponse) -> FloatArray | float:

@@ -217,6 +217,36 @@ def find_speed_noises(
             out[i, j] = command_speed_rms(plant, first[j], controller, degree, (h, theta), noises)
 
 
+@released
+def find_contact_peaks(
+    loops: Loops,
+    contacts: Contacts,
+    designs: FloatArray,
+    sampling: tuple[float, float, bool],
+    approach: tuple[float, float, bool, float],
+    longest: int,
+    out: FloatArray,
+) -> None:
+    """Fill `out` (m, s) with peaks on the environment of designs (m, 7 or 11): infinite if unstable, NaN if doubtful.
+
+    `loops` are those of the contacts, then those of each before it touches.
+    """
+    h, theta, ideal = sampling
+    controller, work, peaks = np.zeros((3, CONTROLLER_POWERS)), polynomial_workspace(loops), np.empty(PEAK_COLUMNS)
+    traces, count = Traces(np.empty(longest), np.empty(longest)), out.shape[1]
+    for i in range(len(designs)):
+        degree = controller_polynomials(designs[i], ideal, controller)
+        blocks = blocks_of(designs[i], h, theta, ideal)
+        for j in range(count):
+            touching = judge_loop(loops, j, controller, degree, h, theta, work)
+            free = judge_loop(loops, count + j, controller, degree, h, theta, work)
+            if touching != STABLE or free != STABLE:
+                out[i, j] = np.nan if DOUBTFUL in (touching, free) else np.inf
+                continue
+            simulate_pair(contacts, j, blocks, designs[i, DAMPING], h, approach, traces, peaks)
+            out[i, j] = peaks[PEAK_CONTACT]
+
+
 @compiled
 def _keep_margins(found: FloatArray, required: FloatArray, row: FloatArray) -> bool:
     """Write a loop's margins into a row and return whether one is missed, as one that is not a number is."""
