@@ -34,6 +34,7 @@ from autotune.validation.validation_samples import sampled_claims
 from identification.errors import EstimateError
 from identification.result import Identified, Status
 from problems.contact.nonlinearities import DeadbandType
+from problems.design.batch_evaluation import batch_led_peaks
 from problems.design.driving_hand import REACTION_S, largest_driven_peak
 from problems.design.evaluation import PlantMargins, build_scenarios
 from problems.design.hand import HandImpedance
@@ -44,7 +45,6 @@ from problems.design.requirements import (
     hand_approach,
     led_contacts,
     led_mass_kg,
-    led_peaks,
     smallest_admittance,
 )
 from problems.design.stable_design import Peak
@@ -214,12 +214,11 @@ def _peak_per_speed(
     pairs = build_scenarios(result.problem, tuple(dict.fromkeys(every))).pairs
     mass = led_mass_kg(result.problem.requirements.asked(), LEVER_M if name in ROTATIONAL_AXES else 1.0)
     worst = dict.fromkeys(HANDS, 0.0)
-    for pair in pairs:
-        alone, *held = led_contacts(pair, "holds", mass)
-        for led, hands in ((alone, HANDS), *((each, ("holds",)) for each in held)):
-            forces = led_peaks(led, controller, [hand_approach(_LED_M_S, hand) for hand in hands])
-            for hand, force in zip(hands, forces, strict=True):
-                worst[hand] = max(worst[hand], force / _LED_M_S)
+    alone, *held = zip(*(led_contacts(pair, "holds", mass) for pair in pairs), strict=True)
+    for led, hands in ((alone, HANDS), *((each, ("holds",)) for each in held)):
+        forces = batch_led_peaks(led, controller, [hand_approach(_LED_M_S, hand) for hand in hands])
+        for hand, force in zip(hands, forces.max(axis=1).tolist(), strict=True):
+            worst[hand] = max(worst[hand], force / _LED_M_S)
     found = PeakPerSpeed.of(worst, mass)
     hardest = max(peaks, key=attrgetter("peak_contact_force_n")).scenario
     return replace(found, **_driven(result, hardest, controller, certified_hand(name, result.problem)))

@@ -12,7 +12,7 @@ from operator import attrgetter
 import numpy as np
 
 from ..arrays import BoolArray, FloatArray, IntArray
-from ..contact.transient import longest_run
+from ..contact.transient import Approach, SampledContact, longest_run
 from ..errors import ParameterError
 from ..model.controller import THETA, AdmittanceController
 from ..model.response import PlantResponse
@@ -48,7 +48,7 @@ from .batch_kernel import (
 from .evaluation import Evaluation, PreparedScenarios
 from .objectives import admittance_target
 from .requirements import ContactAtSpeed, HeldByHand, NoiseLimit, Requirements, target_response
-from .requirements.contact_at_speed import led_contacts
+from .requirements.contact_at_speed import led_contacts, led_peaks
 from .requirements.held_by_hand import held_plants
 from .stable_design import StableDesign
 
@@ -415,8 +415,27 @@ def _stack_led(prepared: PreparedScenarios) -> tuple[Loops, Contacts]:
     """Return all contacts as a hand leads them, as `find_contact_peaks` takes them."""
     asked = _led_limit(prepared.problem.requirements)
     by_hand = zip(*(led_contacts(pair, asked.hand, asked.hand_mass_kg) for pair in prepared.pairs), strict=True)
-    led = [each for contacts in by_hand for each in contacts]
-    return stack_loops([each.contact for each in led] + [each.free for each in led]), stack_contacts(led)
+    return _stack_judged([each for contacts in by_hand for each in contacts])
+
+
+def _stack_judged(contacts: Sequence[SampledContact]) -> tuple[Loops, Contacts]:
+    sides = [each.contact for each in contacts] + [each.free for each in contacts]
+    return stack_loops(sides), stack_contacts(contacts)
+
+
+def batch_led_peaks(
+    contacts: Sequence[SampledContact], law: AdmittanceController, approaches: Sequence[Approach]
+) -> FloatArray:
+    """Return the peak forces on the environment [N] (a, s) of one law as `led_peaks` does, compiled."""
+    loops, stacked = _stack_judged(contacts)
+    h = contacts[0].free.sample_time_s
+    numbers, theta, ideal = controller_numbers([law])
+    out = np.empty((len(approaches), len(contacts)))
+    for row, approach in zip(out, approaches, strict=True):
+        find_contact_peaks(loops, stacked, numbers, (h, theta, ideal), approach.numbers(), longest_run(h), row[None])
+    for j in np.flatnonzero(np.isnan(out).any(axis=0)).tolist():
+        out[:, j] = led_peaks(contacts[j], law, approaches)
+    return out
 
 
 def _wrench_gain(target: PlantResponse) -> FloatArray | float:

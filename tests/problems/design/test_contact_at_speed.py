@@ -7,7 +7,16 @@ import pytest
 
 from problems.contact.nonlinear_simulation import Operator, simulate_operator
 from problems.contact.transient import Approach, build_sampled_contact, simulate_contact
-from problems.design.requirements import BODY_REGIONS, HANDS, ContactAtSpeed, Hand, hand_approach, led_contacts
+from problems.design.batch_evaluation import batch_led_peaks
+from problems.design.requirements import (
+    BODY_REGIONS,
+    HANDS,
+    ContactAtSpeed,
+    Hand,
+    hand_approach,
+    led_contacts,
+    led_peaks,
+)
 from problems.design.requirements.contact_at_speed import ContactAtSpeedLimit
 from problems.errors import ParameterError
 from problems.model.controller import AdmittanceController
@@ -70,6 +79,23 @@ def test_a_hand_that_holds_on_bounds_what_an_arm_does(stiffness: float) -> None:
     damped = held_peak(stiffness, 50.0, 3000.0, 5.0, speed)
     assert heavy > alone
     assert max(stiff, damped) < soft < 1.002 * heavy
+
+
+@pytest.mark.parametrize("damping", [1500.0, 400.0])
+def test_the_compiled_peaks_are_those_of_each_contact(damping: float) -> None:
+    """With little damping the payload is unstable on the stiff surfaces, where the force is no number."""
+    law = AdmittanceController(mass_kg=10.0, damping_n_s_per_m=damping, lead_s=0.02)
+    surfaces = (Environment(stiffness_n_per_m=each) for each in (1e3, 5e4, 5e5))
+    pairs = [build_sampled_contact(build_sampled_plant(PLANT.in_contact_with(each), 8e-4)) for each in surfaces]
+    contacts = [each for pair in pairs for each in led_contacts(pair, "holds", 5.0)]
+    approaches = [hand_approach(0.05, hand) for hand in HANDS]
+
+    found = batch_led_peaks(contacts, law, approaches)
+
+    expected = np.array([led_peaks(each, law, approaches) for each in contacts])
+    np.testing.assert_allclose(found.T, expected, rtol=1e-12)
+    assert bool(np.isinf(found).any()) is (damping < 1000.0)
+    assert np.isfinite(found).any()
 
 
 def test_a_part_of_the_body_stands_for_its_force() -> None:
