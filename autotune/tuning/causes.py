@@ -9,7 +9,7 @@ from autotune.errors import InfeasibleError
 from autotune.formats.canonical import lines_to_paste, place_to_paste
 from autotune.formats.records import record_tree, rename_axis_keys
 from autotune.formats.units import ROTATIONAL_AXES, axis_units
-from problems.design.batch_evaluation import EVERY_REQUIREMENT
+from problems.design.batch_result import EVERY_REQUIREMENT
 from problems.design.problem import DesignProblem
 from problems.model.plant_parameters import with_values
 from problems.model.robot import bandwidth_hz

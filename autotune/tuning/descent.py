@@ -12,6 +12,7 @@ from scipy.optimize import minimize
 
 from problems.arrays import FloatArray
 from problems.design.batch_evaluation import BatchEvaluator
+from problems.design.batch_result import BatchEvaluation
 from problems.design.requirements import LARGEST_SHARE
 from problems.frozen import FrozenDict
 
@@ -21,6 +22,8 @@ from .optimality import LEAST_RATIO, OBJECTIVE, near_keys, row_at, unit_widths
 BACKOFF = 2e-5
 """The share of every requirement that is kept in hand, for what a step along a curved limit misses."""
 _STEP = 1e-6
+# Of the exact polish: the square of it is no more than the rounding of a difference.
+_FINE_STEP = 1e-5
 # A descent that takes more is on a kink of a margin, where every further step is dear and small.
 SHORT_WAY = 12
 _TOLERANCE = 1e-8
@@ -32,9 +35,13 @@ _NONE: Mapping[str, float] = FrozenDict({})
 
 @dataclass(frozen=True, kw_only=True)
 class Descent:
-    """Where a descent ended, a point (n,) of the unit cube, and how many designs it evaluated."""
+    """Where a descent ended, a point (n,) of the unit cube, and how many designs it evaluated.
+
+    `missed` is by how much it misses what is asked there: 0 where it does not, infinite where it is unstable.
+    """
 
     unit: FloatArray
+    missed: float
     evaluations: int
 
 
@@ -78,7 +85,8 @@ def descend(
         constraints=[{"type": "ineq", "fun": slack, "jac": slack_gradients}],
         options={"maxiter": iterations, "ftol": _TOLERANCE},
     )
-    return Descent(unit=np.asarray(np.clip(found.x[:count], 0.0, 1.0)), evaluations=points.evaluations)
+    unit = np.asarray(np.clip(found.x[:count], 0.0, 1.0))
+    return Descent(unit=unit, missed=points.missed(unit), evaluations=points.evaluations)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,38 +109,58 @@ class _Points:
     ) -> None:
         self.screen, self.box, self.backoff, self.reserve = screen, box, backoff, reserve
         self.evaluations, self.scale, self.spares = 0, 1.0, np.zeros((0, 0))
-        highest = float(np.max(self._look(start[None])[0].costs))
-        self.scale = highest if np.isfinite(highest) else 1.0
+        self._found: dict[bytes, BatchEvaluation] = {}
         self._values: dict[bytes, _Rows] = {}
         self._gradients: dict[bytes, _Rows] = {}
+        highest = float(np.max(self._rows(self._evaluated(start))[0].costs))
+        self.scale = highest if np.isfinite(highest) else 1.0
 
     def values(self, unit: FloatArray) -> _Rows:
         """Return costs and slack at a point (n,)."""
         key = unit.tobytes()
         if key not in self._values:
-            self._values[key] = self._look(unit[None])[0]
+            self._values[key] = self._rows(self._evaluated(unit))[0]
         return self._values[key]
+
+    def missed(self, unit: FloatArray) -> float:
+        """Return by how much a point (n,) misses what is asked, without what is kept in hand."""
+        if not self._evaluated(unit).is_stable[0]:
+            return float("inf")
+        hard = ~np.any(self.spares > 0.0, axis=1)
+        return max(0.0, -float(np.min(self.values(unit).slack[hard], initial=0.0)) - self.reserve)
 
     def gradients(self, unit: FloatArray) -> _Rows:
         """Return forward differences at a point (n,), backward ones at an upper bound."""
         key = unit.tobytes()
         if key not in self._gradients:
-            here, steps = self.values(unit), np.where(unit + _STEP <= 1.0, _STEP, -_STEP)
-            there = self._look(unit + np.diag(steps))
+            steps = np.where(unit + _STEP <= 1.0, _STEP, -_STEP)
+            here, *there = self._beside(np.vstack([unit, unit + np.diag(steps)]))
             self._gradients[key] = _Rows(
                 costs=np.column_stack([each.costs - here.costs for each in there]) / steps,
                 slack=np.column_stack([each.slack - here.slack for each in there]) / steps,
             )
         return self._gradients[key]
 
-    def _look(self, units: FloatArray) -> list[_Rows]:
-        """Evaluate points (m, n); an unstable one is a plain wall to the line search."""
-        found = self.screen.evaluate(self.box.design(units), peaks_if_missed=True)
-        self.evaluations += len(units)
+    def _evaluated(self, unit: FloatArray) -> BatchEvaluation:
+        """Evaluate a point (n,), once."""
+        key = unit.tobytes()
+        if key not in self._found:
+            self._found[key] = self.screen.evaluate(self.box.design(unit[None]), peaks_if_missed=True)
+            self.evaluations += 1
+        return self._found[key]
+
+    def _beside(self, units: FloatArray) -> list[_Rows]:
+        """Evaluate points (m, n) by small steps from the first of them."""
+        known = self._evaluated(units[0])
+        self.evaluations += len(units) - 1
+        return self._rows(self.screen.evaluate_beside(known, self.box.design(units)))
+
+    def _rows(self, found: BatchEvaluation) -> list[_Rows]:
+        """Return costs and slack of points that are evaluated; an unstable one is a plain wall to the line search."""
         stable = found.is_stable[:, None]
         rows = [1.0 - value * (1.0 + self.backoff.get(name, 0.0)) for name, value in found.rows.items()]
         rows += [1.0 - value for value in found.soft_rows.values()]
-        slack = np.hstack([np.zeros((len(units), 0)), *rows])
+        slack = np.hstack([np.zeros((len(stable), 0)), *rows])
         owners = np.repeat(np.arange(len(rows)), [row.shape[1] for row in rows]) - len(found.rows)
         self.spares = (owners[:, None] == np.arange(len(found.soft_rows))).astype(np.float64)
         costs = np.where(stable, found.objective_rows / self.scale, _WALL)
@@ -169,7 +197,7 @@ class LocalProblem:
 
     x is the move (n,) in the variables of `optimality`, at most 1 %, then t and a w per soft requirement, which has
     c_j ≤ w and w ≥ 0: its price times e^w − 1 is added to the cost. Rows are the costs and requirements within 1 % of
-    their limits. `moves` are the bounds of the moves, `prices` (N) those of the soft requirements.
+    their limits, named by `keys`. `moves` are the bounds of the moves, `prices` (N) those of the soft requirements.
     """
 
     def __init__(
@@ -179,17 +207,18 @@ class LocalProblem:
         self._screen, self._design = screen, design
         self._widths, self._bounds = unit_widths(problem, design), bounds_of(problem)
         self._linear = linear_variables(problem)
-        self._keys = near_keys(screen.prepared, design, _NEAR)
-        prices = {name: price for name, price in problem.requirements.soft_n.items() if name in dict(self._keys)}
+        self.keys = near_keys(screen.prepared, design, _NEAR)
+        self._found: dict[bytes, BatchEvaluation] = {}
+        prices = {name: price for name, price in problem.requirements.soft_n.items() if name in dict(self.keys)}
         self._held = np.array(
             [
                 0.0 if name == OBJECTIVE or name in prices else reserve + np.log1p(backoff.get(name, 0.0))
-                for name, _ in self._keys
+                for name, _ in self.keys
             ]
         )
         # Which of t and the w each row is held under.
         self._under = np.array(
-            [[name == owner for owner in (OBJECTIVE, *prices)] for name, _ in self._keys], dtype=np.float64
+            [[name == owner for owner in (OBJECTIVE, *prices)] for name, _ in self.keys], dtype=np.float64
         )
         self.prices = np.array(list(prices.values()), dtype=np.float64)
         self.moves = _moves(screen, design, self._widths)
@@ -216,20 +245,43 @@ class LocalProblem:
     def slack_gradients(self, x: FloatArray) -> FloatArray:
         """Return the gradients of `slack` (k, len(x))."""
         here = self.at(x[: len(self._design)])
-        rows = [row_at(self._screen.prepared, here, key).gradient for key in self._keys]
+        if self._screen.is_compiled:
+            return np.column_stack([-self._differences(here), self._under])
+        rows = [row_at(self._screen.prepared, here, key).gradient for key in self.keys]
         return np.column_stack([-np.array(rows), self._under])
+
+    def _differences(self, here: FloatArray) -> FloatArray:
+        """Return the gradients of the rows (k, n) by the moves: central differences, one-sided at 0."""
+        widths = unit_widths(self._screen.prepared.problem, here)
+        steps = np.diag(_FINE_STEP * widths)
+        above, below = here + steps, np.maximum(here - steps, 0.0)
+        found = self._screen.evaluate_beside(self._evaluated(here), np.vstack([here, above, below]))
+        _, *rows = self._logarithms(found)
+        span = np.diag(above - below) / np.where(widths > 0.0, widths, 1.0)
+        count = len(here)
+        risen = np.array(rows[:count]) - np.array(rows[count:])
+        return np.asarray(np.where(widths > 0.0, risen.T / np.where(widths > 0.0, span, 1.0), 0.0))
 
     def _values(self, design: FloatArray) -> FloatArray:
         """Return the logarithms of the rows (k,), by the compiled screen; a wall where unstable."""
-        found = self._screen.evaluate(design[None], peaks_if_missed=True)
-        if not found.is_stable[0]:
-            return np.full(len(self._keys), _WALL)
+        return self._logarithms(self._evaluated(design))[0]
+
+    def _evaluated(self, design: FloatArray) -> BatchEvaluation:
+        """Evaluate a design (n,), once."""
+        key = design.tobytes()
+        if key not in self._found:
+            self._found[key] = self._screen.evaluate(design[None], peaks_if_missed=True)
+        return self._found[key]
+
+    def _logarithms(self, found: BatchEvaluation) -> FloatArray:
+        """Return the logarithms of the rows (m, k) of designs that are evaluated; a wall where unstable."""
         rows = {
             name: np.clip(row, LEAST_RATIO, LARGEST_SHARE)
             for name, row in (*found.rows.items(), *found.soft_rows.items())
         }
         rows[OBJECTIVE] = found.objective_rows
-        return np.log([rows[name][0, index] for name, index in self._keys])
+        logarithms = np.log(np.column_stack([rows[name][:, index] for name, index in self.keys]))
+        return np.where(found.is_stable[:, None], logarithms, _WALL)
 
 
 def _log_of_sum(levels: FloatArray, shares: FloatArray, count: int) -> tuple[float, FloatArray]:

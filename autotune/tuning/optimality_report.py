@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 
 from problems.arrays import FloatArray
-from problems.design.batch_evaluation import BatchEvaluation, build_batch_evaluator
+from problems.design.batch_evaluation import build_batch_evaluator
+from problems.design.batch_result import BatchEvaluation
 from problems.design.objectives import Objective, PeakObjective
 from problems.design.problem import DesignProblem
 from problems.sobol import sobol_points

@@ -8,7 +8,7 @@ import numpy as np
 
 from autotune.errors import InfeasibleError
 from problems.arrays import FloatArray
-from problems.design.batch_evaluation import EVERY_REQUIREMENT
+from problems.design.batch_result import EVERY_REQUIREMENT
 from problems.design.problem import VARIABLES, DesignProblem, Requirements
 from problems.design.uncertainty import Scenario
 from problems.progress import ProgressSlice, no_progress

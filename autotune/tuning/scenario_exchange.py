@@ -239,6 +239,18 @@ def scenarios_of(
     return (*found, *margin_scenarios(dict.fromkeys(names, np.inf), margins))
 
 
+def missing_scenarios(
+    whole: WholeSet, design: FloatArray, exact: Evaluation, margins: tuple[PlantMargins, ...]
+) -> tuple[Scenario, ...]:
+    """Return the scenarios in which a design is unstable, or misses a requirement most."""
+    if not exact.is_stable:
+        # Stability is cheap to ask, so the grid joins too.
+        unstable = whole.unstable(whole.problem.controller(design))
+        return (*unstable, *whole.problem.scenarios(DENSE_STIFFNESS, 2))
+    missing = [name for name, value in exact.requirements.items() if value > 1.0]
+    return scenarios_of(whole, exact, margins, missing) if missing else ()
+
+
 def margin_scenarios(
     ratios: Mapping[str, float], margins: tuple[PlantMargins, ...], limit: float = 1.0
 ) -> tuple[Scenario, ...]:

@@ -8,7 +8,8 @@ from scipy.optimize import OptimizeResult, differential_evolution
 
 from autotune.errors import AutotuneError, InfeasibleError
 from problems.arrays import FloatArray
-from problems.design.batch_evaluation import BatchEvaluation, BatchEvaluator, build_batch_evaluator
+from problems.design.batch_evaluation import BatchEvaluator, build_batch_evaluator
+from problems.design.batch_result import BatchEvaluation
 from problems.design.evaluation import Evaluation, PlantMargins, PreparedScenarios, build_scenarios
 from problems.design.problem import BIQUAD_VARIABLES, DesignProblem
 from problems.design.uncertainty import Scenario
@@ -18,14 +19,13 @@ from problems.stability.margins import UnstableLoopError
 from .bounds import Box, presentable, spread_out, without_lead
 from .descent import BACKOFF, SHORT_WAY, descend, polish_exactly
 from .scenario_exchange import (
-    DENSE_STIFFNESS,
     NOTHING,
     Counterexamples,
     ImpactTest,
     WholeSet,
     missed_elsewhere,
+    missing_scenarios,
     moved_scenario,
-    scenarios_of,
     softly_missed_scenarios,
     worst_scenarios,
 )
@@ -36,8 +36,9 @@ _ROUNDS = 8
 # Rounds in which a scenario that joins is given the chance to ask for itself, before more is asked of all.
 _PATIENT = 2
 _POLISH_STARTS, _OTHER_VALLEYS = 3, 6
-# Eight numbers take a longer way, begun anew halfway: the curvature that was learnt far off misleads at its end.
-_WITH_BIQUAD = (20, 20)
+# Eight numbers take a longer way, begun anew halfway: the curvature that was learnt far off misleads at its end. One
+# that ends a little outside of what is asked goes on.
+_WITH_BIQUAD, _LEGS, _MOST_LEGS = 20, 2, 5
 _SAME, _NEAR, _FAR = 1e-3, 0.1, 0.45
 # What six digits may cost a requirement.
 _RESERVE = 5e-6
@@ -138,25 +139,13 @@ def solve_design(
                 evaluations=search.evaluations,
                 steps=tuple(search.steps),
             )
-        joined = tuple(dict.fromkeys((*active, *worse, *_missing_scenarios(whole, design, exact, margins))))
+        joined = tuple(dict.fromkeys((*active, *worse, *missing_scenarios(whole, design, exact, margins))))
         # A scenario that joins asks for itself; what is asked for more stays, also once it no longer binds.
         if missed <= _HAIR or len(joined) == len(active):
             asks = round_index < _PATIENT and len(joined) > len(active)
             search.tighten(exact, but=missed_elsewhere(exact, margins, active) if asks else ())
         active = joined
     raise _unsettled(exact)
-
-
-def _missing_scenarios(
-    whole: WholeSet, design: FloatArray, exact: Evaluation, margins: tuple[PlantMargins, ...]
-) -> tuple[Scenario, ...]:
-    """Return the scenarios in which a design is unstable, or misses a requirement most."""
-    if not exact.is_stable:
-        # Stability is cheap to ask, so the grid joins too.
-        unstable = whole.unstable(whole.problem.controller(design))
-        return (*unstable, *whole.problem.scenarios(DENSE_STIFFNESS, 2))
-    missing = [name for name, value in exact.requirements.items() if value > 1.0]
-    return scenarios_of(whole, exact, margins, missing) if missing else ()
 
 
 def _unsettled(last: Evaluation) -> InfeasibleError:
@@ -407,10 +396,13 @@ class Search:
     def local(self, screen: BatchEvaluator, start: FloatArray) -> FloatArray:
         """Descend from a point, with what the grid flattered asked for."""
         unit = start
-        for iterations in _WITH_BIQUAD if self.has_biquad else (SHORT_WAY,):
+        for leg in range(_MOST_LEGS if self.has_biquad else 1):
+            iterations = _WITH_BIQUAD if self.has_biquad else SHORT_WAY
             found = descend(screen, self.box, unit, backoff=self.backoff, iterations=iterations)
             unit = found.unit
             self.evaluations += found.evaluations
+            if leg + 1 >= _LEGS and not 0.0 < found.missed < _FAR_OFF:
+                break
         if not self.impacts:
             return unit
         return self.box.unit(self.impacts.walk_back(self.box.design(start), self.box.design(unit)))

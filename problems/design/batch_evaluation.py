@@ -4,33 +4,31 @@ The same equations as `problems.model.sampled`, `problems.stability.margins` and
 without their tables in between: the memory is that of the result and of the plants.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import chain
 from operator import attrgetter
 
 import numpy as np
 
-from ..arrays import BoolArray, FloatArray, IntArray
+from ..arrays import FloatArray, IntArray
 from ..contact.transient import Approach, SampledContact, longest_run
 from ..errors import ParameterError
 from ..model.controller import THETA, AdmittanceController
 from ..model.response import PlantResponse
 from ..model.sampled import SampledPlant, build_loop, spectral_radius
+from ..stability.margin_kernel import DELAY_S, GAIN_DB, MARGINS, MODULUS, PHASE_RAD
 from ..stability.margins import check_finite
 from ..stability.polynomials import DOUBTFUL, STABLE, UNSTABLE
 from .batch_kernel import (
     ADMITTANCE,
     COLUMNS,
-    DELAY_S,
     FAILED,
-    GAIN_DB,
-    MODULUS,
+    HELD_COLUMNS,
+    HELD_MODULUS,
     PEAK_COLUMNS,
     PEAK_CONTACT,
     PEAK_SENSOR,
-    PHASE_RAD,
-    PLANT_COLUMNS,
     VERDICT,
     Band,
     Contacts,
@@ -45,11 +43,13 @@ from .batch_kernel import (
     stack_loops,
     stack_responses,
 )
+from .batch_result import BatchEvaluation, Places
+from .batch_stacks import HELD, LED, hands_of, led_limit, stack_held, stack_judged, stack_led
 from .evaluation import Evaluation, PreparedScenarios
+from .nearby_kernel import evaluate_beside, find_moduli_beside
 from .objectives import admittance_target
-from .requirements import ContactAtSpeed, HeldByHand, NoiseLimit, Requirements, target_response
-from .requirements.contact_at_speed import led_contacts, led_peaks
-from .requirements.held_by_hand import held_plants
+from .requirements import NoiseLimit, target_response
+from .requirements.contact_at_speed import led_peaks
 from .stable_design import StableDesign
 
 _MARGINS = {
@@ -58,10 +58,8 @@ _MARGINS = {
     "phase_margin_deg": PHASE_RAD,
     "delay_margin_s": DELAY_S,
 }
-EVERY_REQUIREMENT = "all requirements"
-"""The goal that combines all requirements: the worst required/achieved of any."""
-_HELD, _NOISE, _LED = "held_by_hand", "command_noise", "contact_at_speed"
-_FAST = (*_MARGINS, "free_space_admittance", "max_peak_force_n", _HELD, _NOISE, _LED)
+_NOISE = "command_noise"
+_FAST = (*_MARGINS, "free_space_admittance", "max_peak_force_n", HELD, _NOISE, LED)
 _CROSSOVERS = ("gain_margin_db", "phase_margin_deg", "delay_margin_s")
 
 _KIND = attrgetter("discretization", "compensation", "compensation_mass_kg")
@@ -86,65 +84,6 @@ def check_alike(plants: Sequence[SampledPlant]) -> None:
         )
     for plant in plants:
         check_finite(plant)
-
-
-@dataclass(frozen=True, kw_only=True)
-class BatchEvaluation:
-    """Designs (m,): `radius` of the first plant found unstable, 0 where all are stable.
-
-    `rows` maps each requirement to required/achieved (m, k), plant by plant or scenario by scenario as it depends on
-    them: each column is smooth in the design, their maximum is not. NaN where unstable, 0 where not evaluated because
-    something is missed. `objective_rows` (m, s) are the costs of the objective, infinite where not evaluated.
-    `soft_rows` are those of `asked` that need not be met.
-    """
-
-    radius: FloatArray
-    rows: Mapping[str, FloatArray]
-    objective_rows: FloatArray
-    soft_rows: Mapping[str, FloatArray]
-    asked: Requirements
-
-    def towards(self, goal: str) -> "BatchEvaluation":
-        """Return the same with one requirement, or `EVERY_REQUIREMENT`, in place of the objective and soft ones."""
-        rows = dict(self.rows)
-        if goal == EVERY_REQUIREMENT:
-            sought, rows = np.hstack([np.zeros((len(self.radius), 1)), *rows.values()]), {}
-        else:
-            sought = rows.pop(goal)
-        costs = np.where(self.is_stable[:, None], sought, np.inf)
-        return replace(self, rows=rows, objective_rows=costs, soft_rows={})
-
-    @property
-    def is_stable(self) -> BoolArray:
-        """Which designs are stable in every scenario."""
-        return self.radius < 1.0
-
-    @property
-    def requirements(self) -> Mapping[str, FloatArray]:
-        """Required/achieved (m,), the worst of all scenarios."""
-        return {name: np.max(value, axis=1) for name, value in self.rows.items()}
-
-    @property
-    def cost(self) -> FloatArray:
-        """The objective's largest cost (m,), and what missed soft requirements add to it."""
-        return np.asarray(np.max(self.objective_rows, axis=1)) + self.penalty_n
-
-    @property
-    def penalty_n(self) -> FloatArray:
-        """What missed soft requirements cost (m,)."""
-        cost = np.zeros(len(self.radius))
-        for name, row in self.soft_rows.items():
-            cost += [self.asked.cost_n(name, float(ratio)) for ratio in np.max(row, axis=1)]
-        return cost
-
-    @property
-    def violation(self) -> FloatArray:
-        """By how much the worst requirement is missed: 0 where feasible, infinite where unstable."""
-        if not self.rows:
-            return np.where(self.is_stable, 0.0, np.inf)
-        worst = np.max(list(self.requirements.values()), axis=0)
-        missed = np.minimum(np.maximum(worst - 1.0, 0.0), np.finfo(np.float64).max)
-        return np.where(self.is_stable & ~np.isnan(worst), missed, np.inf)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -175,51 +114,112 @@ class BatchEvaluator:
 
         Of a stable design that misses a requirement the others are found too where `margins_if_missed`, all but a
         contact's, or `peaks_if_missed`, all. Where rounding could decide a verdict, and for requirements that no
-        compiled form has, that function is asked.
+        compiled form has, that function is asked. A feedback damping that is too small to be a value in seconds counts
+        here, so that all numbers go over into those without it, where that function jumps to them.
         """
-        problem, peaks_if_missed = self.prepared.problem, peaks_if_missed or self.goal is not None
+        peaks_if_missed = peaks_if_missed or self.goal is not None
         margins_if_missed = margins_if_missed or peaks_if_missed
-        first, numbers, h = problem.controller(designs[0]), problem.parameters(designs), problem.sample_time_s
-        sampling = (h, first.theta, first.is_ideal)
-        whole = np.empty((len(designs), COLUMNS))
-        by_plant = np.empty((len(designs), len(self.prepared.plants), PLANT_COLUMNS))
-        by_pair = np.empty((len(designs), len(self.prepared.pairs) if self._has_contacts else 0, PEAK_COLUMNS))
+        numbers, sampling = self._controllers(designs)
+        whole, _, _ = out = self._results(len(designs))
         evaluate_designs(
             self.plants,
             self.contacts,
             self.band,
             numbers,
             sampling,
-            problem.approach.numbers(),
-            longest_run(h),
+            self.prepared.problem.approach.numbers(),
+            longest_run(sampling[0]),
             self.required,
             (margins_if_missed, peaks_if_missed),
-            (whole, by_plant, by_pair),
+            out,
         )
-        hard, soft = self._rows(whole, by_plant, by_pair)
-        found = BatchEvaluation(
-            radius=self._radius(whole, designs),
-            rows=hard,
-            objective_rows=self._objective_rows(whole, by_plant, by_pair),
-            soft_rows=soft,
-            asked=problem.requirements,
-        )
-        limit = problem.requirements.command_noise
+        found = self._found(out, self._radius(whole, designs))
+        limit = self.prepared.problem.requirements.command_noise
         if limit is not None and len(looked_at := _looked_at(found, everywhere=margins_if_missed)):
             self._ask_noise(limit, found, looked_at, designs, numbers, sampling)
         if self.held is not None and len(looked_at := _looked_at(found, everywhere=margins_if_missed)):
             self._ask_hands(self.held, found, looked_at, numbers, sampling)
         if self.led is not None and len(looked_at := _looked_at(found, everywhere=margins_if_missed)):
             self._ask_led(self.led, found, looked_at, designs, numbers, sampling)
-        missed, is_slow = found.violation > 0.0, bool(self.slow) or self._has_slow_objective
-        for i in range(len(designs)):
-            if whole[i, VERDICT] == DOUBTFUL:
-                _settle(found, i, self.prepared.evaluate(designs[i], peaks_if_missed=peaks_if_missed))
-            elif is_slow and found.is_stable[i] and (margins_if_missed or not missed[i]):
-                self._evaluate_slowly(found, i, problem.controller(designs[i]))
+        if not self.is_compiled:
+            for i in _looked_at(found, everywhere=margins_if_missed).tolist():
+                if whole[i, VERDICT] != DOUBTFUL:
+                    self._evaluate_slowly(found, i, self.prepared.problem.controller(designs[i]))
+        for i in np.flatnonzero(whole[:, VERDICT] == DOUBTFUL).tolist():
+            _settle(found, i, self.prepared.evaluate(designs[i], peaks_if_missed=peaks_if_missed))
         if not peaks_if_missed and (self.slow or limit is not None or self.held is not None or self.led is not None):
             found.objective_rows[found.violation > 0.0] = np.inf
         return found if self.goal is None else found.towards(self.goal)
+
+    def evaluate_beside(self, known: BatchEvaluation, designs: FloatArray) -> BatchEvaluation:
+        """Evaluate designs (m, n) a tiny step from the first of them, which was evaluated in full: for differences.
+
+        Every number is read where that of the first design was found, which is right but for the square of the step
+        (`problems.design.nearby_kernel`). Where that does not carry, all are evaluated as any others.
+        """
+        limit, places = self.prepared.problem.requirements.command_noise, known.places
+        if not (known.is_stable[0] and places.are_known[0]):
+            return self.evaluate(designs, peaks_if_missed=True)
+        numbers, sampling = self._controllers(designs)
+        out = self._results(len(designs))
+        evaluate_beside(
+            self.plants,
+            self.contacts,
+            self.band,
+            numbers,
+            sampling,
+            self.prepared.problem.approach.numbers(),
+            longest_run(sampling[0]),
+            (places.margins[0], places.peaks[0]),
+            out,
+        )
+        found, everywhere = self._found(out, np.zeros(len(designs))), np.arange(len(designs))
+        if limit is not None:
+            self._ask_noise(limit, found, everywhere, designs, numbers, sampling)
+        if self.held is not None:
+            moduli = np.empty((len(designs), len(self.prepared.plants)))
+            find_moduli_beside(self.held, numbers, sampling, places.hands[0], places.held[0], moduli)
+            self._write_hands(found, everywhere, moduli)
+        if self.led is not None:
+            self._ask_led(self.led, found, everywhere, designs, numbers, sampling)
+        for i in range(0 if self.is_compiled else len(designs)):
+            self._evaluate_slowly(found, i, self.prepared.problem.controller(designs[i]))
+        return found if self.goal is None else found.towards(self.goal)
+
+    def _controllers(self, designs: FloatArray) -> tuple[FloatArray, tuple[float, float, bool]]:
+        """Return the parameters of designs as the kernels take them, with period, θ and kind of compensation."""
+        problem = self.prepared.problem
+        first = problem.controller(designs[0])
+        numbers = problem.parameters(designs, first=first, keeps_small=True)
+        return numbers, (problem.sample_time_s, first.theta, first.is_ideal)
+
+    def _results(self, count: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the arrays of so many designs that `evaluate_designs` fills."""
+        pairs = len(self.prepared.pairs) if self._has_contacts else 0
+        return (
+            np.empty((count, COLUMNS)),
+            np.empty((count, len(self.prepared.plants), MARGINS)),
+            np.empty((count, pairs, PEAK_COLUMNS)),
+        )
+
+    def _found(self, out: tuple[FloatArray, FloatArray, FloatArray], radius: FloatArray) -> BatchEvaluation:
+        """Return what was written of designs, without the requirements that are asked one by one."""
+        whole, by_plant, by_pair = out
+        hard, soft = self._rows(whole, by_plant, by_pair)
+        shape = by_plant.shape[:2] if self.held is not None else (len(whole), 0)
+        return BatchEvaluation(
+            radius=radius,
+            rows=hard,
+            objective_rows=self._objective_rows(whole, by_plant, by_pair),
+            soft_rows=soft,
+            asked=self.prepared.problem.requirements,
+            places=Places(
+                margins=by_plant,
+                peaks=by_pair,
+                hands=np.zeros(shape, dtype=np.int64),
+                held=np.full((*shape, HELD_COLUMNS), np.nan),
+            ),
+        )
 
     def _ask_noise(
         self,
@@ -251,14 +251,21 @@ class BatchEvaluator:
         sampling: tuple[float, float, bool],
     ) -> None:
         """Write the least modulus in the hands of the designs that are looked at."""
-        asked = self.prepared.problem.requirements
         count = len(self.prepared.plants)
-        moduli = np.empty((len(looked_at), len(held[1])))
+        moduli = np.empty((len(looked_at), len(held[1]), HELD_COLUMNS))
         find_moduli(held, numbers[looked_at], sampling, moduli)
         # A verdict that rounding could turn counts as unstable: the exact evaluation has the last word.
-        least = np.min(np.nan_to_num(moduli).reshape(len(looked_at), count, -1), axis=2)
-        rows = found.soft_rows if _HELD in asked.soft_n else found.rows
-        rows[_HELD][looked_at] = _hands_of(asked).min_modulus / np.maximum(least, 1e-300)
+        of_hands = np.nan_to_num(moduli[:, :, HELD_MODULUS]).reshape(len(looked_at), count, -1)
+        hands = np.argmin(of_hands, axis=2) + np.arange(count) * of_hands.shape[2]
+        found.places.hands[looked_at] = hands
+        found.places.held[looked_at] = np.take_along_axis(moduli, hands[:, :, None], axis=1)
+        self._write_hands(found, looked_at, np.min(of_hands, axis=2))
+
+    def _write_hands(self, found: BatchEvaluation, looked_at: IntArray, least: FloatArray) -> None:
+        """Write the row of the least modulus in the hands (m, p) of designs."""
+        asked = self.prepared.problem.requirements
+        rows = found.soft_rows if HELD in asked.soft_n else found.rows
+        rows[HELD][looked_at] = hands_of(asked).min_modulus / np.maximum(least, 1e-300)
 
     def _ask_led(
         self,
@@ -271,20 +278,25 @@ class BatchEvaluator:
     ) -> None:
         """Write the peaks of contacts that are led by hand of the designs that are looked at."""
         asked, (loops, contacts) = self.prepared.problem.requirements, led
-        limit = _led_limit(asked)
+        limit = led_limit(asked)
         peaks = np.empty((len(looked_at), len(contacts[2])))
         longest = longest_run(self.prepared.problem.sample_time_s)
         find_contact_peaks(loops, contacts, numbers[looked_at], sampling, limit.approach.numbers(), longest, peaks)
         worst = np.max(peaks.reshape(len(looked_at), -1, len(self.prepared.pairs)), axis=1)
-        rows = found.soft_rows if _LED in asked.soft_n else found.rows
-        rows[_LED][looked_at] = worst / limit.max_force_n
+        rows = found.soft_rows if LED in asked.soft_n else found.rows
+        rows[LED][looked_at] = worst / limit.max_force_n
         for i in looked_at[np.isnan(worst).any(axis=1)].tolist():
             law = self.prepared.problem.controller(designs[i])
-            rows[_LED][i] = asked.kind(_LED).ratios(limit, StableDesign(self.prepared, law))
+            rows[LED][i] = asked.kind(LED).ratios(limit, StableDesign(self.prepared, law))
 
     @property
     def _has_contacts(self) -> bool:
         return self.goal is None or self.prepared.problem.requirements.max_peak_force_n is not None
+
+    @property
+    def is_compiled(self) -> bool:
+        """Whether the compiled loop knows all requirements and the objective."""
+        return not (self.slow or self._has_slow_objective)
 
     @property
     def _has_slow_objective(self) -> bool:
@@ -339,7 +351,7 @@ class BatchEvaluator:
         if asked.max_peak_force_n is not None:
             # Without a peak another requirement is missed anyway.
             rows["max_peak_force_n"] = np.nan_to_num(by_pair[:, :, PEAK_CONTACT] / asked.max_peak_force_n, nan=0.0)
-        written_later = [each for each in asked.asked() if each in (*self.slow, _HELD, _NOISE, _LED)]
+        written_later = [each for each in asked.asked() if each in (*self.slow, HELD, _NOISE, LED)]
         rows |= {name: np.zeros((len(whole), asked.kind(name).count(self.prepared))) for name in written_later}
         for value in rows.values():
             value[unstable] = np.nan
@@ -368,7 +380,7 @@ def build_batch_evaluator(prepared: PreparedScenarios) -> BatchEvaluator:
     target = target_response(prepared, admittance_target(asked)) if looks_at_band else None
     sampled = [plant.sampled for plant in prepared.plants]
     check_alike(sampled)
-    margins = np.zeros(PLANT_COLUMNS)
+    margins = np.zeros(MARGINS)
     for name, column in _MARGINS.items():
         margins[column] = 0.0 if name in asked.soft_n else getattr(asked, name) or 0.0
     margins[PHASE_RAD] = np.radians(margins[PHASE_RAD])
@@ -387,47 +399,16 @@ def build_batch_evaluator(prepared: PreparedScenarios) -> BatchEvaluator:
         else (target.frequency_rad_per_s * _wrench_gain(target), target.z, target.position),
         required=(margins, 0.0 if wanted is None else wanted.min_m_s_per_n, crosses),
         slow=tuple(name for name in asked.asked() if name not in _FAST),
-        held=_stack_held(prepared) if _HELD in asked.asked() else None,
-        led=_stack_led(prepared) if _LED in asked.asked() else None,
+        held=stack_held(prepared) if HELD in asked.asked() else None,
+        led=stack_led(prepared) if LED in asked.asked() else None,
     )
-
-
-def _hands_of(asked: Requirements) -> HeldByHand:
-    held = asked.further[_HELD]
-    assert isinstance(held, HeldByHand)  # the requirement of that name
-    return held
-
-
-def _stack_held(prepared: PreparedScenarios) -> Plants:
-    """Return all plants in all hands, as `find_moduli` takes them."""
-    asked = _hands_of(prepared.problem.requirements)
-    held = [each for plant in prepared.plants for each in held_plants(asked, plant.sampled)]
-    return stack_loops([each.sampled for each in held]), stack_responses(held), stack_grids(held)
-
-
-def _led_limit(asked: Requirements) -> ContactAtSpeed:
-    limit = asked.further[_LED]
-    assert isinstance(limit, ContactAtSpeed)  # the requirement of that name
-    return limit
-
-
-def _stack_led(prepared: PreparedScenarios) -> tuple[Loops, Contacts]:
-    """Return all contacts as a hand leads them, as `find_contact_peaks` takes them."""
-    asked = _led_limit(prepared.problem.requirements)
-    by_hand = zip(*(led_contacts(pair, asked.hand, asked.hand_mass_kg) for pair in prepared.pairs), strict=True)
-    return _stack_judged([each for contacts in by_hand for each in contacts])
-
-
-def _stack_judged(contacts: Sequence[SampledContact]) -> tuple[Loops, Contacts]:
-    sides = [each.contact for each in contacts] + [each.free for each in contacts]
-    return stack_loops(sides), stack_contacts(contacts)
 
 
 def batch_led_peaks(
     contacts: Sequence[SampledContact], law: AdmittanceController, approaches: Sequence[Approach]
 ) -> FloatArray:
     """Return the peak forces on the environment [N] (a, s) of one law as `led_peaks` does, compiled."""
-    loops, stacked = _stack_judged(contacts)
+    loops, stacked = stack_judged(contacts)
     h = contacts[0].free.sample_time_s
     numbers, theta, ideal = controller_numbers([law])
     out = np.empty((len(approaches), len(contacts)))

@@ -10,12 +10,16 @@ from ..compiled import compiled, released
 from ..contact.kernel import contact_forces, run_contact, steady_start
 from ..contact.kernel_types import (
     CONTACT_PEAK,
+    CONTACT_TIME,
     FOUND,
     MOVING,
     POSITION,
     SENSOR_PEAK,
+    SENSOR_TICK,
     Contact,
     Delay,
+    Forces,
+    Start,
     Traces,
     Wall,
 )
@@ -24,8 +28,19 @@ from ..model.controller import blocks_of
 from ..model.difference import DAMPING
 from ..model.response import controller_gains
 from ..model.sampled import SampledPlant
-from ..stability import margin_kernel
-from ..stability.margin_kernel import MARGINS, MODULUS_ALONE, WITH_CROSSOVERS, PolynomialLoop, find_loop_margins
+from ..stability.margin_kernel import (
+    DELAY_S,
+    GAIN_DB,
+    MARGINS,
+    MODULUS,
+    MODULUS_ALONE,
+    MODULUS_BREAK,
+    MODULUS_RAD_PER_S,
+    PHASE_RAD,
+    WITH_CROSSOVERS,
+    PolynomialLoop,
+    find_loop_margins,
+)
 from ..stability.margins import PreparedMargins, loop_polynomials
 from ..stability.polynomial_noise import command_speed_rms
 from ..stability.polynomials import (
@@ -53,13 +68,15 @@ Plants = tuple[Loops, FloatArray, Grids]
 # ω, z and x/x^d over the band of the admittance.
 Band = tuple[FloatArray, ComplexArray, ComplexArray]
 
-# Columns of a pair of controller and scenario, as `simulate_pair` writes them.
-PEAK_SENSOR, PEAK_CONTACT, PEAK_COLUMNS = 0, 1, 2
-# Columns of a design, and of each of its plants.
+# Columns of a pair of controller and scenario, as `simulate_pair` writes them: the peaks, and the samples until each,
+# AT_REST for a force that only creeps up to its value at rest.
+PEAK_SENSOR, PEAK_CONTACT, SENSOR_AT, CONTACT_AT, PEAK_COLUMNS = 0, 1, 2, 3, 4
+AT_REST = -1.0
+# Columns of a design; those of each of its plants are MARGINS, as `find_loop_margins` writes them.
 VERDICT, FAILED, ADMITTANCE, COLUMNS = 0, 1, 2, 3
-MODULUS, GAIN_DB, PHASE_RAD, DELAY_S, PLANT_COLUMNS = 0, 1, 2, 3, 4
-# Where a loop has them; plain numbers, for they belong to what the cache of a kernel is compared by.
-_OF_LOOP = (margin_kernel.MODULUS, margin_kernel.GAIN_DB, margin_kernel.PHASE_RAD, margin_kernel.DELAY_S)
+# Columns of a plant in a hand: the modulus, and where it was found.
+HELD_MODULUS, HELD_RAD_PER_S, HELD_BREAK, HELD_COLUMNS = 0, 1, 2, 3
+_NUMBERS = (MODULUS, GAIN_DB, PHASE_RAD, DELAY_S)
 
 
 @compiled
@@ -112,7 +129,27 @@ def simulate_pair(
     traces: Traces,
     out: FloatArray,
 ) -> None:
-    """Simulate the impact of one scenario and write its peaks into one row of a result."""
+    """Simulate the impact of one scenario until it has settled and write its peaks into one row of a result."""
+    plant, start, forces = begin_pair(contacts, j, blocks, damping, h, approach)
+    found = np.zeros(FOUND)
+    last = run_contact(plant, blocks, start, forces, traces, found, True) - 1
+    out[PEAK_SENSOR], out[PEAK_CONTACT] = found[SENSOR_PEAK], found[CONTACT_PEAK]
+    rests = found[SENSOR_TICK] == last and found[SENSOR_PEAK] == forces.desired
+    out[SENSOR_AT] = AT_REST if rests else found[SENSOR_TICK]
+    rests = found[CONTACT_TIME] == last and found[CONTACT_PEAK] == forces.desired + forces.push
+    out[CONTACT_AT] = AT_REST if rests else found[CONTACT_TIME]
+
+
+@compiled
+def begin_pair(
+    contacts: Contacts,
+    j: int,
+    blocks: FloatArray,
+    damping: float,
+    h: float,
+    approach: tuple[float, float, bool, float],
+) -> tuple[Contact, Start, Forces]:
+    """Return plant, start and forces of the impact of one scenario, as `run_contact` takes them."""
     (step, flow, rows, walls, ramps), delays, fractions, inside, offsets = contacts
     (whole, chain), n = (delays[j, 0], delays[j, 1]), step.shape[2]
     delay = Delay(whole, chain, fractions[j])
@@ -120,9 +157,7 @@ def simulate_pair(
     plant = Contact(step[j], flow[j], rows[j], inside[offsets[j] : offsets[j + 1]], delay, wall)
     speed, push, forces = contact_forces(approach, damping - ramps[j, MOVING, n + 1] * h)
     start = steady_start(ramps[j], rows[j, POSITION, :n], blocks, delay.chain, h, speed, push, damping * speed)
-    found = np.zeros(FOUND)
-    run_contact(plant, blocks, start, forces, traces, found, True)
-    out[PEAK_SENSOR], out[PEAK_CONTACT] = found[SENSOR_PEAK], found[CONTACT_PEAK]
+    return plant, start, forces
 
 
 @released
@@ -138,7 +173,7 @@ def evaluate_designs(
     if_missed: tuple[bool, bool],
     out: tuple[FloatArray, FloatArray, FloatArray],
 ) -> None:
-    """Fill `out` for designs (m, 7 or 11): (m, COLUMNS), by plant (m, p, PLANT_COLUMNS), scenario (m, s, PEAK_COLUMNS).
+    """Fill `out` for designs (m, 7 or 11): (m, COLUMNS), by plant (m, p, MARGINS), scenario (m, s, PEAK_COLUMNS).
 
     `plants` are those in contact, as many as `contacts` has, then those in free space. `required` has what must hold of
     each margin and of the admittance, 0 where nothing must, and whether crossovers are wanted. Of a design that misses
@@ -168,7 +203,7 @@ def evaluate_designs(
             continue
         blocks = blocks_of(designs[i], h, theta, ideal)
         by_plant[i] = np.inf
-        whole[i, ADMITTANCE] = _least_admittance(band, blocks)
+        whole[i, ADMITTANCE] = least_admittance(band, blocks)
         missed = whole[i, ADMITTANCE] < admittance
         # The cheap margin of all plants comes first: most designs miss it, and the rest of those is not needed.
         for depth in range(deepest if margins_if_missed else shallowest, deepest + 1):
@@ -186,7 +221,10 @@ def evaluate_designs(
 
 @released
 def find_moduli(plants: Plants, designs: FloatArray, sampling: tuple[float, float, bool], out: FloatArray) -> None:
-    """Fill `out` (m, p) with min |1 + L| of designs (m, 7 or 11) on plants: 0 where unstable, NaN where doubtful."""
+    """Fill `out` (m, p, HELD_COLUMNS) with min |1 + L| of designs (m, 7 or 11) on plants, and where it was found.
+
+    The modulus is 0 where unstable, NaN where doubtful.
+    """
     loops, responses, grids = plants
     h, theta, ideal = sampling
     controller, work, found = np.zeros((3, CONTROLLER_POWERS)), polynomial_workspace(loops), np.zeros(MARGINS)
@@ -195,11 +233,12 @@ def find_moduli(plants: Plants, designs: FloatArray, sampling: tuple[float, floa
         for j in range(len(responses)):
             verdict = judge_loop(loops, j, controller, degree, h, theta, work)
             if verdict != STABLE:
-                out[i, j] = 0.0 if verdict != DOUBTFUL else np.nan
+                out[i, j], out[i, j, HELD_MODULUS] = np.nan, 0.0 if verdict != DOUBTFUL else np.nan
                 continue
             loop = PolynomialLoop(responses[j], controller, degree, h, theta)
             find_loop_margins(loop, grid_of(grids, j), MODULUS_ALONE, found)
-            out[i, j] = found[_OF_LOOP[MODULUS]]
+            out[i, j, HELD_MODULUS] = found[MODULUS]
+            out[i, j, HELD_RAD_PER_S], out[i, j, HELD_BREAK] = found[MODULUS_RAD_PER_S], found[MODULUS_BREAK]
 
 
 @released
@@ -250,15 +289,15 @@ def find_contact_peaks(
 @compiled
 def _keep_margins(found: FloatArray, required: FloatArray, row: FloatArray) -> bool:
     """Write a loop's margins into a row and return whether one is missed, as one that is not a number is."""
-    missed = False
-    for column, of_loop in enumerate(_OF_LOOP):
-        row[column] = 0.0 if np.isnan(found[of_loop]) else found[of_loop]
+    row[:], missed = found, False
+    for column in _NUMBERS:
+        row[column] = 0.0 if np.isnan(found[column]) else found[column]
         missed = missed or row[column] < required[column]
     return missed
 
 
 @compiled
-def _least_admittance(band: Band, blocks: FloatArray) -> float:
+def least_admittance(band: Band, blocks: FloatArray) -> float:
     """Return min |G| [m/s/N] over the band, see `problems.model.response.rendered_admittance`."""
     omega, z, position = band
     least = np.inf

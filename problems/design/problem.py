@@ -174,14 +174,19 @@ class DesignProblem:
             **further,
         )
 
-    def parameters(self, designs: FloatArray) -> FloatArray:
+    def parameters(
+        self, designs: FloatArray, *, first: AdmittanceController | None = None, keeps_small: bool = False
+    ) -> FloatArray:
         """Return the parameters (m, 7 or 11) of the controllers of designs (m, n), as `AdmittanceController` has them.
 
-        The first of them is checked as `controller` does.
+        The first of them, which may be built already, is checked as `controller` does. A feedback damping that is too
+        small to be a value in seconds is none, unless asked to keep it (`keeps_small`): then all is continuous.
         """
-        out = np.tile(self.controller(designs[0]).parameters(), (len(designs), 1))
+        first = self.controller(designs[0]) if first is None else first
+        out = np.tile(first.parameters(), (len(designs), 1))
         for values, name in zip(designs.T, self.variables, strict=True):
-            least = SMALLEST_FEEDBACK_DAMPING_S if name == "feedback_damping_s" else -np.inf
+            is_cut = name == "feedback_damping_s" and not keeps_small
+            least = SMALLEST_FEEDBACK_DAMPING_S if is_cut else -np.inf
             out[:, CONTROLLER_VARIABLES.index(name)] = np.where(values < least, 0.0, values)
         return out
 

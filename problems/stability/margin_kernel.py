@@ -25,10 +25,13 @@ class PolynomialLoop(NamedTuple):
     theta: float
 
 
-# What `find_loop_margins` returns, the smaller of both break points.
-MODULUS, MODULUS_RAD_PER_S, DISK, GAIN_DB, PHASE_RAD, DELAY_S, MARGINS = 0, 1, 2, 3, 4, 5, 6
-# The two break points.
-AT_FORCE, AT_COMMAND = 0, 1
+# What `find_loop_margins` returns, the smaller of both break points; then the frequency of each crossover (NaN at the
+# end, where there is none), and at which break point each margin but the disk's was found.
+MODULUS, MODULUS_RAD_PER_S, DISK, GAIN_DB, PHASE_RAD, DELAY_S = 0, 1, 2, 3, 4, 5
+GAIN_RAD_PER_S, PHASE_RAD_PER_S, DELAY_RAD_PER_S = 6, 7, 8
+MODULUS_BREAK, GAIN_BREAK, PHASE_BREAK, DELAY_BREAK, MARGINS = 9, 10, 11, 12, 13
+# The two break points, and both where they see one loop.
+AT_FORCE, AT_COMMAND, BOTH = 0, 1, 2
 # How much is asked: the modulus margin, also the crossovers' margins, also the disk margin.
 MODULUS_ALONE, WITH_CROSSOVERS, EVERY_MARGIN = 0, 1, 2
 
@@ -131,7 +134,7 @@ def squared_distance(difference: complex, disk: bool) -> float:
 
 @compiled
 def find_loop_margins(loop: PolynomialLoop, grid: Grid, depth: int, found: FloatArray) -> None:
-    """Write the margins of a stable loop into `found` (6,), as far as `depth` says (the rest is infinite).
+    """Write the margins of a stable loop into `found` (MARGINS,), as far as `depth` says (the rest is infinite).
 
     A response that is not a number makes all of them NaN: it must not pass for a large margin.
     """
@@ -146,9 +149,11 @@ def find_loop_margins(loop: PolynomialLoop, grid: Grid, depth: int, found: Float
             if disk == 1:
                 found[DISK] = min(found[DISK], value)
             elif value < found[MODULUS]:
-                found[MODULUS], found[MODULUS_RAD_PER_S] = value, where
+                found[MODULUS], found[MODULUS_RAD_PER_S], found[MODULUS_BREAK] = value, where, signal
         if depth != MODULUS_ALONE:
             _crossovers(loop, omega, points[signal], signal, found)
+    if len(points) == 1:
+        found[MODULUS_BREAK] = found[GAIN_BREAK] = found[PHASE_BREAK] = found[DELAY_BREAK] = BOTH
 
 
 @compiled
@@ -314,29 +319,29 @@ def _crossovers(
     end = points[len(points) - 1] - 1.0
     # At the Nyquist frequency the loop is real, unless an ideal derivative makes it infinite.
     if end.real < 0.0 and abs(end.imag) < _REAL * abs(end.real):
-        found[GAIN_DB] = min(found[GAIN_DB], abs(20.0 * np.log10(-end.real)))
+        _keep(found, (GAIN_DB, GAIN_RAD_PER_S, GAIN_BREAK), (gain_db_of(end), np.nan, signal))
     # As in continuous time a loop gain that stays above 1 tolerates no delay: z^−d changes its sign at the end.
     if not abs(end) < 1.0:
-        found[DELAY_S] = 0.0
+        found[DELAY_S], found[DELAY_RAD_PER_S], found[DELAY_BREAK] = 0.0, np.nan, signal
     for of_phase in (True, False):
         for k in range(len(omega) - 1):
             low, high = omega[k], omega[k + 1]
-            one, two = _level(points[k], of_phase), _level(points[k + 1], of_phase)
+            one, two = level(points[k], of_phase), level(points[k + 1], of_phase)
             if (one > 0.0) != (two > 0.0):
                 _cross(loop, (low, high), signal, of_phase, found)
-            elif k > 0 and abs(one) <= abs(two) and one * _level(points[k - 1], of_phase) >= one * one:
+            elif k > 0 and abs(one) <= abs(two) and one * level(points[k - 1], of_phase) >= one * one:
                 # It comes closest here; between the points it may cross and come back.
-                before = _level(points[k - 1], of_phase)
+                before = level(points[k - 1], of_phase)
                 bracket = (omega[k - 1], low, high)
                 middle = _vertex(bracket, (before, one, two))
                 closest = differences_at(loop, middle)[signal]
-                if (_level(closest, of_phase) > 0.0) != (one > 0.0):
+                if (level(closest, of_phase) > 0.0) != (one > 0.0):
                     _cross(loop, (omega[k - 1], middle), signal, of_phase, found)
                     _cross(loop, (middle, high), signal, of_phase, found)
 
 
 @compiled
-def _level(difference: complex, of_phase: bool) -> float:
+def level(difference: complex, of_phase: bool) -> float:
     """Return what is zero where L crosses the real axis, or the unit circle."""
     loop = difference - 1.0
     return float(loop.imag if of_phase else loop.real * loop.real + loop.imag * loop.imag - 1.0)
@@ -355,23 +360,36 @@ def _vertex(at: tuple[float, float, float], values: tuple[float, float, float]) 
 
 
 @compiled
-def _cross(
-    loop: PolynomialLoop,
-    bracket: tuple[float, float],
-    signal: int,
-    of_phase: bool,
-    found: FloatArray,
-) -> None:
+def _cross(loop: PolynomialLoop, bracket: tuple[float, float], signal: int, of_phase: bool, found: FloatArray) -> None:
     """Update the margins with the crossover in a bracket."""
     at = _root(loop, bracket, signal, of_phase)
     gain = differences_at(loop, at)[signal] - 1.0
     if of_phase:
         if gain.real < 0.0:
-            found[GAIN_DB] = min(found[GAIN_DB], abs(20.0 * np.log10(-gain.real)))
+            _keep(found, (GAIN_DB, GAIN_RAD_PER_S, GAIN_BREAK), (gain_db_of(gain), at, signal))
     else:
-        angle = np.angle(-gain)
-        found[PHASE_RAD] = min(found[PHASE_RAD], abs(angle))
-        found[DELAY_S] = min(found[DELAY_S], (angle if angle > 0.0 else angle + 2.0 * np.pi) / at)
+        _keep(found, (PHASE_RAD, PHASE_RAD_PER_S, PHASE_BREAK), (abs(np.angle(-gain)), at, signal))
+        _keep(found, (DELAY_S, DELAY_RAD_PER_S, DELAY_BREAK), (delay_s_of(gain, at), at, signal))
+
+
+@compiled
+def _keep(found: FloatArray, columns: tuple[int, int, int], margin: tuple[float, float, int]) -> None:
+    """Keep a margin with its frequency and break point if it is the smallest so far."""
+    if margin[0] < found[columns[0]]:
+        found[columns[0]], found[columns[1]], found[columns[2]] = margin
+
+
+@compiled
+def gain_db_of(gain: complex) -> float:
+    """Return the change of gain [dB], up or down, that brings L to −1 where it is real and negative."""
+    return float(abs(20.0 * np.log10(-gain.real)))
+
+
+@compiled
+def delay_s_of(gain: complex, omega: float) -> float:
+    """Return the least lag [s] that brings L to −1 where |L| = 1."""
+    angle = np.angle(-gain)
+    return float((angle if angle > 0.0 else angle + 2.0 * np.pi) / omega)
 
 
 @compiled
@@ -387,8 +405,8 @@ def _root(
     bisection. Where rounding hides the change of sign, the end that is nearer to the crossing is returned.
     """
     (last, best), tolerance = bracket, _ROOT * bracket[1]
-    at_last = _level(differences_at(loop, last)[signal], of_phase)
-    at_best = _level(differences_at(loop, best)[signal], of_phase)
+    at_last = level(differences_at(loop, last)[signal], of_phase)
+    at_best = level(differences_at(loop, best)[signal], of_phase)
     if (at_last > 0.0) == (at_best > 0.0):
         return last if abs(at_last) < abs(at_best) else best
     other, at_other = last, at_last
@@ -411,7 +429,7 @@ def _root(
             before = step = half
         last, at_last = best, at_best
         best += step if abs(step) > tolerance else np.copysign(tolerance, half)
-        at_best = _level(differences_at(loop, best)[signal], of_phase)
+        at_best = level(differences_at(loop, best)[signal], of_phase)
     return best
 
 

@@ -12,7 +12,6 @@ from ..arrays import BoolArray, ComplexArray, FloatArray
 from ..compiled import compiled
 from ..errors import AutotuneError, ParameterError
 from ..model.controller import AdmittanceController
-from ..model.response import plant_response
 from ..model.sampled import KEPT_PLANTS, SampledPlant, build_loop, check_wrench_delay, spectral_radius
 from .margin_kernel import (
     DELAY_S,
@@ -21,11 +20,13 @@ from .margin_kernel import (
     GAIN_DB,
     MARGINS,
     MODULUS,
+    MODULUS_ALONE,
     MODULUS_RAD_PER_S,
     PHASE_RAD,
     Grid,
     PolynomialLoop,
     find_loop_margins,
+    plant_at,
 )
 from .polynomials import CONTROLLER_POWERS, controller_polynomials, plant_polynomials
 
@@ -165,20 +166,14 @@ class PreparedMargins:
     @cached_property
     def grid(self) -> Grid:
         """Frequencies, and the plant's responses there."""
-        return margin_grid(self.sampled)
+        return margin_grid(self.sampled, self.polynomials)
 
     def find(self, controller: AdmittanceController, spectral_radius: float) -> Margins:
         """Find the margins of a loop that is known to be stable, with this spectral radius.
 
         Raises ParameterError when the loop's response is not finite.
         """
-        check_wrench_delay(self.sampled.plant, controller)
-        factors, found = np.zeros((3, CONTROLLER_POWERS)), np.empty(MARGINS)
-        degree = controller_polynomials(controller.parameters(), controller.is_ideal, factors)
-        loop = PolynomialLoop(self.polynomials, factors, degree, self.sampled.sample_time_s, controller.theta)
-        find_loop_margins(loop, self.grid, EVERY_MARGIN, found)
-        if np.any(np.isnan(found)):
-            raise ParameterError("loop", self.sampled.plant, "one with a finite response at every frequency")
+        found = self._found(controller, EVERY_MARGIN)
         return Margins(
             modulus=float(found[MODULUS]),
             modulus_hz=float(found[MODULUS_RAD_PER_S] / (2.0 * math.pi)),
@@ -188,6 +183,21 @@ class PreparedMargins:
             delay_s=float(found[DELAY_S]),
             spectral_radius=spectral_radius,
         )
+
+    def find_modulus(self, controller: AdmittanceController) -> float:
+        """Find the modulus margin alone of a loop that is known to be stable, see `find`."""
+        return float(self._found(controller, MODULUS_ALONE)[MODULUS])
+
+    def _found(self, controller: AdmittanceController, depth: int) -> FloatArray:
+        """Return what `find_loop_margins` finds; raises ParameterError when the loop's response is not finite."""
+        check_wrench_delay(self.sampled.plant, controller)
+        factors, found = np.zeros((3, CONTROLLER_POWERS)), np.empty(MARGINS)
+        degree = controller_polynomials(controller.parameters(), controller.is_ideal, factors)
+        loop = PolynomialLoop(self.polynomials, factors, degree, self.sampled.sample_time_s, controller.theta)
+        find_loop_margins(loop, self.grid, depth, found)
+        if np.isnan(found[MODULUS]):
+            raise ParameterError("loop", self.sampled.plant, "one with a finite response at every frequency")
+        return found
 
 
 @lru_cache(maxsize=KEPT_PLANTS)
@@ -248,8 +258,17 @@ def _polynomials(sampled: SampledPlant, whole: int) -> FloatArray:
     return plant_polynomials(sampled.phi, sampled.gamma, sampled.gamma_old, outputs, delay, rests)
 
 
-def margin_grid(sampled: SampledPlant) -> Grid:
-    """Return what `find_loop_margins` needs of a plant besides its polynomials."""
-    response = plant_response(sampled, frequency_grid(sampled))
-    omega = response.frequency_rad_per_s
-    return omega, np.tan(0.5 * omega * sampled.sample_time_s), response.force, response.position
+def margin_grid(sampled: SampledPlant, polynomials: FloatArray | None = None) -> Grid:
+    """Return what `find_loop_margins` needs of a plant besides its polynomials, which may be known already."""
+    omega = frequency_grid(sampled)
+    tangent = np.tan(0.5 * omega * sampled.sample_time_s)
+    return omega, tangent, *_responses(response_polynomials(sampled) if polynomials is None else polynomials, tangent)
+
+
+@compiled
+def _responses(plant: FloatArray, tangent: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+    """Return F/x^d and x/x^d at w = j tan(ωh/2) (n,), see `plant_at`."""
+    force, position = np.empty(len(tangent), dtype=np.complex128), np.empty(len(tangent), dtype=np.complex128)
+    for k in range(len(tangent)):
+        force[k], position[k] = plant_at(plant, complex(0.0, tangent[k]))
+    return force, position

@@ -87,4 +87,4 @@ def _modulus(prepared: PreparedMargins, controller: Controller) -> float:
     if not isinstance(controller, AdmittanceController):
         raise TypeError("the modulus is found of an AdmittanceController only")
     radius = spectral_radius(build_loop(prepared.sampled, controller))
-    return prepared.find(controller, radius).modulus if radius < 1.0 else 0.0
+    return prepared.find_modulus(controller) if radius < 1.0 else 0.0

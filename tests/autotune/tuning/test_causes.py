@@ -11,7 +11,7 @@ from autotune.formats.problem import read_problem
 from autotune.tuning.causes import Explanation, explain, explanation_message, find_causes
 from autotune.tuning.relax import Relaxation
 from autotune.tuning.search import solve_design
-from problems.design.batch_evaluation import EVERY_REQUIREMENT
+from problems.design.batch_result import EVERY_REQUIREMENT
 from problems.design.problem import AdmittanceTarget, DesignProblem, Requirements
 from problems.model.plant_parameters import with_values
 from tests.autotune.tuning.cases import design_problem

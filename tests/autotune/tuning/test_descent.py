@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from autotune.tuning.bounds import Box, spread_out
-from autotune.tuning.descent import descend, polish_exactly
-from autotune.tuning.optimality import check_optimality
+from autotune.tuning.descent import LocalProblem, descend, polish_exactly
+from autotune.tuning.optimality import OBJECTIVE, check_optimality, row_at
 from problems.design.batch_evaluation import BatchEvaluator, build_batch_evaluator
+from problems.design.batch_result import BatchEvaluation
 from problems.design.problem import VARIABLES
 from tests.autotune.tuning.cases import solved
 
@@ -40,6 +41,11 @@ def test_slopes_are_asked_for_once_per_step_and_not_at_every_trial() -> None:
         def evaluate(self, designs: np.ndarray, *, peaks_if_missed: bool = False) -> object:
             asked.append(len(designs))
             return evaluate(designs, peaks_if_missed=peaks_if_missed)
+
+        def evaluate_beside(self, known: BatchEvaluation, designs: np.ndarray) -> object:
+            # The first one is known.
+            asked.append(len(designs) - 1)
+            return screen.evaluate_beside(known, designs)
 
     start = np.array([0.5, 0.5, 0.5, 0.5])
     found = descend(Counting(), box, start)  # type: ignore[arg-type]
@@ -107,3 +113,30 @@ def test_bounds_hold() -> None:
         low, high = bounds[name]
         assert low <= value <= high
     assert np.all(np.isfinite(polished))
+
+
+def test_the_gradients_are_the_symbolic_ones() -> None:
+    """By differences of compiled numbers, and row by row as the optimality is checked.
+
+    The symbolic form reads a peak between the ticks from a parabola through three of them, which is off by some 1e-5.
+    """
+    local = LocalProblem(screen(), solved().design, backoff={}, reserve=RESERVE)
+    names = {name for name, _ in local.keys}
+    assert {OBJECTIVE, "free_space_admittance"} < names
+    found = -local.slack_gradients(local.start())[:, : len(solved().design)]
+    rows = [row_at(solved().active, solved().design, key) for key in local.keys]
+    assert all(row.is_exact for row in rows)
+    for gradient, row in zip(found, rows, strict=True):
+        share = 5e-5 if row.name == OBJECTIVE else 1e-6
+        np.testing.assert_allclose(gradient, row.gradient, atol=share * np.max(np.abs(row.gradient)))
+
+
+def test_a_descent_says_what_its_end_misses() -> None:
+    """One that is not allowed a step stays where it began."""
+    evaluator, box = screen(), Box(solved().problem)
+    unit = box.unit(solved().design)
+    assert descend(evaluator, box, unit).missed == 0.0
+    asked = evaluator.evaluate(box.design(unit)[None], peaks_if_missed=True).requirements
+    backoff = {"free_space_admittance": 0.01}
+    missed = descend(evaluator, box, unit, backoff=backoff, iterations=0).missed
+    assert missed == pytest.approx(1.01 * float(asked["free_space_admittance"][0]) - 1.0, abs=1e-9)

@@ -8,7 +8,7 @@ import pytest
 from autotune.errors import InfeasibleError
 from autotune.tuning.relax import Relaxation, asked_numbers, find_relaxations, relaxation_message
 from autotune.tuning.search import solve_design
-from problems.design.batch_evaluation import EVERY_REQUIREMENT
+from problems.design.batch_result import EVERY_REQUIREMENT
 from problems.design.problem import AdmittanceTarget, DesignProblem, PassivityTarget, Requirements
 from tests.autotune.tuning.cases import design_problem
 

@@ -1,0 +1,47 @@
+"""The plants and contacts beside those of the scenarios, stacked as the compiled loops take them: held, and led."""
+
+from collections.abc import Sequence
+
+from ..contact.transient import SampledContact
+from .batch_kernel import Contacts, Loops, Plants, stack_contacts, stack_grids, stack_loops, stack_responses
+from .evaluation import PreparedScenarios
+from .requirements import ContactAtSpeed, HeldByHand, Requirements
+from .requirements.contact_at_speed import led_contacts
+from .requirements.held_by_hand import held_plants
+
+HELD, LED = "held_by_hand", "contact_at_speed"
+"""Names of the requirements that ask for them."""
+
+
+def hands_of(asked: Requirements) -> HeldByHand:
+    """Return the hands of the modulus that is asked."""
+    held = asked.further[HELD]
+    assert isinstance(held, HeldByHand)  # the requirement of that name
+    return held
+
+
+def stack_held(prepared: PreparedScenarios) -> Plants:
+    """Return all plants in all hands, as `find_moduli` takes them."""
+    asked = hands_of(prepared.problem.requirements)
+    held = [each for plant in prepared.plants for each in held_plants(asked, plant.sampled)]
+    return stack_loops([each.sampled for each in held]), stack_responses(held), stack_grids(held)
+
+
+def led_limit(asked: Requirements) -> ContactAtSpeed:
+    """Return the limit of contacts that are led by hand."""
+    limit = asked.further[LED]
+    assert isinstance(limit, ContactAtSpeed)  # the requirement of that name
+    return limit
+
+
+def stack_led(prepared: PreparedScenarios) -> tuple[Loops, Contacts]:
+    """Return all contacts as a hand leads them, as `find_contact_peaks` takes them."""
+    asked = led_limit(prepared.problem.requirements)
+    by_hand = zip(*(led_contacts(pair, asked.hand, asked.hand_mass_kg) for pair in prepared.pairs), strict=True)
+    return stack_judged([each for contacts in by_hand for each in contacts])
+
+
+def stack_judged(contacts: Sequence[SampledContact]) -> tuple[Loops, Contacts]:
+    """Return the loops of contacts, then those before they touch, and what is simulated of them."""
+    sides = [each.contact for each in contacts] + [each.free for each in contacts]
+    return stack_loops(sides), stack_contacts(contacts)
