@@ -37,10 +37,12 @@ _NONE: Mapping[str, float] = FrozenDict({})
 class Descent:
     """Where a descent ended, a point (n,) of the unit cube, and how many designs it evaluated.
 
-    `missed` is by how much it misses what is asked there: 0 where it does not, infinite where it is unstable.
+    `cost` is the objective's there, `missed` by how much it misses what is asked: 0 where it does not, infinite where
+    it is unstable.
     """
 
     unit: FloatArray
+    cost: float
     missed: float
     evaluations: int
 
@@ -86,7 +88,7 @@ def descend(
         options={"maxiter": iterations, "ftol": _TOLERANCE},
     )
     unit = np.asarray(np.clip(found.x[:count], 0.0, 1.0))
-    return Descent(unit=unit, missed=points.missed(unit), evaluations=points.evaluations)
+    return Descent(unit=unit, cost=points.cost(unit), missed=points.missed(unit), evaluations=points.evaluations)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,6 +123,10 @@ class _Points:
         if key not in self._values:
             self._values[key] = self._rows(self._evaluated(unit))[0]
         return self._values[key]
+
+    def cost(self, unit: FloatArray) -> float:
+        """Return the objective's largest cost at a point (n,)."""
+        return float(np.max(self._evaluated(unit).objective_rows))
 
     def missed(self, unit: FloatArray) -> float:
         """Return by how much a point (n,) misses what is asked, without what is kept in hand."""

@@ -213,8 +213,8 @@ class Search:
         self.last: Evaluation | None = None
         self.elite: list[FloatArray] = []
         self.steps: list[SearchStep] = []
-        # The least cost, over the scenarios at hand, of a design that was seen to come to rest.
-        self._calm = np.inf
+        # The least cost, over the scenarios at hand, of a design that was seen to come to rest, and that of a descent.
+        self._calm = self._reached = np.inf
 
     def explore(self, active: tuple[Scenario, ...], report: Callable[[float], None]) -> FloatArray:
         """Run differential evolution on the active scenarios; return the best point, keep the best few."""
@@ -286,7 +286,7 @@ class Search:
 
     def screen(self, active: tuple[Scenario, ...]) -> BatchEvaluator:
         """Return the batch evaluator over the active scenarios, of the goal if there is one."""
-        self._calm = np.inf
+        self._calm = self._reached = np.inf
         return replace(build_batch_evaluator(build_scenarios(self.problem, active)), goal=self.goal)
 
     def _costs(
@@ -401,7 +401,10 @@ class Search:
             found = descend(screen, self.box, unit, backoff=self.backoff, iterations=iterations)
             unit = found.unit
             self.evaluations += found.evaluations
-            if leg + 1 >= _LEGS and not 0.0 < found.missed < _FAR_OFF:
+            if found.missed == 0.0:
+                self._reached = min(self._reached, found.cost)
+            # A cost that is too high already while something is missed only grows on the way back.
+            if leg + 1 >= _LEGS and not (0.0 < found.missed < _FAR_OFF and found.cost < self._reached):
                 break
         if not self.impacts:
             return unit
