@@ -28,6 +28,8 @@ _FINE_STEP = 1e-5
 SHORT_WAY = 12
 _TOLERANCE = 1e-8
 _WALL = 1e3
+# A logarithm of a share that no cost falls to, and whose exponential is still above 0.
+_LEAST_LOG = -500.0
 # Of the exact polish: the move, and how near to its limit a row counts, as shares.
 _NEAR, _RADIUS, _POLISH_ITERATIONS = 0.01, 0.01, 6
 _NONE: Mapping[str, float] = FrozenDict({})
@@ -187,7 +189,7 @@ def polish_exactly(
     # Cost and prices are counted from the cost at the start.
     shares, origin = problem.prices / np.exp(start[count]), np.append(start[count], np.zeros(len(problem.prices)))
     found = minimize(
-        lambda x: _log_of_sum(x[count:] - origin, shares, count),
+        lambda x: _log_of_sum(np.maximum(x[count:] - origin, _LEAST_LOG), shares, count),
         start,
         jac=True,
         method="SLSQP",
@@ -195,7 +197,9 @@ def polish_exactly(
         constraints=[{"type": "ineq", "fun": problem.slack, "jac": problem.slack_gradients}],
         options={"maxiter": _POLISH_ITERATIONS, "ftol": 1e-8},
     )
-    return problem.at(np.asarray(found.x[:count]))
+    # At a corner that many rows share a subproblem may be singular: t falls without end, and what was before stands.
+    strayed = not abs(found.x[count] - start[count]) < 1.0
+    return problem.at(np.asarray(problem.iterate if strayed else found.x[:count]))
 
 
 class LocalProblem:
@@ -203,7 +207,8 @@ class LocalProblem:
 
     x is the move (n,) in the variables of `optimality`, at most 1 %, then t and a w per soft requirement, which has
     c_j ≤ w and w ≥ 0: its price times e^w − 1 is added to the cost. Rows are the costs and requirements within 1 % of
-    their limits, named by `keys`. `moves` are the bounds of the moves, `prices` (N) those of the soft requirements.
+    their limits, named by `keys`. `iterate` is the last move whose gradients were asked, `moves` are the bounds of the
+    moves, `prices` (N) those of the soft requirements.
     """
 
     def __init__(
@@ -215,6 +220,7 @@ class LocalProblem:
         self._linear = linear_variables(problem)
         self.keys = near_keys(screen.prepared, design, _NEAR)
         self._found: dict[bytes, BatchEvaluation] = {}
+        self.iterate = np.zeros(len(design))
         prices = {name: price for name, price in problem.requirements.soft_n.items() if name in dict(self.keys)}
         self._held = np.array(
             [
@@ -250,7 +256,8 @@ class LocalProblem:
 
     def slack_gradients(self, x: FloatArray) -> FloatArray:
         """Return the gradients of `slack` (k, len(x))."""
-        here = self.at(x[: len(self._design)])
+        self.iterate = x[: len(self._design)].copy()
+        here = self.at(self.iterate)
         if self._screen.is_compiled:
             return np.column_stack([-self._differences(here), self._under])
         rows = [row_at(self._screen.prepared, here, key).gradient for key in self.keys]
@@ -270,7 +277,7 @@ class LocalProblem:
 
     def _values(self, design: FloatArray) -> FloatArray:
         """Return the logarithms of the rows (k,), by the compiled screen; a wall where unstable."""
-        return self._logarithms(self._evaluated(design))[0]
+        return np.asarray(self._logarithms(self._evaluated(design))[0])
 
     def _evaluated(self, design: FloatArray) -> BatchEvaluation:
         """Evaluate a design (n,), once."""

@@ -170,7 +170,7 @@ class BatchEvaluator:
             sampling,
             self.prepared.problem.approach.numbers(),
             longest_run(sampling[0]),
-            (places.margins[0], places.peaks[0]),
+            (numbers[0], places.margins[0], places.peaks[0]),
             out,
         )
         found, everywhere = self._found(out, np.zeros(len(designs))), np.arange(len(designs))

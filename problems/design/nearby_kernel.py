@@ -4,8 +4,6 @@ What `batch_kernel` finds by searches over frequency and time moves with a step 
 of a contact no more is simulated than up to the peaks.
 """
 
-import math
-
 import numpy as np
 
 from ..arrays import FloatArray, IntArray
@@ -47,18 +45,19 @@ def evaluate_beside(
     sampling: tuple[float, float, bool],
     approach: tuple[float, float, bool, float],
     longest: int,
-    known: tuple[FloatArray, FloatArray],
+    known: tuple[FloatArray, FloatArray, FloatArray],
     out: tuple[FloatArray, FloatArray, FloatArray],
 ) -> None:
-    """Fill `out` as `evaluate_designs` does, for designs (m, 7 or 11) of which the first is that of `known`.
+    """Fill `out` as `evaluate_designs` does, for designs (m, 7 or 11) beside the one that is `known`.
 
-    `known` has its margins (p, MARGINS) and peaks (s, PEAK_COLUMNS); it is stable, and so are the others.
+    `known` has its parameters (7 or 11), margins (p, MARGINS) and peaks (s, PEAK_COLUMNS); it is stable, and so are the
+    others.
     """
     _, responses, _ = plants
     h, theta, ideal = sampling
-    at_plant, at_pair = known
+    design, at_plant, at_pair = known
     first, controller = np.zeros((3, CONTROLLER_POWERS)), np.zeros((3, CONTROLLER_POWERS))
-    first_degree = controller_polynomials(designs[0], ideal, first)
+    first_degree = controller_polynomials(design, ideal, first)
     traces = Traces(np.empty(longest), np.empty(longest))
     whole, by_plant, by_pair = out
     whole[:] = np.nan
@@ -91,7 +90,7 @@ def _find_peaks(
     found = np.zeros(FOUND)
     latest = max(at[SENSOR_AT], at[CONTACT_AT])
     if latest != AT_REST:
-        count = min(len(traces.sensed), math.ceil(latest) + 1 + _BEHIND)
+        count = min(len(traces.sensed), int(np.ceil(latest)) + 1 + _BEHIND)
         run_contact(plant, blocks, start, forces, Traces(traces.sensed[:count], traces.pressed[:count]), found, False)
     out[:] = at
     out[PEAK_SENSOR] = forces.desired if at[SENSOR_AT] == AT_REST else found[SENSOR_PEAK]
