@@ -142,12 +142,11 @@ def explain(problem: Breach) -> Violation:
         unknown = next(key for key in found if key not in known)
         must = f"one of {', '.join(known)}"
         return Violation(place=(*place, unknown), must=must, found=f"the key {unknown}", rule=rule)
-    if rule in ("anyOf", "oneOf") and isinstance(found, Mapping):
-        keys = [key for alternative in limit for key in alternative.get("required", ())]
-        if all(set(alternative) == {"required"} for alternative in limit):
-            given = " and ".join(key for key in keys if key in found) or "neither"
-            must = f"given {'exactly ' if rule == 'oneOf' else ''}one of {' and '.join(keys)}"
-            return Violation(place=place, must=must, found=given, rule=rule)
+    if rule == "oneOf" and all(set(alternative) == {"required"} for alternative in limit):
+        keys = [key for alternative in limit for key in alternative["required"]]
+        given = " and ".join(key for key in keys if key in found) or "neither"
+        return Violation(place=place, must=f"given exactly one of {' and '.join(keys)}", found=given, rule=rule)
+    if rule == "anyOf" and isinstance(found, Mapping):
         # Only one of the kinds is a mapping: what is wrong is within it.
         within = [
             each for each in getattr(problem, "context", None) or () if each.validator != "type" or len(each.path)
