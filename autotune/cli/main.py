@@ -172,9 +172,12 @@ def build_cli(entries: Mapping[str, CommandEntry] = COMMANDS) -> click.Group:
 
 
 def _one_thread() -> None:
-    """Keep linear algebra on one thread: our matrices are small, and threads that wait for each other cost tenfold."""
-    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ.setdefault(name, "1")
+    """Keep linear algebra on one thread, whatever the environment says.
+
+    Our matrices are small, and threads that wait for each other cost tenfold; sums in another order round differently,
+    and the same input gives the same file.
+    """
+    os.environ |= dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
 def main(argv: Sequence[str] | None = None, *, entries: Mapping[str, CommandEntry] = COMMANDS) -> int:

@@ -341,6 +341,14 @@ def test_an_integer_result_is_the_exit_code(run_tiny: RunTiny, code: int) -> Non
     assert run_tiny(lambda _output: code) == code
 
 
+def test_linear_algebra_has_one_thread_whatever_the_environment_says(
+    run_tiny: RunTiny, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Sums in another order round differently: the same input would give another file."""
+    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "4")
+    assert run_tiny(lambda _output: int(os.environ["OPENBLAS_NUM_THREADS"])) == 1
+
+
 def test_the_table_names_modules_that_exist() -> None:
     missing = [entry.module for entry in COMMANDS.values() if importlib.util.find_spec(entry.module) is None]
     assert missing == []
