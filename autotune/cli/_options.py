@@ -1,5 +1,6 @@
 """Option types, completion of file names, and the layout of `--help`."""
 
+import math
 import shlex
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -84,7 +85,18 @@ def register() -> None:
     add_completion_class(BothComplete, "bash")
 
 
-class QuantityRange(click.FloatRange):
+class FiniteRange(click.FloatRange):
+    """A number between bounds, neither of which NaN keeps nor infinity where one is open."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the number, inside the bounds."""
+        found = super().convert(value, param, ctx)
+        if not math.isfinite(found):
+            self.fail(f"{found} is not a finite number.", param, ctx)
+        return found
+
+
+class QuantityRange(FiniteRange):
     """A number of a kind (`autotune.quantities`) between bounds in SI."""
 
     def __init__(self, kind: str, *, least: float, most: float) -> None:

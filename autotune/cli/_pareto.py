@@ -10,6 +10,7 @@ import click
 from autotune.errors import UsageError
 
 from ._common import Output
+from ._options import FiniteRange
 from ._terminal import print_message, print_table
 
 if TYPE_CHECKING:
@@ -93,13 +94,13 @@ def _request(points: int | None, options: Mapping[str, Any], seed: int) -> "Fron
 _PROOF_OPTIONS = (
     click.option(
         "--slack",
-        type=click.FloatRange(min=0.1, max=50.0),
+        type=FiniteRange(min=0.1, max=50.0),
         metavar="PERCENT",
         help="Prove a modulus margin this much below the swept one; 5 by default.",
     ),
     click.option(
         "--proof-budget",
-        type=click.FloatRange(min=0.0, max=1e6),
+        type=FiniteRange(min=0.0, max=1e6),
         metavar="SECONDS",
         help="Time for the proof over all uncertain parameters, about (10); 0 skips it.",
     ),

@@ -9,7 +9,7 @@ import click
 from autotune.formats.kinds import PLANTS
 
 from ._common import Output, output_options
-from ._options import SETTINGS, FilePath, GroupedCommand
+from ._options import SETTINGS, FilePath, FiniteRange, GroupedCommand
 from ._terminal import print_message, print_table
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ Examples:
 )
 @click.option(
     "--noise",
-    type=click.FloatRange(min=1.0, max=100.0),
+    type=FiniteRange(min=1.0, max=100.0),
     default=1.0,
     show_default=True,
     metavar="FACTOR",

@@ -12,7 +12,7 @@ from autotune.formats.kinds import PLANTS
 from problems.text import significant
 
 from ._common import Output, output_options
-from ._options import SETTINGS, FilePath, GroupedCommand, QuantityRange, output_option
+from ._options import SETTINGS, FilePath, FiniteRange, GroupedCommand, QuantityRange, output_option
 from ._terminal import print_message, print_table, printable
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ _GROUPS = {
     ),
 }
 _NOISES = 4.0
-_POSITIVE = click.FloatRange(min=0.0, min_open=True)
+_POSITIVE = FiniteRange(min=0.0, min_open=True)
 _DOUBTS = frozenset({"mass-disagreement", "logs-disagree", "given-contradicts"})
 # What a wrist carries, and what holds it: outside of this a unit is wrong.
 _MASS = QuantityRange("mass", least=0.05, most=1000.0)
@@ -47,13 +47,13 @@ def _limit_options(command: Callable[..., Any]) -> Callable[..., Any]:
     for name, kind, default, unit, text in reversed(
         (
             ("--max-tilt", _POSITIVE, 60.0, "DEG", "Largest tilt of a pose."),
-            ("--max-speed", click.FloatRange(min=1e-3), 0.25, "M/S", "Largest speed of the command."),
-            ("--max-force", click.FloatRange(min=5.0), 100.0, "N", "Largest force at the sensor."),
-            ("--max-stroke", click.FloatRange(min=1e-4), 0.02, "M", "Largest stroke to each side."),
-            ("--max-duration", click.FloatRange(min=2.0), 60.0, "S", "Duration of the sweep."),
+            ("--max-speed", FiniteRange(min=1e-3), 0.25, "M/S", "Largest speed of the command."),
+            ("--max-force", FiniteRange(min=5.0), 100.0, "N", "Largest force at the sensor."),
+            ("--max-stroke", FiniteRange(min=1e-4), 0.02, "M", "Largest stroke to each side."),
+            ("--max-duration", FiniteRange(min=2.0), 60.0, "S", "Duration of the sweep."),
             (
                 "--max-frequency",
-                click.FloatRange(min=2.0),
+                FiniteRange(min=2.0),
                 None,
                 "HZ",
                 "Highest of the sweep; default: of the robot.",

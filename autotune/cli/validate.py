@@ -18,6 +18,7 @@ from ._options import (
     LOGS,
     SETTINGS,
     FilePath,
+    FiniteRange,
     GroupedCommand,
     bumper_option,
     cell_option,
@@ -119,7 +120,7 @@ def _force_limit(ctx: click.Context, param: click.Parameter, value: str | None) 
 )
 @click.option("--sensor-range", callback=_pair, help="Range of the sensor, N[,N·m].  [default: unlimited]")
 @click.option("--speed-limit", callback=_pair, help="Speed limit of the command, m/s[,rad/s].  [default: 0.25 m/s]")
-@click.option("--late", type=click.FloatRange(0, 1, max_open=True), help="Share of late commands.  [default: 0.01]")
+@click.option("--late", type=FiniteRange(0, 1, max_open=True), help="Share of late commands.  [default: 0.01]")
 @click.option(
     "--force-limit",
     callback=_force_limit,

@@ -5,14 +5,20 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
+import numpy as np
+
 from ..._checks import positive
 from ...errors import ParameterError
 from ...model.controller import AdmittanceController
+from ...model.response import loop_at, plant_response
 from ...model.sampled import Controller, SampledPlant, build_loop, build_sampled_plant, spectral_radius
-from ...stability.margins import PreparedMargins, prepare_margins
+from ...stability.margins import PreparedMargins, frequency_grid, prepare_margins
 from ..hand import HandImpedance
 from ..stable_design import StableDesign, StableLoop
 from .base import LoopRequirement
+
+# Of the grid on which other laws than our own are read.
+_POINTS = 2000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,7 +90,11 @@ def held_plants(asked: HeldByHand, sampled: SampledPlant) -> tuple[PreparedMargi
 
 
 def _modulus(prepared: PreparedMargins, controller: Controller) -> float:
-    if not isinstance(controller, AdmittanceController):
-        raise TypeError("the modulus is found of an AdmittanceController only")
-    radius = spectral_radius(build_loop(prepared.sampled, controller))
-    return prepared.find_modulus(controller) if radius < 1.0 else 0.0
+    """Return min |1 + L| of a loop, 0 where it is unstable; of other laws than our own over the plant's grid."""
+    sampled = prepared.sampled
+    if spectral_radius(build_loop(sampled, controller)) >= 1.0:
+        return 0.0
+    if isinstance(controller, AdmittanceController):
+        return prepared.find_modulus(controller)
+    response = loop_at(plant_response(sampled, frequency_grid(sampled, _POINTS)), controller, sampled.sample_time_s)
+    return float(min(np.min(np.abs(1.0 + response.at_force)), np.min(np.abs(1.0 + response.at_command))))

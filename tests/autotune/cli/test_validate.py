@@ -218,6 +218,7 @@ def test_the_identified_plant_is_compared_with_the_domain(run_cli: RunCli, good:
         (["controller.yaml", "--noise", "-1"], "noise_rms must be not below 0"),
         (["controller.yaml", "--sensor-range", "1,2,3"], "must be a number, or two with a comma between"),
         (["controller.yaml", "--late", "1"], "--late"),
+        (["controller.yaml", "--late", "nan"], "nan is not a finite number"),
         (["controller.yaml", "--sign", "absent.pem"], "absent.pem cannot be read"),
         (["controller.yaml", "--public-key", "controller.yaml"], "must hold an Ed25519 public key"),
     ],

@@ -1,6 +1,7 @@
 """The requirement of a modulus while a hand holds the payload."""
 
 import math
+from dataclasses import replace
 
 import pytest
 
@@ -12,7 +13,7 @@ from problems.design.stable_design import StableDesign
 from problems.errors import ParameterError
 from problems.model.sampled import build_sampled_plant
 from problems.stability.margins import find_margins
-from tests.problems.axes import PERIOD_S, admittance, paper_problem
+from tests.problems.axes import PERIOD_S, admittance, linear_controller, paper_problem
 
 ASKED = HeldByHand(min_modulus=0.4)
 KIND = HeldByHandRequirement()
@@ -39,6 +40,16 @@ def test_it_is_the_least_modulus_over_the_hands_at_the_ends() -> None:
         ]
         assert KIND.achieved(ASKED, design, row) == pytest.approx(min(moduli), rel=1e-12)
         assert KIND.of_loop(ASKED, design.loop(row)) == pytest.approx(min(moduli), rel=1e-12)
+
+
+def test_other_laws_are_read_on_the_grid_of_the_plant() -> None:
+    """The same law as a matrix: its least |1 + L| lies between two points, and none of them can be lower."""
+    design = design_of(3000.0)
+    matrix = linear_controller(design.controller, PERIOD_S)
+    for row in range(KIND.count(design.prepared)):
+        loop = design.loop(row)
+        exact = KIND.of_loop(ASKED, loop)
+        assert exact * (1.0 - 1e-9) <= KIND.of_loop(ASKED, replace(loop, controller=matrix)) <= 1.0005 * exact
 
 
 def test_a_loop_that_only_the_hand_makes_unstable_keeps_nothing() -> None:
