@@ -125,7 +125,7 @@ class LimitResult:
             if abs(self.noise_factor - 1.0) < _SAME_NOISE
             else f"of {self.noise_factor:g} times its noise"
         )
-        said += f"no linear controller {noise} gets below {self.bound.force_n:.4g} {unit}"
+        said += f"at this speed of approach no linear controller {noise} gets below {self.bound.force_n:.4g} {unit}"
         if self.attained is None:
             return f"{said}, and none better than the design was found"
         said = f"{said}; {self.reached_n:.4g} {unit} is reached"

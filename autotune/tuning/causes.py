@@ -5,10 +5,13 @@ from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Any
 
+import numpy as np
+
 from autotune.errors import InfeasibleError
 from autotune.formats.canonical import lines_to_paste, place_to_paste
 from autotune.formats.records import record_tree, rename_axis_keys
 from autotune.formats.units import ROTATIONAL_AXES, axis_units
+from problems.arrays import FloatArray
 from problems.design.batch_result import EVERY_REQUIREMENT
 from problems.design.problem import DesignProblem
 from problems.model.plant_parameters import with_values
@@ -53,18 +56,26 @@ class Explanation:
     found: SearchResult | None = None
     is_known_too_little: bool = False
 
+    @property
+    def met_by(self) -> FloatArray | None:
+        """A design (n,) that meets the requirements although the search found none; None without one."""
+        met = self.relaxations[0].met_by if self.relaxations else ()
+        return np.array(met) if met else None
+
 
 def explain(
     name: str, problem: DesignProblem, *, seed: int, progress: Callable[[float], None] | None = None
 ) -> Explanation:
     """Return why no controller of the axis `name` meets the requirements, and what would be enough.
 
+    Where a design turns up that meets them, nothing else is looked for (`Explanation.met_by`).
+
     `progress` gets the share of the work done since the last call.
     """
     report = progress or no_progress
     relaxations = find_relaxations(problem, seed=seed, progress=lambda share: report(0.6 * share))
-    if not relaxations:
-        return Explanation(relaxations=())
+    if not relaxations or relaxations[0].met_by:
+        return Explanation(relaxations=relaxations)
     causes = find_causes(problem, seed=seed)
     pairs = () if causes else find_causes(problem, seed=seed, together=2)
     report(0.2)

@@ -316,6 +316,8 @@ def _search(
         # In the place of what a controller would still have to pass.
         problem = beside_margins(problem, seed=seed)
         why = explain(name, problem, seed=seed, progress=ProgressSlice(report, 1.0 - _SEARCH_SHARE))
+        if why.met_by is not None:
+            return _search(name, problem, seed, why.met_by, False, report, portion)
         if not why.relaxations:
             raise InfeasibleError(f"Axis {name}: {error}") from error
         raise InfeasibleError(

@@ -35,13 +35,14 @@ _BINDS = 0.9
 class Relaxation:
     """One requirement, what is asked of it, and the most that can be had while every other one is met.
 
-    `damping` is B_a of the design that has it.
+    `damping` is B_a of the design that has it; `met_by` is that design (n,) where it meets all that is asked after all.
     """
 
     name: str
     asked: float
     possible: float
     damping: float | None = None
+    met_by: tuple[float, ...] = ()
 
     @property
     def share(self) -> float:
@@ -87,7 +88,8 @@ def find_relaxations(
     whole uncertainty as in the search; what is returned was reached by a design, exactly evaluated, and is rounded to
     the easier side. Where no single one is enough, all together by one share (`EVERY_REQUIREMENT`, in per cent of what
     is asked). Empty where nothing is stable. What does not bind where all are missed by the same share is not tried
-    alone. `progress` gets the share of the work done since the last call.
+    alone. A design that meets everything ends it: the one relaxation that is returned then holds it. `progress` gets
+    the share of the work done since the last call.
     """
     asked, report = asked_numbers(problem), progress or no_progress
 
@@ -106,6 +108,9 @@ def find_relaxations(
             report(1.0 / (len(asked) + 1))
             continue
         alone = least(name, together.design)
+        if alone is not None and alone.ratio <= 1.0:
+            met_by = tuple(alone.design.tolist())
+            return (Relaxation(name=name, asked=number, possible=number, met_by=met_by),)
         if alone is not None:
             found.append(
                 Relaxation(

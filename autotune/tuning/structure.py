@@ -73,8 +73,12 @@ class StructureChoice:
             whose = "the noise of the command that is asked" if self.is_asked else "their noise of the command"
             said += f", {shown('noise')} with {whose} ({noise}) in the place of these bounds"
         if "biquad" in self.costs:
-            said += f", {shown('biquad')} with a biquad too"
-        words = {"gains": "the four gains in their bounds", "noise": "the four gains", "biquad": "the biquad"}
+            said += f", {shown('biquad')} with a biquad and still wider bounds"
+        words = {
+            "gains": "the four gains in their bounds",
+            "noise": "the four gains at that noise",
+            "biquad": "the biquad",
+        }
         kept = f", since more saves less than {100.0 * PRICE:g} %"
         if all(cost is None for name, cost in self.costs.items() if name != self.taken):
             kept = ", the only design"

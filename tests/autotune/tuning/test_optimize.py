@@ -2,24 +2,28 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from autotune.certificate.certify import METHOD
-from autotune.errors import CertificateError
+from autotune.errors import CertificateError, InfeasibleError
 from autotune.formats.controller_record import ControllerStatus, admittance_controller
 from autotune.formats.identified import IdentifiedFile
 from autotune.formats.limits import CollisionResponse
 from autotune.tuning import optimize as optimize_module
 from autotune.tuning.optimize import check_within_bounds, optimize
 from autotune.tuning.record import build_controller as honest
+from autotune.tuning.search import SearchResult, solve_design
 from autotune.validation.axis_proof import prove_axis
+from problems.arrays import FloatArray
 from problems.contact.transient import build_sampled_contact, simulate_contact
+from problems.design.problem import DesignProblem
 from problems.design.requirements import AdmittanceTarget
 from problems.model.plant import Environment
 from problems.model.sampled import build_sampled_plant
 from problems.stability.margins import find_margins
-from tests.autotune.tuning.cases import FAST_SPEC, fast_optimized, identified_plant
+from tests.autotune.tuning.cases import FAST_SPEC, ROOM, fast_optimized, identified_plant
 
 
 @pytest.fixture
@@ -133,3 +137,21 @@ def test_a_controller_that_validation_refuses_is_not_returned(
     monkeypatch.setattr(optimize_module, "solve_design", lambda *_args, **_kwargs: found)
     with pytest.raises(CertificateError, match=r"modulus is claimed as 0\.9, found 0\.5"):
         optimize(plant, FAST_SPEC, seed=1)
+
+
+def test_a_search_that_ends_outside_begins_again_at_a_design_that_meets_everything(
+    plant: IdentifiedFile, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What looks for relaxations finds it, so that nothing has to be relaxed."""
+    starts: list[FloatArray] = []
+
+    def blind(problem: DesignProblem, **options: Any) -> SearchResult:
+        if options.get("start") is None:
+            raise InfeasibleError("nothing was found.")
+        starts.append(options["start"])
+        return solve_design(problem, **options)
+
+    monkeypatch.setattr(optimize_module, "solve_design", blind)
+    found = optimize(plant, FAST_SPEC, seed=1)
+    assert found.controller.status is ControllerStatus.VALIDATED
+    assert all(low <= value <= high for value, (low, high) in zip(starts[0], ROOM.values(), strict=True))

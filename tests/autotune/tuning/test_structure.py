@@ -190,7 +190,10 @@ def test_where_nothing_is_found_the_four_gains_stay(monkeypatch: pytest.MonkeyPa
     assert found is plain()
     assert choice.taken == "gains"
     message = choice.message("x", plain().problem)
-    assert "no design with a biquad too. Taken: the four gains in their bounds, the only design" in message
+    assert (
+        "no design with a biquad and still wider bounds. Taken: the four gains in their bounds, the only design"
+        in message
+    )
 
 
 def test_what_saves_less_than_its_price_is_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:
