@@ -36,7 +36,7 @@ def specs_for(target: ExportTarget | None, spec: ProblemSpec) -> tuple[ProblemSp
     the bounds of a gain that the target lacks leave out 0.
     """
     if target is not None and spec.structure not in (None, "gains"):
-        raise UsageError(f"{target.name} runs another law; leave --structure out.")
+        raise UsageError(f"{target.name} runs another law; leave --structure, or structure in problem.yaml, out.")
     if target is not None and spec.bumper is not None:
         raise UsageError(f"{target.name} runs another law; leave payload.bumper out of problem.yaml.")
     if target is None:

@@ -22,6 +22,8 @@ _GRID, _OF_LEAD = (5, 9), ("lead_s", "feedback_damping_s")
 _NOTHING = 1e-7
 # How much further a bound that holds a design is proposed.
 _WIDER = 2.0
+# The longest lead and feedback damping of a controller file.
+_LONGEST_S = 1.0
 
 
 def bounds_of(problem: DesignProblem) -> FloatArray:
@@ -41,6 +43,8 @@ def wider_bounds(problem: DesignProblem, names: Iterable[str], *, turning: bool)
         side, _, variable = name.partition(" bound of ")
         low, high = problem.bounds[variable]
         ends = (low / _WIDER, high) if side == "lower" else (low, high * _WIDER)
+        if variable in _OF_LEAD:
+            ends = ends[0], min(ends[1], _LONGEST_S)
         below = tree.setdefault("free" if variable in FURTHER_VARIABLES else "bounds", {})
         below[variable] = [float(f"{end:.6g}") for end in ends]
     return {"rotational": tree} if turning and tree else tree

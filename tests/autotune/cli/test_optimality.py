@@ -67,6 +67,9 @@ def test_all_bounds_to_widen_are_one_part_of_a_problem_file_that_says_where_it_b
     assert dict(read_problem(path).bounds) == {"lead_s": (0.01, 0.06), "mass": (3.0, 6.0)}
     tree = wider_bounds(found.searches["x"].problem, named[:1], turning=True)
     assert tree == {"rotational": {"bounds": {"lead_s": [0.01, 0.06]}}}
+    # No further than a controller file may hold.
+    longest = replace(problem := found.searches["x"].problem, bounds={**problem.bounds, "lead_s": (0.0, 0.6)})
+    assert wider_bounds(longest, named[:1], turning=False) == {"bounds": {"lead_s": [0.0, 1.0]}}
 
 
 def test_with_soft_limits_the_gap_is_one_of_peak_and_price() -> None:

@@ -348,6 +348,7 @@ def test_the_schema_knows_every_further_variable() -> None:
         ("requirements:\n  passivity: {}\n", 2, "passive_below_hz must be present"),
         ("requirements:\n  command_noise: {force_noise_rms_n: 1}\n", 2, "max_speed_rms_m_s must be present"),
         ("free:\n  velocity_filter_rad_per_s: [300, 60]\n", 2, "free.velocity_filter_rad_per_s must be [low, high]"),
+        ("bounds:\n  lead_s: [0.0, 1.2]\n", 2, "bounds.lead_s[1] must be at most 1"),
         ("free:\n  mass: [5, 20]\n", 2, "free.mass must be one of velocity_filter_rad_per_s"),
         ("free:\n  collision_threshold_n: [50, 20]\n", 2, "free.collision_threshold_n must be [low, high]"),
         ("free:\n  collision_threshold_n: [0, 20]\n", 2, "greater than 0"),
