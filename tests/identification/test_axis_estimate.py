@@ -9,16 +9,20 @@ from identification.axis_estimate import _check_lag
 from identification.errors import EstimateError
 
 
-def check(found_ms: float, known_ms: tuple[float, float] | None) -> None:
+def refusal(found_ms: float, known_ms: tuple[float, float] | None) -> str:
     fit = SimpleNamespace(latency=SimpleNamespace(seconds=1e-3 * found_ms))
-    _check_lag(cast(Any, fit), None if known_ms is None else (1e-3 * known_ms[0], 1e-3 * known_ms[1]))
+    try:
+        _check_lag(cast(Any, fit), None if known_ms is None else (1e-3 * known_ms[0], 1e-3 * known_ms[1]))
+    except EstimateError as refused:
+        return str(refused)
+    return ""
 
 
 @pytest.mark.parametrize(("found_ms", "known_ms"), [(2.9, (0.0, 1.0)), (-1.9, (1.0, 1.0)), (90.0, None)])
 def test_a_lag_within_three_deviations_of_the_stamps_is_taken(
     found_ms: float, known_ms: tuple[float, float] | None
 ) -> None:
-    check(found_ms, known_ms)
+    assert refusal(found_ms, known_ms) == ""
 
 
 @pytest.mark.parametrize(
@@ -30,5 +34,4 @@ def test_a_lag_within_three_deviations_of_the_stamps_is_taken(
     ],
 )
 def test_a_lag_beyond_is_refused_with_both_times(found_ms: float, known_ms: tuple[float, float], said: str) -> None:
-    with pytest.raises(EstimateError, match=said):
-        check(found_ms, known_ms)
+    assert said in refusal(found_ms, known_ms)
