@@ -12,6 +12,8 @@ from ..model.sampled import Controller, SampledLoop, SampledPlant, build_loop, r
 
 # 2^60 ticks: no stable loop in double precision is slower.
 _DOUBLINGS = 60
+# Frequencies at which a spectrum is summed: half a hertz apart at 1 kHz.
+_FREQUENCIES = 2048
 _NOTHING = 1e-30
 
 
@@ -39,6 +41,22 @@ def speed_rms(loop: SampledLoop, noises: Sequence[Noise]) -> float:
     covariance = _covariance(a, np.stack([b for _, b, _ in parts], axis=1))
     direct = sum(rms**2 * ((float(loop.c_command @ b) - d) ** 2 + d**2) for b, d, rms in noises)
     return math.sqrt(max(0.0, float(c @ covariance @ c)) + direct) / loop.sample_time_s
+
+
+def spectral_speed_rms(loop: SampledLoop, frequency_hz: FloatArray, density: FloatArray) -> float:
+    """Return the RMS of the commanded speed [m/s] under force noise of a spectrum, see `speed_rms`.
+
+    `density` (k,) is one-sided [N²/Hz] at `frequency_hz` (k,), ascending; it is interpolated, and constant beyond its
+    ends up to half the sampling frequency. The sum ∫ |H|² S df is taken at the middles of equal bands, where the
+    response H of speed to force has no pole.
+    """
+    h = loop.sample_time_s
+    band = 0.5 / h / _FREQUENCIES
+    middles = band * (np.arange(_FREQUENCIES) + 0.5)
+    z = np.exp(2j * np.pi * h * middles)
+    states = np.linalg.solve(z[:, None, None] * np.eye(len(loop.a)) - loop.a, loop.b[:, None])[..., 0]
+    speed = (states @ loop.c_command + loop.d_command) * (1.0 - 1.0 / z) / h
+    return math.sqrt(band * float(np.sum(np.abs(speed) ** 2 * np.interp(middles, frequency_hz, density))))
 
 
 @dataclass(frozen=True, kw_only=True)
