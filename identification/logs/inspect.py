@@ -2,7 +2,9 @@
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -10,6 +12,7 @@ import numpy as np
 
 from ..errors import EstimateError, LogError, UntimedError
 from ..result import Finding
+from ..signals.medians import median
 from ..signals.recording import WEIGHT_NEEDS_ORIENTATION, sampling_rate_hz
 from .checks.clocks import ChannelClock, clock_findings, compare_clocks, measure_clock
 from .checks.robot_state import without_zero_torques
@@ -64,67 +67,115 @@ def inspect_log(
         if len(windows) > 1:
             return _inspect_in_windows(files, declared, windows, salvage=salvage)
         span = windows[0].span if windows else span
-    return _inspect(files, declared, salvage=salvage, span=span, reading=reading)
+    with _contents(files, declared, salvage=salvage, span=span) as contents:
+        return _summarised(files, contents, salvage=salvage, span=span, reading=reading)
 
 
-def _inspect(
-    files: tuple[Path, ...], declared: Cell, *, salvage: bool, span: LogSpan, reading: Sequence[Finding] | None
+@dataclass(frozen=True, kw_only=True)
+class _Contents:
+    """What was read of logs that are open, before it is looked at."""
+
+    logs: OpenedLogs
+    cell: Cell
+    roles: tuple[RoleSummary, ...]
+    choices: Mapping[Role, Choice]
+    missing: tuple[str, ...]
+    series: Mapping[Channel, Series]
+    findings: tuple[Finding, ...]
+
+
+@contextmanager
+def _contents(files: tuple[Path, ...], cell: Cell, *, salvage: bool, span: LogSpan) -> Iterator[_Contents]:
+    """Open logs and read what is summarised of them."""
+    with open_logs(files, cell, salvage=salvage, recorded_ns=span.recorded_ns) as logs:
+        begin_digests(files)
+        if not span.is_whole:
+            _check_timed(logs)
+        cell = spelled_as_in(cell, logs.infos)
+        roles, choices, missing = _roles(logs, cell)
+        findings: list[Finding] = []
+        series = _cut(_read_all(logs, findings), choices, span, logs.start_ns)
+        yield _Contents(
+            logs=logs,
+            cell=cell,
+            roles=roles,
+            choices=choices,
+            missing=missing,
+            series=series,
+            findings=tuple(findings),
+        )
+
+
+def _summarised(
+    files: tuple[Path, ...], read: _Contents, *, salvage: bool, span: LogSpan, reading: Sequence[Finding] | None
 ) -> LogSummary:
     """Return the summary of what is in memory at once."""
     # A pause of the recorder costs a long log what is around it.
     keeps = salvage or span.recorded_ns is not None
-    with open_logs(files, declared, salvage=salvage, recorded_ns=span.recorded_ns) as logs:
-        begin_digests(files)
-        if not span.is_whole:
-            _check_timed(logs)
-        infos = logs.infos
-        declared = spelled_as_in(declared, infos)
-        roles, choices, missing = _roles(logs, declared)
-        findings: list[Finding] = []
-        series = _cut(_read_all(logs, findings), choices, span, logs.start_ns)
-        channels = tuple(_summary(info, series[info.channel]) for info in infos)
-        roles = tuple(_with_rates(role, channels) for role in roles)
-        numbers = tuple(found for part in logs.parts for found in number_fields(part))
-        findings += [f for info in infos for f in _channel_findings(info, series[info.channel], logs, salvage=keeps)]
-        if span.is_whole:
-            # Of a part, reading it for identify says the same.
-            findings += _declared_findings(logs, choices, declared, salvage=keeps)
-        findings += number_findings(logs, numbers, {choice.info.channel for choice in choices.values()})
-        findings += _clock_findings(series, choices)
-        findings += open_questions(infos, declared, logs.name)
-        seen = logs.findings()
-        ends = (logs.start_ns, logs.end_ns)
-        if not span.is_whole:
-            held = [each.log_ns for each in series.values() if each.log_ns.size]
-            ends = (min((int(each[0]) for each in held), default=0), max((int(each[-1]) for each in held), default=0))
-        ends = _by_headers(ends, [series[choice.info.channel] for choice in choices.values()])
-        container = logs.parts[0].survey.container
-        if Role.WRENCH in choices and Role.POSE in choices:
-            if reading is None:
-                reading = _read_findings(files, declared, findings, logs, salvage=salvage, span=span)
-            findings += [finding for finding in reading if finding.code not in _TOLD_ELSEWHERE]
+    logs, series, choices, infos = read.logs, read.series, read.choices, read.logs.infos
+    channels = tuple(_summary(info, series[info.channel]) for info in infos)
+    numbers = tuple(found for part in logs.parts for found in number_fields(part))
+    findings = [*read.findings]
+    findings += [f for info in infos for f in _channel_findings(info, series[info.channel], logs, salvage=keeps)]
+    if span.is_whole:
+        # Of a part, reading it for identify says the same.
+        findings += _declared_findings(logs, choices, read.cell, salvage=keeps)
+    findings += number_findings(logs, numbers, {choice.info.channel for choice in choices.values()})
+    findings += _clock_findings(series, choices)
+    findings += open_questions(infos, read.cell, logs.name)
+    seen = logs.findings()
+    ends = (logs.start_ns, logs.end_ns)
+    if not span.is_whole:
+        held = [each.log_ns for each in series.values() if each.log_ns.size]
+        ends = (min((int(each[0]) for each in held), default=0), max((int(each[-1]) for each in held), default=0))
+    ends = _by_headers(ends, [series[choice.info.channel] for choice in choices.values()])
+    if Role.WRENCH in choices and Role.POSE in choices:
+        if reading is None:
+            reading = _read_findings(files, read.cell, findings, logs, salvage=salvage, span=span)
+        findings += [finding for finding in reading if finding.code not in _TOLD_ELSEWHERE]
     sha256s = digests(files)
     return LogSummary(
         path=files[0],
-        container=container,
+        container=logs.parts[0].survey.container,
         sha256=sha256s[str(files[0])],
         size_bytes=sum(map(_size, files)),
         start_ns=ends[0],
         end_ns=ends[1],
         channels=channels,
-        roles=roles,
+        roles=tuple(_with_rates(role, channels) for role in read.roles),
         numbers=numbers,
         findings=tuple(dict.fromkeys((*seen, *findings))),
-        missing=missing,
+        missing=read.missing,
         sha256s=sha256s,
     )
+
+
+def _summaries(
+    files: tuple[Path, ...], cell: Cell, windows: Sequence[WindowSpan], *, salvage: bool
+) -> Iterator[LogSummary]:
+    """Yield the summary of each window, while the next one is read: never more than two are in memory."""
+    opened = [ExitStack() for _ in windows]
+
+    def read(k: int) -> _Contents:
+        return opened[k].enter_context(_contents(files, cell, salvage=salvage, span=windows[k].span))
+
+    with ExitStack() as every, ThreadPoolExecutor(1) as reader:
+        for window in opened:
+            every.enter_context(window)
+        coming = reader.submit(read, 0)
+        for k, window in enumerate(windows):
+            contents = coming.result()
+            if k + 1 < len(windows):
+                coming = reader.submit(read, k + 1)
+            with opened[k]:
+                yield _summarised(files, contents, salvage=salvage, span=window.span, reading=None)
 
 
 def _inspect_in_windows(
     files: tuple[Path, ...], cell: Cell, windows: Sequence[WindowSpan], *, salvage: bool
 ) -> LogSummary:
-    """Return the summary of a long log from those of its windows, of which one at a time is in memory."""
-    summaries = [_inspect(files, cell, salvage=salvage, span=each.span, reading=None) for each in windows]
+    """Return the summary of a long log from those of its windows."""
+    summaries = [*_summaries(files, cell, windows, salvage=salvage)]
     first, length_s = summaries[0], windows[-1].stop_s - windows[0].start_s
     together = zip(*(each.channels for each in summaries), strict=True)
     channels = tuple(_joined(parts, length_s) for parts in together)
@@ -349,7 +400,7 @@ def _read_findings(
 
 def _summary(info: ChannelInfo, series: Series) -> ChannelSummary:
     headers, stamps = series.stamp_ns, series.log_ns
-    offset = float(np.median(headers - stamps)) / 1e9 if headers is not None and headers.size else None
+    offset = median(headers - stamps) / 1e9 if headers is not None and headers.size else None
     clock = "recording"
     if headers is not None and headers.size and bool(np.any(headers != headers[0])):
         stamps, clock = headers, "header"
@@ -364,7 +415,7 @@ def _summary(info: ChannelInfo, series: Series) -> ChannelSummary:
         count=series.log_ns.size,
         clock=clock,
         rate_hz=sampling_rate_hz(stamps.size, span_s),
-        median_gap_s=float(np.median(steps)) / 1e9 if steps.size else None,
+        median_gap_s=median(steps) / 1e9 if steps.size else None,
         max_gap_s=float(steps.max()) / 1e9 if steps.size else None,
         backwards_steps=int(np.count_nonzero(steps < 0)),
         duplicates=int(np.count_nonzero(steps == 0)),
@@ -383,7 +434,7 @@ def _clock_findings(series: Mapping[Channel, Series], choices: Mapping[Role, Cho
             clock = measure_clock(channel.topic, mine.stamp_ns, mine.log_ns)
             if clock is not None:
                 clocks[channel] = clock
-                yield from clock_findings(clock, float(np.median(np.diff(mine.stamp_ns))) * 1e-9)
+                yield from clock_findings(clock, median(np.diff(mine.stamp_ns)) * 1e-9)
     main = [choices[role].info.channel for role in (Role.WRENCH, Role.POSE, Role.COMMAND) if role in choices]
     for first, second in pairwise(dict.fromkeys(channel for channel in main if channel in clocks)):
         difference = compare_clocks(clocks[first], clocks[second])

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from problems.arrays import BoolArray, FloatArray, IntArray
 
 from ..errors import LogError
+from .medians import median
 from .recording import PoseSignal, Recording, StampArray, slerp, stamped_between
 
 _FAST_PERIOD_S = 1.5e-3
@@ -191,7 +192,7 @@ def _clock_of(recording: Recording) -> _Clock:
 def find_gaps(stamp_ns: StampArray) -> IntArray:
     """Return the numbers of the messages after which a hole of more than 12 periods begins."""
     steps = np.diff(stamp_ns)
-    return np.flatnonzero(steps > _LARGEST_GAP_PERIODS * np.median(steps)) if len(steps) else np.zeros(0, np.int64)
+    return np.flatnonzero(steps > _LARGEST_GAP_PERIODS * median(steps)) if len(steps) else np.zeros(0, np.int64)
 
 
 def check_regular(topic: str, stamp_ns: StampArray, *, keeps_holes: bool = False) -> float:
@@ -199,7 +200,7 @@ def check_regular(topic: str, stamp_ns: StampArray, *, keeps_holes: bool = False
     if len(stamp_ns) < 3:
         raise LogError(f"Topic `{topic}` has {len(stamp_ns)} messages; at least 3 are needed.")
     gaps = np.diff(stamp_ns)
-    period = float(np.median(gaps))
+    period = median(gaps)
     worst = int(np.argmax(gaps))
     if gaps[worst] > _LARGEST_GAP_PERIODS * period and not keeps_holes:
         raise LogError(
@@ -330,7 +331,7 @@ def restore_commands(command: PoseSignal) -> PoseSignal:
     steps = np.diff(stamps)
     if not len(steps):
         return command
-    period = float(np.median(steps))
+    period = median(steps)
     lost = np.ones(len(steps), dtype=np.int64)
     for i in np.setdiff1d(np.flatnonzero(steps >= _LOST * period), find_gaps(stamps)):
         lost[i] = 1 + _missing(steps[i:] / period)

@@ -11,6 +11,7 @@ from scipy.signal import butter, sosfiltfilt
 from problems.arrays import BoolArray, FloatArray, IntArray
 
 from .aligned import AlignedLog, Span, edges_of, spans_of
+from .medians import column_medians
 from .recording import turned_rad
 
 __all__ = ["MotionSpans", "Span", "find_motion", "low_pass", "without_pauses", "without_short"]
@@ -107,7 +108,7 @@ def _quiet_band_hz(log: AlignedLog) -> float:
     Noise σ per coordinate, sampled every h, makes a speed of σ √(2 h (2π)² f³/3) below f.
     """
     second = np.diff(log.position_B_m[np.isfinite(log.position_B_m).all(axis=1)], n=2, axis=0)
-    variance = float(np.sum(np.median(np.abs(second), axis=0) ** 2)) * _TO_VARIANCE if len(second) else 0.0
+    variance = float(np.sum(column_medians(np.abs(second)) ** 2)) * _TO_VARIANCE if len(second) else 0.0
     speed = variance * 2.0 * log.period_s * (2.0 * np.pi) ** 2 / 3.0
     quiet = ((_STILL_SPEED_M_S / 3.0) ** 2 / max(speed, 1e-30)) ** (1.0 / 3.0)
     return float(min(_MOTION_BAND_HZ, max(_SLOWEST_BAND_HZ, quiet)))

@@ -7,6 +7,7 @@ import numpy as np
 from problems.arrays import BoolArray, FloatArray
 
 from ..result import Finding
+from .medians import column_medians, median
 from .recording import PoseSignal, Recording, WrenchSignal
 
 _NOISES, _OTHERS = 12.0, 6.0
@@ -26,7 +27,7 @@ def without_spikes(recording: Recording) -> tuple[Recording, tuple[Finding, ...]
     wrench below 400 Hz, which may show an impact in one sample, and an axis without noise (a deadband) are left alone.
     """
     wrench = recording.wrench
-    if len(wrench.stamp_ns) < _FEWEST or float(np.median(np.diff(wrench.stamp_ns))) * 1e-9 > _LONGEST_PERIOD_S:
+    if len(wrench.stamp_ns) < _FEWEST or median(np.diff(wrench.stamp_ns)) * 1e-9 > _LONGEST_PERIOD_S:
         return recording, ()
     forces, torques = _spikes(wrench.force_n), _spikes(wrench.torque_n_m)
     count = int(np.count_nonzero(forces) + np.count_nonzero(torques))
@@ -51,7 +52,7 @@ def without_pose_spikes(pose: PoseSignal) -> tuple[PoseSignal, tuple[Finding, ..
     there and back within two periods must exceed 100 m/s² (1000 rad/s²), of which a pose below 10 Hz shows nothing.
     Quaternions have neighbouring signs already.
     """
-    period = float(np.median(np.diff(pose.stamp_ns))) * 1e-9 if len(pose.stamp_ns) >= _FEWEST else np.inf
+    period = median(np.diff(pose.stamp_ns)) * 1e-9 if len(pose.stamp_ns) >= _FEWEST else np.inf
     if period > _LONGEST_POSE_PERIOD_S:
         return pose, ()
     places = _spikes(pose.position_m, 0.5 * _FASTEST_M_S2 * period**2)
@@ -74,15 +75,6 @@ def without_pose_spikes(pose: PoseSignal) -> tuple[PoseSignal, tuple[Finding, ..
     return replace(pose, position_m=position, quaternion_xyzw=quaternion), (finding,)
 
 
-def column_medians(values: FloatArray) -> FloatArray:
-    """Return the median of each column (n, k), of its numbers alone where some are NaN."""
-    found = np.empty(values.shape[1])
-    for k, column in enumerate(np.array(values.T, order="C")):
-        middle = float(np.median(column, overwrite_input=True))
-        found[k] = np.nanmedian(column) if np.isnan(middle) else middle
-    return found
-
-
 def _spikes(values: FloatArray, least: float | None = None) -> BoolArray:
     """Return which values (n, k) are spikes, none of an axis that is not known.
 
@@ -101,6 +93,8 @@ def _spikes(values: FloatArray, least: float | None = None) -> BoolArray:
     limit = np.where(noise > 0.0, _NOISES * noise, np.inf) if least is None else np.maximum(_NOISES * noise, least)
     # Away and back: both steps are large, of one sign, and alike.
     suspects = (before * after > 0.0) & (smaller > limit) & (np.abs(before - after) < smaller)
+    if not bool(np.any(suspects)):
+        return found
     steps = np.abs(np.diff(values[:, known], axis=0))
     suspects &= smaller > np.pad(np.fmax(steps[:-3], steps[3:]), ((1, 1), (0, 0)))
     for row, index in np.argwhere(suspects).tolist():

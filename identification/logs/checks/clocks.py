@@ -11,6 +11,7 @@ from problems.arrays import FloatArray
 
 from ...result import Finding
 from ...signals.aligned import longest_whole
+from ...signals.medians import median
 from ...signals.recording import Recording, StampArray
 from .clock_offset import ClockOffset, OffsetVerdict, estimate_clock_offset
 
@@ -82,7 +83,7 @@ def measure_clock(topic: str, stamp_ns: StampArray, log_ns: StampArray) -> Chann
     whole = np.array([not np.any((at >= time[a]) & (at <= time[b - 1])) for a, b in pairwise(edges)])
     whole = whole if np.count_nonzero(whole) >= _FEWEST_WINDOWS else np.ones(windows, dtype=bool)
     offset, slope, offset_std, slope_std = _line(middle[whole], undone[whole])
-    spread = float(np.median(late - np.interp(time, middle, low)))
+    spread = median(late - np.interp(time, middle, low))
     return ChannelClock(
         topic=topic,
         offset_s=base * 1e-9 + offset,
@@ -280,7 +281,7 @@ def check_clocks(recording: Recording, times: Sequence[ChannelTimes] = ()) -> Cl
         clock = measure_clock(each.topic, signal.stamp_ns, each.log_ns)
         if clock is not None:
             clocks[each.topic] = clock
-            periods[each.topic] = float(np.median(np.diff(signal.stamp_ns))) * 1e-9
+            periods[each.topic] = median(np.diff(signal.stamp_ns)) * 1e-9
     wrench, pose = clocks.get(recording.wrench.topic), clocks.get(recording.pose.topic)
     command = None if recording.command is None else clocks.get(recording.command.topic)
     between = [compare_clocks(first, pose) for first in (wrench, command) if first is not None and pose is not None]

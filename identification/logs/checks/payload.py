@@ -16,9 +16,9 @@ from ...payload.static_poses import StaticPose, collect_static_poses, rows_as_po
 from ...result import Finding
 from ...signals.aligned import AlignedLog, align
 from ...signals.constant_runs import find_runs
+from ...signals.medians import column_medians
 from ...signals.recording import AXES, Recording, turned_rad
 from ...signals.segments import find_motion, low_pass
-from ...signals.spikes import column_medians
 
 _STILL_M_S = 1.5e-3
 _STILL_RAD_S = 0.02
@@ -77,10 +77,11 @@ def find_tare_jumps(log: AlignedLog) -> tuple[TareJump, ...]:
     side, width = max(_FEWEST, round(_SIDE_S / log.period_s)), max(1, round(_STEP_S / log.period_s))
     if len(wrench) < 2 * side + width + 2:
         return ()
-    noise = column_medians(np.abs(np.diff(wrench, n=2, axis=0))) / (0.6745 * np.sqrt(6.0))
+    columns = np.ascontiguousarray(wrench.T)
+    noise = column_medians(np.abs(np.diff(columns, n=2)).T) / (0.6745 * np.sqrt(6.0))
     least = np.maximum(_NOISE_FACTOR * noise, _SMALLEST)
     is_steep = np.zeros(len(wrench) - width, dtype=np.bool_)
-    for axis, limit in zip(wrench.T, least, strict=True):
+    for axis, limit in zip(columns, least, strict=True):
         is_steep |= np.abs(axis[width:] - axis[:-width]) > limit
     steep = find_runs(is_steep)
     moving = np.concatenate([[0], np.cumsum(~_still(log))])

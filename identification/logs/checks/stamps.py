@@ -8,6 +8,7 @@ import numpy as np
 from problems.arrays import FloatArray
 
 from ...result import Finding
+from ...signals.medians import median
 from ...signals.recording import StampArray
 
 LARGEST_GAP_PERIODS = 12.0
@@ -43,8 +44,8 @@ class StampReport:
 def report_stamps(stamp_ns: StampArray) -> StampReport:
     """Measure the steps of (n,) stamps, n ≥ 2."""
     steps = np.diff(stamp_ns)
-    period = float(np.median(steps))
-    scatter = 1.4826 * float(np.median(np.abs(steps - period)))
+    period = median(steps)
+    scatter = 1.4826 * median(np.abs(steps - period))
     # A late message makes a long step and a short one; a lost one makes a long step only.
     limit = max(_LOST_PERIODS * period, period + _LOST_DEVIATIONS * scatter)
     long = np.flatnonzero(steps > limit) if period > 0.0 else np.zeros(0, dtype=np.int64)
@@ -133,7 +134,7 @@ def _find_folds(steps: StampArray) -> Iterator[tuple[int, int]]:
     """
     if len(steps) < _FEWEST_FOLDED or bool(np.any(steps < 0)):
         return
-    period = float(np.median(steps))
+    period = median(steps)
     paired = steps[:-1] + steps[1:] < _FOLDED_PERIODS * period
     edges = np.flatnonzero(np.diff(np.concatenate([[False], paired, [False]]).astype(np.int8)))
     for start, stop in edges.reshape(-1, 2).tolist():

@@ -87,7 +87,7 @@ def make_continuous(quaternion: FloatArray) -> FloatArray:
 
 def canonical(quaternion: FloatArray) -> FloatArray:
     """Return quaternions (n, 4) with w not negative: a quaternion and its negative are one orientation."""
-    return np.asarray(np.where(quaternion[:, 3:] < 0.0, -quaternion, quaternion))
+    return np.asarray(quaternion * np.where(quaternion[:, 3:] < 0.0, -1.0, 1.0))
 
 
 def read_by_weight(

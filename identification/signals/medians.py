@@ -1,0 +1,41 @@
+"""Medians of long arrays, the same numbers as NumPy's in a fraction of the time."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from problems.arrays import FloatArray
+
+_LEAST, _SAMPLE = 50_000, 4096
+_ASIDE = 200
+"""How far from its own middle a sample ends that holds the middle of all: six deviations of that (√n/2 each)."""
+
+
+def median(values: NDArray[np.float64] | NDArray[np.int64]) -> float:
+    """Return the median of `values` (n,), NaN where one is NaN or there is none, as `numpy.median` does.
+
+    Of a long array only what lies between two numbers of a sample, near its middle, is put in order (Floyd and Rivest
+    1975); where the middle of all is not among that, everything is.
+    """
+    if len(values) < _LEAST:
+        return float(np.median(values))
+    sample = np.sort(values[:: len(values) // _SAMPLE])
+    low, high = sample[len(sample) // 2 - _ASIDE], sample[len(sample) // 2 + _ASIDE]
+    below, above = int(np.count_nonzero(values < low)), int(np.count_nonzero(values > high))
+    between, first, second = len(values) - below - above, (len(values) - 1) // 2 - below, len(values) // 2 - below
+    among = values == low if low == high else (values >= low) & (values <= high)
+    # NaN is in neither count.
+    if first < 0 or second >= between or int(np.count_nonzero(among)) != between:
+        return float(np.median(values))
+    if low == high:
+        return float(low)
+    near = np.partition(values[among], (first, second))
+    return float(np.mean(near[[first, second]]))
+
+
+def column_medians(values: FloatArray) -> FloatArray:
+    """Return the median of each column (n, k), of its numbers alone where some are NaN."""
+    found = np.empty(values.shape[1])
+    for k, column in enumerate(np.ascontiguousarray(values.T)):
+        middle = median(column)
+        found[k] = np.nanmedian(column) if np.isnan(middle) else middle
+    return found
