@@ -5,7 +5,7 @@ an hour), runs `inspect`, `identify`, `validate --log` and `predict --log` on it
 over the hours, and what a day would take: that of all processes of a command together, what they share counted once
 (PSS, looked at every tenth of a second), and the largest that one of them ever had. The controller of the log is one
 that was optimized for the cell. The peer is the MCAP library's own pass over the chunks, with their checksums, without
-a look into any message.
+a look into any message; wall and processor time of each command are given in those of a pass right before it.
 """
 
 import argparse
@@ -90,13 +90,14 @@ def _tuned_cell(path: Path, folder: Path, said: str) -> SimulatedCell:
     return SimulatedCell(controller=law)
 
 
-def _pass(path: Path) -> float:
-    begun = time.process_time()
+def _pass(path: Path) -> tuple[float, float]:
+    """Return wall and processor time [s] of the peer's pass."""
+    wall, begun = time.perf_counter(), time.process_time()
     with path.open("rb") as file:
         for record in StreamReader(file, emit_chunks=True, validate_crcs=True).records:
             if isinstance(record, Chunk):
                 len(record.data)
-    return time.process_time() - begun
+    return time.perf_counter() - wall, time.process_time() - begun
 
 
 def main() -> int:
@@ -121,18 +122,18 @@ def main() -> int:
         for hours in options.hours:
             # The last window is no longer than the others, which would pass for growth.
             count = write_long_log(path, 3600.0 * hours - _SHORTER_S, [cell], compression=options.compression)
-            print(
-                f"{hours:g} h, {path.stat().st_size / 1e9:.2f} GB, {count} messages; a pass: {_pass(path):.1f} s of "
-                "processor",
-                flush=True,
-            )
+            print(f"{hours:g} h, {path.stat().st_size / 1e9:.2f} GB, {count} messages")
             for name, found in memories.items():
+                # Beside each command, as the machine's speed drifts.
+                passed, passing = _pass(path)
                 wall, spent, *memory = _run(name, *commands[name], said)
                 found.append((memory[0], memory[1]))
                 print(
-                    f"  {name}: {wall:.1f} s, {spent:.1f} s of processor, {memory[0]:.0f} MiB, largest process", end=" "
+                    f"  {name}: {wall:.1f} s, {spent:.1f} s of processor, {wall / passed:.2f} and "
+                    f"{spent / passing:.2f} times a pass ({passed:.1f}, {passing:.1f} s), {memory[0]:.0f} MiB, "
+                    f"largest process {memory[1]:.0f} MiB",
+                    flush=True,
                 )
-                print(f"{memory[1]:.0f} MiB", flush=True)
     if len(options.hours) > 1:
         for name, found in memories.items():
             (slope, of_one), (start, one) = np.polyfit(options.hours, found, 1)

@@ -160,8 +160,8 @@ def _summaries(
         return opened[k].enter_context(_contents(files, cell, salvage=salvage, span=windows[k].span))
 
     with ExitStack() as every, ThreadPoolExecutor(1) as reader:
-        for window in opened:
-            every.enter_context(window)
+        for stack in opened:
+            every.enter_context(stack)
         coming = reader.submit(read, 0)
         for k, window in enumerate(windows):
             contents = coming.result()
