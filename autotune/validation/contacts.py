@@ -22,7 +22,7 @@ from .false_triggers import describe_false_triggers, wrong_false_triggers
 from .replay import NO_STRATEGY, SHORTEST_AFTER_S, Replay, Strategy, replay_contact, settling_samples
 from .validation_samples import ValidationSamples
 
-# Replayed contacts begin anywhere between two samples, predicted ones on a sample (measured: up to 0.5 %).
+# Replayed contacts begin between two samples, predicted ones on a sample (measured: up to 0.5 %).
 _SAME_PEAK = 0.02
 _SAME_NUMBER = 1e-6
 

@@ -38,7 +38,6 @@ SHORTEST_AFTER_S = 1.6
 _DECAY_EXPONENTS = 7.0
 _LONGEST_S = 10.0
 _FAR_SAMPLES = 4.0
-_BISECTIONS = 60
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,20 +64,6 @@ class Strategy:
             float(each.decay_s_per_m),
             float(each.largest_change),
         )
-
-    def damping(self, law: AdmittanceController, force: float, drag: float) -> float:
-        """Return the B_a of the steady approach under this force: a fixed point, which the drag makes attracting."""
-        if self.variable is None:
-            return law.damping_n_s_per_m
-        low, high = self.variable.lowest, self.variable.highest
-        for _ in range(_BISECTIONS):
-            middle = 0.5 * (low + high)
-            wanted = max(
-                self.variable.highest * math.exp(-self.variable.decay_s_per_m * force / (middle + drag)),
-                self.variable.lowest,
-            )
-            low, high = (middle, high) if wanted > middle else (low, middle)
-        return 0.5 * (low + high)
 
 
 NO_STRATEGY = Strategy()
@@ -116,21 +101,21 @@ def replay_contact(
     At the first tick at which the force opposes the motion by more than the threshold of the `strategy` the command and
     its predecessor become the one sent last (the paper's Algorithm 1), or at that tick and all that follow.
 
-    Approach and contact each last as long as the slowest part of their loop needs to decay, ten seconds at most; of a
-    force that only creeps to its value at rest by then, that value counts. The plant advances in twentieths of a
-    sample, contact begins and ends on that grid, and the delay is rounded to it.
+    The approach lasts until its speed is steady, and at least as long as the slowest part of its loop needs to decay: a
+    lead starts it with a leap, and what is left of that would add to the peak. Then the payload is half a tick's way
+    from the wall. The contact lasts until its loop has decayed, ten seconds at most; of a force that only creeps to its
+    value at rest by then, that value counts. The plant advances in twentieths of a sample, contact begins and ends on
+    that grid, and the delay is rounded to it.
     """
     # A wrench that is late makes the same loop as commands that are (for a law that reads nothing but the wrench).
     check_wrench_delay(plant, controller)
-    drag = plant.payload.drag_n_s_per_m
-    approach_speed = desired_force_n / (strategy.damping(controller, desired_force_n, drag) + drag)
     approach = settling_samples(plant.in_contact_with(FREE_SPACE), controller, sample_time_s, _SHORTEST_APPROACH_S)
     after = settling_samples(plant, controller, sample_time_s, SHORTEST_AFTER_S)
     found = replay_ticks(
         _fine_contact(plant, sample_time_s),
         equation_gains(controller, sample_time_s),
-        -approach_speed * approach * sample_time_s,
-        approach + after,
+        approach,
+        after,
         float(desired_force_n),
         float(deadband_n),
         float(strategy.threshold_n),

@@ -13,6 +13,9 @@ from problems.compiled import compiled, equation
 SUBSTEPS = 20
 # Of the plant's states: the robot's first, and at the end those of the payload; the wall's surface is at 0.
 _ROBOT, _PAYLOAD, _VELOCITY = 0, -2, -1
+# The speed of an approach has come to rest when it changes by less than this share in an e-folding of the loop; looked
+# at every so many a part of the shortest approach, and after so many of those it is taken as it is.
+_STEADY, _LOOKS, _MOST = 5e-4, 7, 4
 
 
 class EquationGains(NamedTuple):
@@ -197,6 +200,13 @@ def with_damping(gains: EquationGains, mass: float, damping: float) -> EquationG
 
 
 @equation
+def next_damping(schedule: DampingSchedule, damping: float, speed: float) -> float:
+    """Return B_a after an update at a speed [m/s]."""
+    wanted = max(schedule.highest * np.exp(-schedule.decay * speed), schedule.lowest)
+    return float(min(max(wanted, damping - schedule.change), damping + schedule.change))
+
+
+@equation
 def over_sample(step: SampleStep, state: FloatArray, older: float, newer: float) -> FloatArray:
     """Return the state one sample later."""
     between = step.phi_older @ state + step.gamma_older * older
@@ -284,12 +294,47 @@ def pressed_by(contact: FineContact, state: FloatArray, wall: FloatArray) -> flo
     return max(0.0, wall[_FORCE]) if contact.share < 1.0 else wall_force(contact, state)
 
 
+@equation
+def moved_back(past: EquationMemory, way: float) -> EquationMemory:
+    """Return the memory of the same motion so much further behind."""
+    return EquationMemory(
+        past.before - way,
+        past.last - way,
+        past.force_before,
+        past.force_last,
+        past.seen - way,
+        past.velocity,
+        past.acceleration,
+        past.sent - way,
+        past.push_before,
+        past.push_last,
+    )
+
+
+@equation
+def after_tick(
+    contact: FineContact,
+    state: FloatArray,
+    wall: FloatArray,
+    older: float,
+    newer: float,
+    far_samples: float,
+    is_apart: bool,
+) -> tuple[FloatArray, FloatArray]:
+    """Return payload and wall one sample later; while they are kept apart there is no wall."""
+    if is_apart:
+        return over_sample(contact.far_sample, state, older, newer), wall
+    if contact.share < 1.0:
+        return moving_sample(contact, state, wall, older, newer)
+    return contact_sample(contact, state, older, newer, far_samples), wall
+
+
 @compiled
 def replay_ticks(
     contact: FineContact,
     gains: EquationGains,
-    start: float,
-    ticks: int,
+    approach: int,
+    after: int,
     desired_force: float,
     deadband: float,
     threshold: float,
@@ -298,37 +343,40 @@ def replay_ticks(
     far_samples: float,
     followed_weight: float,
 ) -> ReplayedContact:
-    """Follow a contact from rest at `start`, before the wall, for so many ticks (`replay_contact`)."""
-    state = np.zeros(len(contact.c_force))
-    state[_ROBOT] = state[_PAYLOAD] = start
-    wall, moves = np.zeros(4), contact.share < 1.0
-    past = rest_at(start)
+    """Follow a contact from rest (`replay_contact`): `approach` ticks or more until steady, then `after` in contact.
+
+    The wall is put half a tick's way ahead of the payload once its speed is steady.
+    """
+    state, wall, past = np.zeros(len(contact.c_force)), np.zeros(4), rest_at(0.0)
     # What acts at the end of a tick is a command of `whole` ticks before; before the first tick the robot rests.
-    sent = np.full(contact.whole + 1 + ticks, start)
-    sensor = peak = speed = fastest = hardest = opposed = behind = followed = 0.0
-    touch = detection = -1
+    sent = np.zeros(contact.whole + 1 + _MOST * approach + after)
+    sensor = peak = speed = fastest = hardest = opposed = behind = followed = way = 0.0
+    touch = detection = begins = -1
+    tick, look = 0, max(1, approach // _LOOKS)
     # M_a is in the gain of the equation, h²/(4 M_a), and B_a in its first two coefficients.
     mass, damping = gains.h * gains.h / (4.0 * gains.gain), schedule.highest
     if schedule.period > 0:
         gains = with_damping(gains, mass, damping)
-    for tick in range(ticks):
+    while begins < 0 or tick < begins + after:
+        if begins < 0 and tick > 0 and tick % look == 0:
+            slower, way = way, state[_VELOCITY]
+            if tick >= _MOST * approach or (tick >= approach and abs(way - slower) <= _STEADY * abs(way)):
+                ahead, begins = state[_PAYLOAD] + 0.5 * way, tick
+                state[_ROBOT], state[_PAYLOAD] = state[_ROBOT] - ahead, -0.5 * way
+                past, sent = moved_back(past, ahead), sent - ahead
         force = contact.c_force @ state + contact.d_force * sent[tick]
-        if touch < 0 and presses(contact, state, wall):
+        if touch < 0 and begins >= 0 and presses(contact, state, wall):
             touch = tick
         if touch >= 0:
             # A payload that has left the wall again still shakes the sensor.
             sensor, peak = max(sensor, -force), max(peak, pressed_by(contact, state, wall))
         felt, position = force if abs(force) > deadband else 0.0, float(contact.c_position @ state)
         if schedule.period > 0 and tick > 0 and tick % schedule.period == 0:
-            speed_now = abs(position - past.seen) / gains.h
-            wanted = max(schedule.highest * np.exp(-schedule.decay * speed_now), schedule.lowest)
-            damping = min(max(wanted, damping - schedule.change), damping + schedule.change)
+            damping = next_damping(schedule, damping, abs(position - past.seen) / gains.h)
             gains = with_damping(gains, mass, damping)
         against = -felt * np.sign(position - past.seen)
-        if touch < 0:
-            opposed = max(opposed, against)
-        if detection < 0 and against > threshold:
-            detection = tick
+        opposed = max(opposed, against) if touch < 0 else opposed
+        detection = tick if detection < 0 and against > threshold else detection
         is_held = detection == tick or (stops and detection >= 0)
         past = difference_step(gains, past, desired_force + felt, position, is_held)
         newest = contact.whole + 1 + tick
@@ -338,10 +386,8 @@ def replay_ticks(
         fastest, followed = max(fastest, abs(speed)), max(followed, abs(behind))
         # That a response stops the command is not limited.
         hardest = hardest if is_held else max(hardest, abs(speed - slower))
-        if moves:
-            state, wall = moving_sample(contact, state, wall, sent[tick], sent[tick + 1])
-        else:
-            state = contact_sample(contact, state, sent[tick], sent[tick + 1], far_samples)
+        state, wall = after_tick(contact, state, wall, sent[tick], sent[tick + 1], far_samples, begins < 0)
+        tick += 1
     pressing = presses(contact, state, wall)
     return ReplayedContact(sensor, peak, touch, detection, fastest, hardest, pressing, opposed, followed)
 

@@ -73,6 +73,24 @@ def test_a_payload_that_bounces_off_is_followed(plant: Plant, law: AdmittanceCon
     assert replayed.peak_sensor_force_n == pytest.approx(predicted.peak_sensor_force_n, rel=STATED)
 
 
+def test_a_lead_that_leaps_at_the_start_has_settled_before_the_touch() -> None:
+    """K_l B_a/M_a is 930: F^d makes the command leap by F^d K_l/B_a, 12 mm, and the contact is of the steady speed."""
+    law = AdmittanceController(
+        mass_kg=0.986,
+        damping_n_s_per_m=1526.0,
+        lead_s=0.6,
+        biquad_zero_s=5.51e-3,
+        biquad_zero_damping_ratio=0.384,
+        biquad_pole_s=0.018,
+        biquad_pole_damping_ratio=1.04,
+    )
+    robot = RobotModel(numerator=np.array([20.0]), denominator=np.array([1.0, 20.0]), delay_s=2.4e-3)
+    plant = paper_plant(stiffness=1.45e5, drag=330.0, coupling=3.1e5, coupling_damping=150.0, robot=robot, mass=16.6)
+    predicted, replayed = exact(plant, law, 30.0), replay_contact(plant, law, PERIOD_S, 30.0)
+    assert replayed.largest_speed_m_s > 20.0 * predicted.contact_speed_m_s
+    assert replayed.peak_contact_force_n == pytest.approx(predicted.peak_contact_force_n, rel=2e-3)
+
+
 def test_a_surface_so_soft_that_it_takes_seconds_is_followed_to_the_end() -> None:
     plant, law = paper_plant(stiffness=2e3), admittance(13.0, 1500.0, 0.013)
     predicted = exact(plant, law, 30.0)
