@@ -2,11 +2,12 @@
 
 import itertools
 import math
-import statistics
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
+
+import numpy as np
 
 from autotune.drift import MASS, Change, Values, change_text, differences, parameter_name
 from autotune.quantities import parse_quantity
@@ -127,7 +128,7 @@ def _plant(values: Values) -> dict[str, tuple[float, float]]:
 def _unsure(values: Values) -> tuple[int, float]:
     """Return what sorts windows: first those with many values, then those with small relative deviations."""
     shares = [std / abs(value) for value, std in values.values() if value]
-    return -len(values), statistics.median(shares) if shares else 0.0
+    return -len(values), float(np.median(shares)) if shares else 0.0
 
 
 def window_changes(windows: Sequence[Window]) -> tuple[Change, ...]:

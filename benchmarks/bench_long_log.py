@@ -8,8 +8,11 @@ that was optimized for the cell. The peer is the MCAP library's own pass over th
 a look into any message; wall and processor time of each command are given in those of a pass right before it.
 """
 
-import argparse
 import os
+
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # an installation holds byte code
+
+import argparse
 import resource
 import subprocess
 import sys
