@@ -60,32 +60,40 @@ def _jitter_speed(share: float, identified: Identified, name: str, sample_time_s
             "sensor.position_noise_rms_m is not identified, and share_of_jitter asks for a share of it; "
             f"say {key} in {said} of problem.yaml."
         )
-    return float(f"{share * math.sqrt(2.0) * noise / sample_time_s:.6g}")
+    return float(f"{share * jitter_speed(noise, sample_time_s):.6g}")
+
+
+def jitter_speed(noise: float, sample_time_s: float) -> float:
+    """Return the RMS speed that two poses at rest with this noise, a tick apart, seem to have: √2 σ / h."""
+    return math.sqrt(2.0) * noise / sample_time_s
+
+
+def jitter_source(noise: float, name: str, sample_time_s: float) -> str:
+    """Return what the robot's jitter at rest is made of; `noise` [m], of axes that turn [rad]."""
+    turning = name in ROTATIONAL_AXES
+    micrometres, lever = 1e6 * noise * (LEVER_M if turning else 1.0), f" and a lever of {LEVER_M:g} m"
+    return f"√2 · {micrometres:.3g} µm of pose noise per tick of {1e3 * sample_time_s:g} ms{lever if turning else ''}"
 
 
 def find_position_noise(identified: Identified, name: str) -> float | None:
     """Return the identified RMS [m, or rad at a lever of 0.2 m] of the pose's noise, None where it is not known."""
-    noise = _pose_noise(identified)
-    return None if noise is None else noise / (LEVER_M if name in ROTATIONAL_AXES else 1.0)
-
-
-def _pose_noise(identified: Identified) -> float | None:
     position = identified.sensor.position_noise_rms_m
-    return None if position is None else position.value
+    if position is None or position.value is None:
+        return None
+    return position.value / (LEVER_M if name in ROTATIONAL_AXES else 1.0)
 
 
 def jitter_notes(problems: Mapping[str, DesignProblem], identified: Identified, spec: ProblemSpec) -> Iterator[str]:
     """Yield for each axis what the robot's jitter allows the noise of the command, where a share of it was asked."""
-    noise, share = _pose_noise(identified), spec.share_of_jitter
+    share = spec.share_of_jitter
     for name, problem in problems.items():
-        limit = problem.requirements.command_noise
+        limit, noise = problem.requirements.command_noise, find_position_noise(identified, name)
         if noise is None or share is None or limit is None or (name in ROTATIONAL_AXES and _is_said(spec)):
             continue
-        units, lever = axis_units(name), f" and a lever of {LEVER_M:g} m" if name in ROTATIONAL_AXES else ""
+        units = axis_units(name)
         yield (
             f"Axis {name}: the noise of the command is limited to {1e3 * limit.max_speed_rms_m_s:.3g} m{units.speed} "
-            f"RMS, {share:g} of the robot's jitter at rest: √2 · {1e6 * noise:.3g} µm of pose noise per tick of "
-            f"{1e3 * problem.sample_time_s:g} ms{lever}."
+            f"RMS, {share:g} of the robot's jitter at rest: {jitter_source(noise, name, problem.sample_time_s)}."
         )
 
 

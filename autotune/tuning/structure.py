@@ -1,4 +1,4 @@
-"""Search laws with more freedom than four gains in their bounds, at the noise of the command that these make."""
+"""Search laws freer than four gains in their bounds, at the noise of the command that the robot has anyway."""
 
 import math
 from collections.abc import Collection, Mapping, Sequence
@@ -22,10 +22,19 @@ from problems.model.sampled import build_sampled_plant
 from problems.stability.noise import command_speed_gain
 
 from .bounds import loosened_bounds
-from .noise_limit import find_position_noise, find_sensor_noise
+from .noise_limit import find_position_noise, find_sensor_noise, jitter_source, jitter_speed
 from .record import certified_hand
 from .search import SearchResult, solve_design
 
+
+class NoiseOf(NamedTuple):
+    """RMS of the measured noise of a sensor [N, N·m] and of the pose [m, rad], None where it is not known."""
+
+    force: float | None
+    position: float | None
+
+
+UNKNOWN = NoiseOf(None, None)
 PRICE = 0.01
 """The share of the objective that a structure must save beside the simpler one, or the simpler one is kept."""
 _ORDER: tuple[Structure, ...] = ("gains", "noise", "biquad")
@@ -45,9 +54,10 @@ _ROUNDED = 1e-6
 class StructureChoice:
     """The objective's cost of each structure that was searched, None where no design was found, and the one taken.
 
-    All make the commanded speed's noise at most `noise_m_s_per_n` per newton of the force's: that of four gains in
-    their bounds, or what `is_asked` in problem.yaml. It `counts_pose` where the pose's noise is part of that. `bounds`
-    are those of the four gains.
+    All make the commanded speed's noise at most `noise_m_s_per_n` per newton of the force's: what `is_asked` in
+    problem.yaml, else that of four gains in their bounds, or the robot's own jitter at rest where the log shows it and
+    it is larger (`measured`, by which `jitter_m_s_per_n` is that; None where it is not known, or bounds are said). It
+    `counts_pose` where the pose's noise is part of that. `bounds` are those of the four gains.
     """
 
     costs: Mapping[Structure, float | None]
@@ -55,6 +65,9 @@ class StructureChoice:
     noise_m_s_per_n: float
     is_asked: bool = False
     counts_pose: bool = False
+    gains_m_s_per_n: float = math.nan
+    jitter_m_s_per_n: float | None = None
+    measured: NoiseOf = UNKNOWN
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def message(self, name: str, problem: DesignProblem) -> str:
@@ -71,6 +84,7 @@ class StructureChoice:
         said = f"Axis {name}: {objective.title} {shown('gains')} with four gains in their bounds"
         if "noise" in self.costs:
             whose = "the noise of the command that is asked" if self.is_asked else "their noise of the command"
+            whose = "as much noise of the command as the robot's jitter at rest" if self._is_of_jitter else whose
             said += f", {shown('noise')} with {whose} ({noise}) in the place of these bounds"
         if "biquad" in self.costs:
             said += f", {shown('biquad')} with a biquad and still wider bounds"
@@ -84,17 +98,31 @@ class StructureChoice:
             kept = ", the only design"
         elif self.taken == list(self.costs)[-1]:
             kept = ""
-        return f"{said}. Taken: {words[self.taken]}{kept}; margins, admittance and a hand are asked for alike."
+        limited = self._limited(name, problem.sample_time_s)
+        return f"{said}. Taken: {words[self.taken]}{kept}; margins, admittance and a hand are asked for alike.{limited}"
 
+    @property
+    def _is_of_jitter(self) -> bool:
+        return self.jitter_m_s_per_n is not None and self.jitter_m_s_per_n > self.gains_m_s_per_n
 
-class NoiseOf(NamedTuple):
-    """RMS of the measured noise of a sensor [N, N·m] and of the pose [m, rad], None where it is not known."""
-
-    force: float | None
-    position: float | None
-
-
-UNKNOWN = NoiseOf(None, None)
+    def _limited(self, name: str, sample_time_s: float) -> str:
+        """Return a sentence on which of the two limits is the larger, where both are known."""
+        if self.jitter_m_s_per_n is None or "noise" not in self.costs:
+            return ""
+        rms, units = self.measured.force or 1.0, axis_units(name)
+        of_gains, of_robot = (
+            f"{1e3 * rms * each:.3g} m{units.speed}" for each in (self.gains_m_s_per_n, self.jitter_m_s_per_n)
+        )
+        jitter = jitter_source(self.measured.position or 0.0, name, sample_time_s)
+        if self._is_of_jitter:
+            return (
+                f" The noise of the command is limited to {of_robot} RMS, the robot's jitter at rest ({jitter}), which "
+                f"is more than the {of_gains} of the four gains in their bounds."
+            )
+        return (
+            f" The noise of the command is limited to {of_gains} RMS, that of the four gains in their bounds, which is "
+            f"more than the {of_robot} of the robot's jitter at rest ({jitter})."
+        )
 
 
 class StructureSearch:
@@ -140,13 +168,20 @@ def choose_structure(
 ) -> tuple[SearchResult, StructureChoice]:
     """Return the best law up to a structure, and what was compared; `plain` are four gains in their bounds.
 
-    A law with more freedom must meet all that is asked of the four gains, make no more noise of the command, and keep
-    nine tenths of their modulus in a hand, over the same plants. The bounds of M_a, K_l and B_fb, which stand for that
-    noise, are then wider, but those that somebody `said`. One that saves less than `PRICE` beside a simpler
-    one is not taken.
+    A law with more freedom must meet all that is asked of the four gains, make no more noise of the command, or of the
+    command's speed than two poses at rest seem to have where that is more and nobody `said` bounds, and keep nine
+    tenths of their modulus in a hand, over the same plants. The bounds of M_a, K_l and B_fb, which stand for that
+    noise, are then wider, but those that somebody `said`. One that saves less than `PRICE` beside a simpler one is not
+    taken.
     """
-    asked = plain.problem.requirements.command_noise
-    noise = equal_noise(plain) if asked is None else asked.max_speed_rms_m_s / (asked.force_noise_rms_n or math.nan)
+    asked, jitter = plain.problem.requirements.command_noise, None
+    gains = equal_noise(plain) if asked is None else math.nan
+    if asked is not None:
+        noise = asked.max_speed_rms_m_s / (asked.force_noise_rms_n or math.nan)
+    else:
+        if measured.force and measured.position and not said:
+            jitter = jitter_speed(measured.position, plain.problem.sample_time_s) / measured.force
+        noise = max(gains, jitter or 0.0)
     found: dict[Structure, SearchResult | None] = {"gains": plain}
     for each in _ORDER[1 : _ORDER.index(structure) + 1]:
         problem = limited_problem(plain.problem, noise, has_biquad=each == "biquad", said=said, measured=measured)
@@ -167,6 +202,9 @@ def choose_structure(
         noise_m_s_per_n=noise,
         is_asked=asked is not None,
         counts_pose=counts_pose,
+        gains_m_s_per_n=gains,
+        jitter_m_s_per_n=jitter,
+        measured=measured,
         bounds=plain.problem.bounds,
     )
 
