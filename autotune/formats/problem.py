@@ -98,7 +98,7 @@ class ProblemSpec:
     part of the payload that touches, of straight axes, behind a spring inside; None of one in one piece. `structure` of
     the law that `optimize` searches, "noise" unless it is said: four gains in their bounds, limited by the noise of the
     command in the place of bounds that nobody said, or with a biquad too. `share_of_jitter` limits that noise to a
-    share of the robot's own jitter at rest, as the log shows it.
+    share of the robot's own jitter at rest, as the log shows it; unsaid, it is 1 or the noise of the four gains.
     `options` holds those ranges that were said outside of the file (`with_options`), `with_unit` names those whose unit
     was typed.
     """

@@ -25,7 +25,14 @@ from autotune.tuning import structure as structure_module
 from autotune.tuning.optimize import optimize
 from autotune.tuning.problems import build_problems
 from autotune.tuning.search import SearchResult, solve_design
-from autotune.tuning.structure import PRICE, NoiseOf, StructureChoice, choose_structure, limited_problem
+from autotune.tuning.structure import (
+    PRICE,
+    NoiseOf,
+    StructureChoice,
+    choose_structure,
+    equal_noise,
+    limited_problem,
+)
 from autotune.validation.axis_proof import ProofOptions
 from autotune.validation.requirements import speed_rms
 from benchmarks.tuning_problems import paper_cell
@@ -147,6 +154,38 @@ def test_what_feedback_of_a_noisy_pose_makes_of_the_command_counts() -> None:
     assert float(np.max(total)) <= 0.14 * choice.noise_m_s_per_n * (1.0 + 1e-4)
     assert law_of(found).feedback_damping_s < 0.1 * law_of(silent).feedback_damping_s
     assert "per N, the pose's counted too) in the place of" in choice.message("x", found.problem)
+
+
+@pytest.mark.parametrize(
+    ("position", "said", "is_of_jitter"), [(2e-6, (), True), (2e-8, (), False), (2e-6, ("damping",), False)]
+)
+def test_the_limit_is_the_larger_of_the_four_gains_noise_and_the_robots_jitter(
+    position: float, said: tuple[str, ...], is_of_jitter: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[DesignProblem] = []
+
+    def solved(_plain: object, problem: DesignProblem, *_: object, **__: object) -> SearchResult:
+        asked.append(problem)
+        return plain()
+
+    monkeypatch.setattr(structure_module, "solve_limited", solved)
+    measured = NoiseOf(force=0.05, position=position)
+    _, choice = choose_structure(plain(), "noise", HAND, seed=0, said=said, measured=measured)
+    limit, of_gains, of_robot = asked[0].requirements.command_noise, 0.05 * equal_noise(plain()), 2**0.5 * position / H
+    assert limit is not None
+    assert limit.max_speed_rms_m_s == pytest.approx(of_robot if is_of_jitter else of_gains, rel=1e-5)
+    message = choice.message("x", plain().problem)
+    jitter, gains = f"{1e3 * of_robot:.3g} mm/s", f"{1e3 * of_gains:.3g} mm/s"
+    if is_of_jitter:
+        assert f"limited to {jitter} RMS, the robot's jitter at rest (√2 · 2 µm of pose noise per tick" in message
+        assert f"which is more than the {gains} of the four gains" in message
+    elif said:
+        assert "jitter" not in message
+    else:
+        assert (
+            f"limited to {gains} RMS, that of the four gains in their bounds, which is more than the {jitter}"
+            in message
+        )
 
 
 def test_bounds_that_somebody_said_hold() -> None:
