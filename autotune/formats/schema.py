@@ -146,6 +146,8 @@ def explain(problem: Breach) -> Violation:
         keys = [key for alternative in limit for key in alternative["required"]]
         given = " and ".join(key for key in keys if key in found) or "neither"
         return Violation(place=place, must=f"given exactly one of {' and '.join(keys)}", found=given, rule=rule)
+    if rule == "maxProperties":
+        return Violation(place=place, must=_must(rule, limit, problem), found=" and ".join(map(str, found)), rule=rule)
     if rule == "anyOf" and isinstance(found, Mapping):
         # Only one of the kinds is a mapping: what is wrong is within it.
         within = [

@@ -96,5 +96,9 @@ def test_problem_yaml_says_it(tmp_path: Path) -> None:
     path.write_text("requirements:\n  command_noise: {share_of_jitter: 0.5}\n", encoding="utf-8")
     assert read_problem(path) == SPEC
     path.write_text("requirements:\n  command_noise: {share_of_jitter: 1, soft_n: 2}\n", encoding="utf-8")
-    with pytest.raises(UsageError, match=r"line 2: requirements\.command_noise must be share_of_jitter alone"):
+    said = (
+        r"line 2: requirements\.command_noise must be share_of_jitter alone \(soft_n and noises go with "
+        r"max_speed_rms_m_s\), found share_of_jitter and soft_n\."
+    )
+    with pytest.raises(UsageError, match=said):
         read_problem(path)
