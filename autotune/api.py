@@ -142,7 +142,8 @@ def optimize(
         of a `controller.yaml` or `cell.yaml`; the search starts from it too. Those in the log unless they are said.
     structure
         Of the law: "gains" are four gains in their bounds, with "noise" the noise of the command is limited to what
-        those make, or to the robot's jitter at rest, in the place of bounds that nobody said, with "biquad" the force passes a second-order section too.
+        those make, or to the robot's jitter at rest, in the place of bounds that nobody said, with "biquad" the force
+        passes a second-order section too.
         What does not lower the peak is not taken. As the problem says unless it is said, or "noise".
     progress
         True for a bar, or a callable that takes the share of the work done since its last call.
