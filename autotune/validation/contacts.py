@@ -25,6 +25,8 @@ from .validation_samples import ValidationSamples
 # Replayed contacts begin between two samples, predicted ones on a sample (measured: up to 0.5 %).
 _SAME_PEAK = 0.02
 _SAME_NUMBER = 1e-6
+# Moments after the start from rest at which an early touch is looked at.
+_EARLY_S = (0.02, 0.04, 0.07, 0.12, 0.2, 0.35, 0.6)
 
 
 def verify_peaks(
@@ -113,6 +115,22 @@ class Replays:
         seen = replay_contact(plant, self.law, self.h, self.force_n(plant), strategy=self.strategy)
         self.largest_n = max(self.largest_n, seen.peak_contact_force_n)
         return seen
+
+
+def find_early(
+    domain: AxisDomain, scenarios: Sequence[ScenarioPrediction], law: AdmittanceController, sample_time_s: float
+) -> tuple[float, float]:
+    """Return the largest peak of the hardest contact where it comes soon after F^d does, from rest, and when [s].
+
+    Predicted contacts are of a steady approach. A lead far above M_a/B_a and the robot's lag makes the approach leap
+    first, and a contact during that is harder.
+    """
+    hardest = max(scenarios, key=lambda each: each.peak_contact_force_n).scenario().plant(domain.plants.nominal)
+    force = Replays(domain, law, sample_time_s).force_n(hardest)
+    return max(
+        (replay_contact(hardest, law, sample_time_s, force, touch_after_s=after).peak_contact_force_n, after)
+        for after in _EARLY_S
+    )
 
 
 def _compared(scenario: ScenarioPrediction, replays: Replays, units: AxisKind) -> Iterator[str]:

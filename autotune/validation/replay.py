@@ -33,6 +33,8 @@ from .replay_kernel import (
 )
 
 _SHORTEST_APPROACH_S = 0.8
+# After so many times the shortest approach it is taken as it is.
+_MOST = 4
 SHORTEST_AFTER_S = 1.6
 # A part of the motion has gone when it has decayed to exp(-7), a thousandth.
 _DECAY_EXPONENTS = 7.0
@@ -95,8 +97,11 @@ def replay_contact(
     *,
     deadband_n: float = 0.0,
     strategy: Strategy = NO_STRATEGY,
+    touch_after_s: float | None = None,
 ) -> Replay:
     """Approach with F^d from rest, touch, and follow until rest; `deadband_n` is a threshold deadband on the force.
+
+    With `touch_after_s` the touch comes so long after F^d does, whatever the speed is then.
 
     At the first tick at which the force opposes the motion by more than the threshold of the `strategy` the command and
     its predecessor become the one sent last (the paper's Algorithm 1), or at that tick and all that follow.
@@ -110,11 +115,15 @@ def replay_contact(
     # A wrench that is late makes the same loop as commands that are (for a law that reads nothing but the wrench).
     check_wrench_delay(plant, controller)
     approach = settling_samples(plant.in_contact_with(FREE_SPACE), controller, sample_time_s, _SHORTEST_APPROACH_S)
+    longest = _MOST * approach
+    if touch_after_s is not None:
+        approach = longest = max(1, round(touch_after_s / sample_time_s))
     after = settling_samples(plant, controller, sample_time_s, SHORTEST_AFTER_S)
     found = replay_ticks(
         _fine_contact(plant, sample_time_s),
         equation_gains(controller, sample_time_s),
         approach,
+        longest,
         after,
         float(desired_force_n),
         float(deadband_n),

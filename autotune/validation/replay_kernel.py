@@ -14,8 +14,8 @@ SUBSTEPS = 20
 # Of the plant's states: the robot's first, and at the end those of the payload; the wall's surface is at 0.
 _ROBOT, _PAYLOAD, _VELOCITY = 0, -2, -1
 # The speed of an approach has come to rest when it changes by less than this share in an e-folding of the loop; looked
-# at every so many a part of the shortest approach, and after so many of those it is taken as it is.
-_STEADY, _LOOKS, _MOST = 5e-4, 7, 4
+# at every so many a part of the shortest approach.
+_STEADY, _LOOKS = 5e-4, 7
 
 
 class EquationGains(NamedTuple):
@@ -334,6 +334,7 @@ def replay_ticks(
     contact: FineContact,
     gains: EquationGains,
     approach: int,
+    longest: int,
     after: int,
     desired_force: float,
     deadband: float,
@@ -343,13 +344,10 @@ def replay_ticks(
     far_samples: float,
     followed_weight: float,
 ) -> ReplayedContact:
-    """Follow a contact from rest (`replay_contact`): `approach` ticks or more until steady, then `after` in contact.
-
-    The wall is put half a tick's way ahead of the payload once its speed is steady.
-    """
+    """Follow from rest: `approach` to `longest` ticks until steady, then `after`, half a tick's way before the wall."""
     state, wall, past = np.zeros(len(contact.c_force)), np.zeros(4), rest_at(0.0)
     # What acts at the end of a tick is a command of `whole` ticks before; before the first tick the robot rests.
-    sent = np.zeros(contact.whole + 1 + _MOST * approach + after)
+    sent = np.zeros(contact.whole + 1 + longest + after)
     sensor = peak = speed = fastest = hardest = opposed = behind = followed = way = 0.0
     touch = detection = begins = -1
     tick, look = 0, max(1, approach // _LOOKS)
@@ -358,9 +356,9 @@ def replay_ticks(
     if schedule.period > 0:
         gains = with_damping(gains, mass, damping)
     while begins < 0 or tick < begins + after:
-        if begins < 0 and tick > 0 and tick % look == 0:
+        if begins < 0 and tick > 0 and (tick % look == 0 or tick == longest):
             slower, way = way, state[_VELOCITY]
-            if tick >= _MOST * approach or (tick >= approach and abs(way - slower) <= _STEADY * abs(way)):
+            if tick >= longest or (tick >= approach and abs(way - slower) <= _STEADY * abs(way)):
                 ahead, begins = state[_PAYLOAD] + 0.5 * way, tick
                 state[_ROBOT], state[_PAYLOAD] = state[_ROBOT] - ahead, -0.5 * way
                 past, sent = moved_back(past, ahead), sent - ahead

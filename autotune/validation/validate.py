@@ -18,7 +18,7 @@ from .bouncing import search_bouncing
 from .bouncing_proof import check_bouncing
 from .bumper import check_stated_bumper
 from .certified_requirements import limit_n
-from .contacts import verify_led, verify_peaks, verify_response, verify_varied
+from .contacts import find_early, verify_led, verify_peaks, verify_response, verify_varied
 from .coupled import check_coupled
 from .coupled_proof import check_proofs
 from .held import check_held
@@ -31,6 +31,8 @@ from .requirements import check_admittance, check_further, check_margins, check_
 from .validation_samples import ValidationSamples, build_validation_samples, recorded_plants
 from .variable_damping import check_variable_damping
 
+# An early touch that peaks this much above what is stated is told.
+_EARLIER = 1.05
 _STIFFNESS_POINTS, _MASS_POINTS = 25, 3
 _MOST_DEADBAND = 0.5  # of the force that drives the approach
 _SAME_NUMBER = 1e-6
@@ -237,6 +239,19 @@ def _peaks(case: AxisCase) -> Iterator[Check]:
         units=case.units,
     )
     yield case.check("peak force", "; ".join(wrong), message)
+    scenarios = case.controller.predicted[case.name].scenarios
+    if not message or not scenarios:
+        return
+    stated = max(each.peak_contact_force_n for each in scenarios)
+    early, after = find_early(case.domain, scenarios, case.law, case.controller.sample_time_s)
+    if early > _EARLIER * stated:
+        unit = case.units.force
+        said = (
+            f"the peaks are of a steady approach; a touch {after:g} s after F^d comes from rest peaks at {early:.3g} "
+            f"{unit} where {stated:.3g} {unit} is stated, since the lead starts with a leap: begin farther away, let "
+            "F^d rise slowly, or bound lead_s"
+        )
+        yield case.check("early touch", "", said, warns=True)
 
 
 def _proved_peaks(case: AxisCase) -> Iterator[Check]:

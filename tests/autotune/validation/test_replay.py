@@ -74,7 +74,10 @@ def test_a_payload_that_bounces_off_is_followed(plant: Plant, law: AdmittanceCon
 
 
 def test_a_lead_that_leaps_at_the_start_has_settled_before_the_touch() -> None:
-    """K_l B_a/M_a is 930: F^d makes the command leap by F^d K_l/B_a, 12 mm, and the contact is of the steady speed."""
+    """K_l B_a/M_a is 930: F^d makes the command leap by F^d K_l/B_a, 12 mm, and the contact is of the steady speed.
+
+    One that comes during the leap is far harder; of a law without lead none is harder than the steady one.
+    """
     law = AdmittanceController(
         mass_kg=0.986,
         damping_n_s_per_m=1526.0,
@@ -89,6 +92,14 @@ def test_a_lead_that_leaps_at_the_start_has_settled_before_the_touch() -> None:
     predicted, replayed = exact(plant, law, 30.0), replay_contact(plant, law, PERIOD_S, 30.0)
     assert replayed.largest_speed_m_s > 20.0 * predicted.contact_speed_m_s
     assert replayed.peak_contact_force_n == pytest.approx(predicted.peak_contact_force_n, rel=2e-3)
+    plain = admittance(13.0, 2500.0)
+    for moment in (0.05, 0.1):
+        early, slow = (replay_contact(plant, each, PERIOD_S, 30.0, touch_after_s=moment) for each in (law, plain))
+        assert early.peak_contact_force_n > 2.0 * replayed.peak_contact_force_n
+        assert slow.peak_contact_force_n <= replay_contact(plant, plain, PERIOD_S, 30.0).peak_contact_force_n
+    # When the leap has died away it is the same again.
+    late = replay_contact(plant, law, PERIOD_S, 30.0, touch_after_s=3.0)
+    assert late.peak_contact_force_n == pytest.approx(replayed.peak_contact_force_n, rel=1e-3)
 
 
 def test_a_surface_so_soft_that_it_takes_seconds_is_followed_to_the_end() -> None:
