@@ -19,9 +19,9 @@ ROOT = Path(__file__).resolve().parent.parent
 AUTOTUNE = (sys.executable, "-m", "autotune")
 # Of the report: name of the picture, the figure that it begins with, its height in pixels.
 SHOTS = (
-    ("report-log", "part-1-wrench-1", 700),
-    ("report-contacts", "part-1-x-x1-contacts", 830),
-    ("report-design", "part-2-x-nyquist", 760),
+    ("report-log", "part-2-wrench-1", 700),
+    ("report-contacts", "part-2-x-x1-contacts", 830),
+    ("report-design", "part-1-x-nyquist", 760),
 )
 READY = "() => window.Bokeh && Bokeh.documents[0] && Bokeh.documents[0].get_model_by_name('data-map').data.x.length > 0"
 
