@@ -15,7 +15,7 @@ from problems.arrays import FloatArray
 from problems.design.evaluation import build_scenarios
 from problems.design.hand import HandImpedance
 from problems.design.problem import BIQUAD_VARIABLES, DesignProblem, NoiseLimit, biquad_bounds
-from problems.design.requirements import HeldByHand
+from problems.design.requirements import AdmittancePeak, HeldByHand
 from problems.design.requirements.held_by_hand import HeldByHandRequirement
 from problems.model.plant import FREE_SPACE
 from problems.model.sampled import build_sampled_plant
@@ -39,7 +39,9 @@ PRICE = 0.01
 """The share of the objective that a structure must save beside the simpler one, or the simpler one is kept."""
 _ORDER: tuple[Structure, ...] = ("gains", "noise", "biquad")
 DEFAULT: Structure = "noise"
-_HELD = "held_by_hand"
+_HELD, _RISE = "held_by_hand", "admittance_peak"
+# What nobody sees of a payload that starts; the least that the search has to move in.
+_MOST_RISE = 1.05
 # Of the modulus that the four gains keep in a hand.
 _KEPT_IN_A_HAND = 0.9
 # Where the admittance has no band, the slowest corner.
@@ -215,8 +217,10 @@ def solve_limited(
     """Search a `limited_problem` from `known` designs of fewer variables too; None where no design is found.
 
     All keep nine tenths of the plain law's modulus in a hand, which is asked for where four gains have much less, and
-    of a biquad at once.
+    of a biquad at once. None lets the admittance rise above what it is at rest by more than the plain law does, or by
+    a twentieth.
     """
+    problem = _without_rise(plain, problem)
     starts = [each.design for each in known]
     if BIQUAD_VARIABLES[0] in problem.variables:
         starts = [_neutral(problem, each, corner) for each in starts for corner in _CORNERS]
@@ -283,6 +287,16 @@ def _held(plain: SearchResult, problem: DesignProblem, hand: HandImpedance) -> D
     return replace(
         problem, requirements=replace(asked, further={**asked.further, _HELD: replace(held, min_modulus=least)})
     )
+
+
+def _without_rise(plain: SearchResult, problem: DesignProblem) -> DesignProblem:
+    """Return the problem with a limit of the admittance's peak, unless one is asked."""
+    asked = problem.requirements
+    if _RISE in asked.asked():
+        return problem
+    prepared = build_scenarios(plain.problem, plain.active.scenarios)
+    rise = AdmittancePeak().achieved(1.0, prepared.stable(plain.problem.controller(plain.design)), 0)
+    return replace(problem, requirements=asked.with_asked(_RISE, max(_MOST_RISE, float(f"{rise:.4g}"))))
 
 
 def _least_held(found: SearchResult, hand: HeldByHand) -> float:

@@ -4,6 +4,7 @@ The same equations as `problems.model.sampled`, `problems.stability.margins` and
 without their tables in between: the memory is that of the result and of the plants.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import chain
@@ -22,6 +23,7 @@ from ..stability.margins import check_finite
 from ..stability.polynomials import DOUBTFUL, STABLE, UNSTABLE
 from .batch_kernel import (
     ADMITTANCE,
+    ADMITTANCE_PEAK,
     COLUMNS,
     FAILED,
     HELD_COLUMNS,
@@ -48,7 +50,7 @@ from .batch_stacks import HELD, LED, hands_of, led_limit, stack_held, stack_judg
 from .evaluation import Evaluation, PreparedScenarios
 from .nearby_kernel import evaluate_beside, find_moduli_beside
 from .objectives import admittance_target
-from .requirements import NoiseLimit, target_response
+from .requirements import NoiseLimit, peak_responses, target_response
 from .requirements.contact_at_speed import led_peaks
 from .stable_design import StableDesign
 
@@ -58,8 +60,8 @@ _MARGINS = {
     "phase_margin_deg": PHASE_RAD,
     "delay_margin_s": DELAY_S,
 }
-_NOISE = "command_noise"
-_FAST = (*_MARGINS, "free_space_admittance", "max_peak_force_n", HELD, _NOISE, LED)
+_NOISE, _RISE = "command_noise", "admittance_peak"
+_FAST = (*_MARGINS, "free_space_admittance", _RISE, "max_peak_force_n", HELD, _NOISE, LED)
 _CROSSOVERS = ("gain_margin_db", "phase_margin_deg", "delay_margin_s")
 
 _KIND = attrgetter("discretization", "compensation", "compensation_mass_kg")
@@ -100,8 +102,8 @@ class BatchEvaluator:
     prepared: PreparedScenarios
     plants: Plants
     contacts: Contacts
-    band: Band
-    required: tuple[FloatArray, float, bool]
+    bands: tuple[Band, Band]
+    required: tuple[FloatArray, float, float, bool]
     slow: tuple[str, ...]
     held: Plants | None = None
     led: tuple[Loops, Contacts] | None = None
@@ -124,7 +126,7 @@ class BatchEvaluator:
         evaluate_designs(
             self.plants,
             self.contacts,
-            self.band,
+            self.bands,
             numbers,
             sampling,
             self.prepared.problem.approach.numbers(),
@@ -165,7 +167,7 @@ class BatchEvaluator:
         evaluate_beside(
             self.plants,
             self.contacts,
-            self.band,
+            self.bands,
             numbers,
             sampling,
             self.prepared.problem.approach.numbers(),
@@ -348,6 +350,8 @@ class BatchEvaluator:
         }
         if asked.free_space_admittance is not None:
             rows["free_space_admittance"] = asked.free_space_admittance.min_m_s_per_n / whole[:, [ADMITTANCE]]
+        if _RISE in asked.asked():
+            rows[_RISE] = whole[:, [ADMITTANCE_PEAK]] / asked.threshold(_RISE)
         if asked.max_peak_force_n is not None:
             # Without a peak another requirement is missed anyway.
             rows["max_peak_force_n"] = np.nan_to_num(by_pair[:, :, PEAK_CONTACT] / asked.max_peak_force_n, nan=0.0)
@@ -389,15 +393,21 @@ def build_batch_evaluator(prepared: PreparedScenarios) -> BatchEvaluator:
         margins[MODULUS] = max(margins[MODULUS], np.finfo(np.float64).tiny)
     wanted = None if "free_space_admittance" in asked.soft_n else asked.free_space_admittance
     crosses = any(getattr(asked, name) is not None for name in _CROSSOVERS)
-    nothing = np.zeros(0, dtype=np.complex128)
+    rise = asked.threshold(_RISE) if _RISE in asked.asked() else math.inf
     return BatchEvaluator(
         prepared=prepared,
         plants=(stack_loops(sampled), stack_responses(prepared.plants), stack_grids(prepared.plants)),
         contacts=stack_contacts(prepared.pairs),
-        band=(np.zeros(0), nothing, nothing)
-        if target is None
-        else (target.frequency_rad_per_s * _wrench_gain(target), target.z, target.position),
-        required=(margins, 0.0 if wanted is None else wanted.min_m_s_per_n, crosses),
+        bands=(
+            _band([] if target is None else [target]),
+            _band(peak_responses(prepared) if _RISE in asked.asked() else []),
+        ),
+        required=(
+            margins,
+            0.0 if wanted is None else wanted.min_m_s_per_n,
+            math.inf if _RISE in asked.soft_n else rise,
+            crosses,
+        ),
         slow=tuple(name for name in asked.asked() if name not in _FAST),
         held=stack_held(prepared) if HELD in asked.asked() else None,
         led=stack_led(prepared) if LED in asked.asked() else None,
@@ -419,6 +429,16 @@ def batch_led_peaks(
     return out
 
 
+def _band(responses: Sequence[PlantResponse]) -> Band:
+    """Return responses one after the other; of the wrench's filter |G| needs |F_m/F| alone."""
+    if not responses:
+        return np.zeros(0), np.zeros(0, dtype=np.complex128), np.zeros(0, dtype=np.complex128)
+    return (
+        np.concatenate([each.frequency_rad_per_s * _wrench_gain(each) for each in responses]),
+        np.concatenate([each.z for each in responses]),
+        np.concatenate([each.position for each in responses]),
+    )
+
+
 def _wrench_gain(target: PlantResponse) -> FloatArray | float:
-    """Return |F_m/F|, all that the least |G| needs of the wrench's filter."""
     return 1.0 if target.wrench is None else np.abs(target.wrench)

@@ -65,7 +65,7 @@ Contacts = tuple[
 
 # Plants whose loops are judged: polynomials, response polynomials (p, 4, n) and grids.
 Plants = tuple[Loops, FloatArray, Grids]
-# ω, z and x/x^d over the band of the admittance.
+# ω, z and x/x^d over the band of the admittance, or over all frequencies, the lowest first.
 Band = tuple[FloatArray, ComplexArray, ComplexArray]
 
 # Columns of a pair of controller and scenario, as `simulate_pair` writes them: the peaks, and the samples until each,
@@ -73,7 +73,7 @@ Band = tuple[FloatArray, ComplexArray, ComplexArray]
 PEAK_SENSOR, PEAK_CONTACT, SENSOR_AT, CONTACT_AT, PEAK_COLUMNS = 0, 1, 2, 3, 4
 AT_REST = -1.0
 # Columns of a design; those of each of its plants are MARGINS, as `find_loop_margins` writes them.
-VERDICT, FAILED, ADMITTANCE, COLUMNS = 0, 1, 2, 3
+VERDICT, FAILED, ADMITTANCE, ADMITTANCE_PEAK, COLUMNS = 0, 1, 2, 3, 4
 # Columns of a plant in a hand: the modulus, and where it was found.
 HELD_MODULUS, HELD_RAD_PER_S, HELD_BREAK, HELD_COLUMNS = 0, 1, 2, 3
 _NUMBERS = (MODULUS, GAIN_DB, PHASE_RAD, DELAY_S)
@@ -164,19 +164,20 @@ def begin_pair(
 def evaluate_designs(
     plants: Plants,
     contacts: Contacts,
-    band: Band,
+    bands: tuple[Band, Band],
     designs: FloatArray,
     sampling: tuple[float, float, bool],
     approach: tuple[float, float, bool, float],
     longest: int,
-    required: tuple[FloatArray, float, bool],
+    required: tuple[FloatArray, float, float, bool],
     if_missed: tuple[bool, bool],
     out: tuple[FloatArray, FloatArray, FloatArray],
 ) -> None:
     """Fill `out` for designs (m, 7 or 11): (m, COLUMNS), by plant (m, p, MARGINS), scenario (m, s, PEAK_COLUMNS).
 
     `plants` are those in contact, as many as `contacts` has, then those in free space. `required` has what must hold of
-    each margin and of the admittance, 0 where nothing must, and whether crossovers are wanted. Of a design that misses
+    each margin and of the admittance, 0 where nothing must, what its peak over all frequencies may be, and whether
+    crossovers are wanted. Of a design that misses
     something no more is judged (margins stay infinite, peaks NaN), unless `if_missed` asks for its margins, and for its
     peaks; where a verdict is not STABLE, at plant FAILED, the rest is NaN.
     """
@@ -184,7 +185,7 @@ def evaluate_designs(
     h, theta, ideal = sampling
     controller, work, found = np.zeros((3, CONTROLLER_POWERS)), polynomial_workspace(loops), np.zeros(MARGINS)
     traces = Traces(np.empty(longest), np.empty(longest))
-    margins, admittance, crosses = required
+    margins, admittance, admittance_peak, crosses = required
     margins_if_missed, peaks_if_missed = if_missed
     shallowest = MODULUS_ALONE if margins[MODULUS] > 0.0 else WITH_CROSSOVERS
     deepest = WITH_CROSSOVERS if crosses else MODULUS_ALONE
@@ -203,8 +204,8 @@ def evaluate_designs(
             continue
         blocks = blocks_of(designs[i], h, theta, ideal)
         by_plant[i] = np.inf
-        whole[i, ADMITTANCE] = least_admittance(band, blocks)
-        missed = whole[i, ADMITTANCE] < admittance
+        least_and_peak(bands, blocks, whole[i])
+        missed = whole[i, ADMITTANCE] < admittance or whole[i, ADMITTANCE_PEAK] > admittance_peak
         # The cheap margin of all plants comes first: most designs miss it, and the rest of those is not needed.
         for depth in range(deepest if margins_if_missed else shallowest, deepest + 1):
             if missed and not margins_if_missed:
@@ -297,14 +298,32 @@ def _keep_margins(found: FloatArray, required: FloatArray, row: FloatArray) -> b
 
 
 @compiled
-def least_admittance(band: Band, blocks: FloatArray) -> float:
-    """Return min |G| [m/s/N] over the band, see `problems.model.response.rendered_admittance`."""
+def least_and_peak(bands: tuple[Band, Band], blocks: FloatArray, out: FloatArray) -> None:
+    """Write min |G| [m/s/N] over the first band and max |G| per |G| at rest over the second into the row of a design.
+
+    G is that of `problems.model.response.rendered_admittance`.
+    """
+    band, everywhere = bands
     omega, z, position = band
     least = np.inf
     for k in range(len(omega)):
-        forward, feedback = controller_gains(blocks, z[k])
-        least = min(least, abs(forward * (1j * omega[k]) * position[k] / (1.0 + feedback * position[k])))
-    return least
+        least = min(least, _admittance(omega[k], z[k], position[k], blocks))
+    out[ADMITTANCE] = least
+    omega, z, position = everywhere
+    most, at_rest = 0.0, 1.0
+    for k in range(len(omega)):
+        gain = _admittance(omega[k], z[k], position[k], blocks)
+        if k == 0:
+            at_rest = gain
+        most = max(most, gain)
+    out[ADMITTANCE_PEAK] = most / at_rest
+
+
+@compiled
+def _admittance(omega: float, z: complex, position: complex, blocks: FloatArray) -> float:
+    """Return |G| at one frequency."""
+    forward, feedback = controller_gains(blocks, z)
+    return abs(forward * (1j * omega) * position / (1.0 + feedback * position))
 
 
 def stack_loops(plants: Sequence[SampledPlant]) -> Loops:

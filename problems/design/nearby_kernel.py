@@ -16,7 +16,6 @@ from ..stability.margin_kernel import PolynomialLoop
 from ..stability.nearby_margins import margins_beside, modulus_beside
 from ..stability.polynomials import CONTROLLER_POWERS, STABLE, controller_polynomials
 from .batch_kernel import (
-    ADMITTANCE,
     AT_REST,
     CONTACT_AT,
     HELD_BREAK,
@@ -29,7 +28,7 @@ from .batch_kernel import (
     Contacts,
     Plants,
     begin_pair,
-    least_admittance,
+    least_and_peak,
 )
 
 # Samples behind a peak that the search of it between the ticks looks at.
@@ -40,7 +39,7 @@ _BEHIND = 3
 def evaluate_beside(
     plants: Plants,
     contacts: Contacts,
-    band: Band,
+    bands: tuple[Band, Band],
     designs: FloatArray,
     sampling: tuple[float, float, bool],
     approach: tuple[float, float, bool, float],
@@ -64,7 +63,8 @@ def evaluate_beside(
     for i in range(len(designs)):
         degree = controller_polynomials(designs[i], ideal, controller)
         blocks = blocks_of(designs[i], h, theta, ideal)
-        whole[i, VERDICT], whole[i, ADMITTANCE] = STABLE, least_admittance(band, blocks)
+        whole[i, VERDICT] = STABLE
+        least_and_peak(bands, blocks, whole[i])
         for j in range(len(responses)):
             near = PolynomialLoop(responses[j], controller, degree, h, theta)
             there = PolynomialLoop(responses[j], first, first_degree, h, theta)

@@ -1,6 +1,7 @@
 """Requirements of a design: `Requirements` says what is asked, the registry what can be asked."""
 
 from .admittance import AdmittanceRequirement, AdmittanceTarget, band_frequencies, smallest_admittance, target_response
+from .admittance_peak import AdmittancePeak, peak_responses
 from .base import LoopRequirement, Requirement
 from .command_noise import NoiseLimit, NoiseRequirement
 from .contact_at_speed import (
@@ -30,6 +31,7 @@ __all__ = [
     "LARGEST_PRICE_N",
     "LARGEST_SHARE",
     "MARGINS",
+    "AdmittancePeak",
     "AdmittanceRequirement",
     "AdmittanceTarget",
     "ContactAtSpeed",
@@ -54,6 +56,7 @@ __all__ = [
     "led_mass_kg",
     "led_peaks",
     "led_plants",
+    "peak_responses",
     "smallest_admittance",
     "target_response",
 ]

@@ -5,6 +5,7 @@ from typing import Any
 
 from ...frozen import FrozenDict
 from .admittance import AdmittanceRequirement
+from .admittance_peak import AdmittancePeak
 from .base import Requirement
 from .command_noise import NoiseRequirement
 from .contact_at_speed import ContactAtSpeedLimit
@@ -32,6 +33,7 @@ BUILT_IN: Mapping[str, Requirement[Any]] = FrozenDict(
             DampingRatio(),
             ErrorRequirement(),
             HeldByHandRequirement(),
+            AdmittancePeak(),
         )
     }
 )
