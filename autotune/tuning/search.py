@@ -327,7 +327,8 @@ class Search:
         screen = self.screen(active)
         known = [unit, *self.elite] if self.start is None else [unit, *self.elite, self.start]
         starts = spread_out(known, _SAME, len(known))
-        candidates = np.array([unit, *(self.local(screen, start) for start in starts)])
+        # A descent may end a little outside of what is asked: what it began at counts too.
+        candidates = np.array([unit, *starts, *(self.local(screen, start) for start in starts)])
         costs = self._tightened_costs(screen, candidates)
         order = np.argsort(costs, kind="stable")
         best = candidates[order[0]]
@@ -396,15 +397,15 @@ class Search:
     def local(self, screen: BatchEvaluator, start: FloatArray) -> FloatArray:
         """Descend from a point, with what the grid flattered asked for."""
         unit = start
-        for leg in range(_MOST_LEGS if self.has_biquad else 1):
-            iterations = _WITH_BIQUAD if self.has_biquad else SHORT_WAY
+        iterations, legs = (_WITH_BIQUAD, _LEGS) if self.has_biquad else (SHORT_WAY, 1)
+        for leg in range(_MOST_LEGS):
             found = descend(screen, self.box, unit, backoff=self.backoff, iterations=iterations)
             unit = found.unit
             self.evaluations += found.evaluations
             if found.missed == 0.0:
                 self._reached = min(self._reached, found.cost)
             # A cost that is too high already while something is missed only grows on the way back.
-            if leg + 1 >= _LEGS and not (0.0 < found.missed < _FAR_OFF and found.cost < self._reached):
+            if leg + 1 >= legs and not (0.0 < found.missed < _FAR_OFF and found.cost < self._reached):
                 break
         if not self.impacts:
             return unit
