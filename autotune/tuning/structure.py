@@ -296,7 +296,7 @@ def _without_rise(plain: SearchResult, problem: DesignProblem) -> DesignProblem:
         return problem
     prepared = build_scenarios(plain.problem, plain.active.scenarios)
     rise = AdmittancePeak().achieved(1.0, prepared.stable(plain.problem.controller(plain.design)), 0)
-    return replace(problem, requirements=asked.with_asked(_RISE, max(_MOST_RISE, float(f"{rise:.4g}"))))
+    return replace(problem, requirements=asked.with_asked(_RISE, max(_MOST_RISE, math.ceil(1e3 * rise) / 1e3)))
 
 
 def _least_held(found: SearchResult, hand: HeldByHand) -> float:

@@ -323,7 +323,7 @@ def least_and_peak(bands: tuple[Band, Band], blocks: FloatArray, out: FloatArray
 def _admittance(omega: float, z: complex, position: complex, blocks: FloatArray) -> float:
     """Return |G| at one frequency."""
     forward, feedback = controller_gains(blocks, z)
-    return abs(forward * (1j * omega) * position / (1.0 + feedback * position))
+    return float(abs(forward * (1j * omega) * position / (1.0 + feedback * position)))
 
 
 def stack_loops(plants: Sequence[SampledPlant]) -> Loops:

@@ -34,12 +34,14 @@ from autotune.tuning.structure import (
     limited_problem,
 )
 from autotune.validation.axis_proof import ProofOptions
+from autotune.validation.replay import equation_gains, robot_alone
+from autotune.validation.replay_kernel import follow_forces
 from autotune.validation.requirements import speed_rms
 from benchmarks.tuning_problems import paper_cell
 from problems.contact.nonlinear_simulation import simulate_nonlinear
 from problems.design.hand import HandImpedance
 from problems.design.problem import DEFAULT_BOUNDS, DesignProblem, NoiseLimit, Requirements
-from problems.design.requirements import HeldByHand
+from problems.design.requirements import AdmittancePeak, HeldByHand
 from problems.errors import ParameterError
 from problems.model.controller import AdmittanceController
 from problems.model.plant import FREE_SPACE
@@ -110,6 +112,26 @@ def test_a_hand_is_held_as_well_as_by_the_four_gains() -> None:
     assert held[1] >= 0.895 * held[0]
 
 
+def test_no_structure_runs_ahead_of_the_steady_approach() -> None:
+    """What a contact soon after the start would find: F^d comes at once, and the speed over the steady one, by time."""
+    found, _ = chosen()
+    law, robot = law_of(found), found.problem.plants.nominal.robot
+    position = follow_forces(robot_alone(robot, H), equation_gains(law, H), np.full(4000, 30.0))
+    assert np.max(np.diff(position)) / H < 1.1 * 30.0 / law.damping_n_s_per_m
+    response = free_space_admittance(
+        build_sampled_plant(found.problem.plants.nominal, H), law, 2.0 * np.pi * np.geomspace(0.01, 100.0, 5000)
+    )
+    assert np.max(np.abs(response)) * law.damping_n_s_per_m < 1.051
+
+
+def test_what_rises_already_may_go_on_rising(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(AdmittancePeak, "achieved", lambda *_: 1.3697)
+    limited = limited_problem(papers_cell(), 3e-3, has_biquad=False)
+    assert structure_module._without_rise(plain(), limited).requirements.asked()["admittance_peak"] == 1.37
+    said = replace(limited, requirements=replace(limited.requirements, further={"admittance_peak": 1.2}))
+    assert structure_module._without_rise(plain(), said) == said
+
+
 def test_of_a_law_that_no_hand_may_hold_no_modulus_in_a_hand_is_asked(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(structure_module, "_least_held", lambda _found, _hand: 0.0)
     asked: list[DesignProblem] = []
@@ -142,7 +164,7 @@ def test_a_noise_that_is_asked_is_the_limit_that_is_said() -> None:
 
 def test_what_feedback_of_a_noisy_pose_makes_of_the_command_counts() -> None:
     """Of a pose without noise B_fb is free, and most of what wider bounds save is its."""
-    silent, _ = chosen()
+    silent, _ = choose_structure(plain(), "noise", HAND, seed=0)
     found, choice = choose_structure(plain(), "noise", HAND, seed=0, measured=NoiseOf(force=0.14, position=2e-6))
     assert choice.costs["noise"] is not None
     assert law_of(silent).feedback_damping_s > 0.05

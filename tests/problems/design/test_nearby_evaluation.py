@@ -30,6 +30,7 @@ PROBLEMS = [
     pytest.param(design_problem(requirements=HELD), id="noise and hands"),
     pytest.param(design_problem(requirements=replace(HELD, soft_n={"held_by_hand": 5.0})), id="soft hands"),
     pytest.param(WITH_BIQUAD, id="biquad"),
+    pytest.param(design_problem(requirements=replace(EASY, further={"admittance_peak": 1.1})), id="admittance peak"),
     pytest.param(design_problem(requirements=EVERYTHING), id="one that is not compiled"),
     pytest.param(
         replace(design_problem(requirements=EASY), objective=SensorForce(), approach=Approach(speed_m_s=0.04)),
