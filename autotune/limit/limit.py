@@ -123,7 +123,7 @@ class LimitResult:
         noise = (
             "of this noise"
             if abs(self.noise_factor - 1.0) < _SAME_NOISE
-            else f"of {self.noise_factor:g} times its noise"
+            else f"of {self.noise_factor:.3g} times its noise"
         )
         said += f"at this speed of approach no linear controller {noise} gets below {self.bound.force_n:.4g} {unit}"
         if self.attained is None:
