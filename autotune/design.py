@@ -13,6 +13,7 @@ from autotune.formats.atomic import check_target
 from autotune.formats.controller import ControllerFile, controller_tree, write_controller
 from autotune.formats.controller_record import Controller
 from autotune.formats.identified import IN_MEMORY
+from autotune.formats.limits import Biquad
 from autotune.formats.plant import Plant
 from autotune.formats.units import axis_units
 from autotune.formats.yaml12 import dump_yaml
@@ -131,7 +132,8 @@ class Design(Shown):
         }
 
     def _headline(self) -> str:
-        listed = "; ".join(_gains_text(name, gains) for name, gains in self.gains.items())
+        biquads = {name: each.biquad for name, each in self.controller.axes.items()}
+        listed = "; ".join(_gains_text(name, gains, biquads[name]) for name, gains in self.gains.items())
         return f"Design, {self.controller.status.value}: {listed}"
 
     def _answers(self) -> Sequence[str]:
@@ -405,11 +407,12 @@ _PREDICTED = (
 )
 
 
-def _gains_text(name: str, gains: Mapping[str, float]) -> str:
+def _gains_text(name: str, gains: Mapping[str, float], biquad: Biquad | None) -> str:
     units: AxisKind = axis_units(name)
     return (
         f"axis {name}: M_a {gains['mass']:.4g} {units.mass}, B_a {gains['damping']:.4g} {units.damping}, "
         f"K_l {1e3 * gains['lead']:.4g} ms, B_fb {1e3 * gains['feedback_damping']:.4g} ms"
+        f"{'' if biquad is None else f', biquad: {biquad.describe()}'}"
     )
 
 

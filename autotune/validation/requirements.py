@@ -158,11 +158,12 @@ def check_further(
 
 
 def _compared(name: str, requirement: Requirement[Any], required: Any, reached: float) -> Check:
-    met = requirement.ratio(required, reached) * (1.0 - 0.1 * _SAME_MARGIN) <= 1.0
+    ratio = requirement.ratio(required, reached)
+    met = ratio * (1.0 - 0.1 * _SAME_MARGIN) <= 1.0
     turning = name in ROTATIONAL_AXES
     found = f"{requirement.shown_scale * reached:.4g} {requirement.unit_on(turning=turning)}".strip()
     asked = requirement.describe(required, turning=turning)
-    message = f"found {found}, required: {asked}"
+    message = f"found {found}, required: {asked}{', met within 0.1 %' if met and ratio > 1.0 else ''}"
     return Check(axis=name, name=requirement.title, passed=met, message=message)
 
 

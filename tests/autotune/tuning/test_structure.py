@@ -9,6 +9,7 @@ from typing import Any, cast, get_args
 import numpy as np
 import pytest
 
+from autotune.api import load
 from autotune.cli._pareto import FrontWriter
 from autotune.cli._proved import noise_lines
 from autotune.errors import InfeasibleError, UsageError
@@ -312,6 +313,9 @@ def test_a_design_with_a_biquad_is_proved_written_loaded_and_read_again(tmp_path
     law = admittance_controller(controller, "x")
     assert law.has_biquad
     assert any("Taken: the biquad" in note for note in controller.provenance["notes"])
+    biquad = controller.axes["x"].biquad
+    assert biquad is not None
+    assert f"biquad: {biquad.describe()}" in repr(load(path))
     # The runtime's difference equation is that of the file.
     blocks = read_law(path).axes[0].blocks
     assert blocks[6, 0] == pytest.approx(_acting_at_once(law), rel=1e-12)
