@@ -106,3 +106,31 @@ def test_a_log_may_be_slower_than_the_controller_and_not_faster(given_s: float, 
 def test_an_unknown_name_is_refused_with_those_that_are_known(name: str) -> None:
     with pytest.raises(EstimateError, match=rf"Nothing called {name} can be given.*mass_kg, sample_time_s, x\.coup"):
         check_names({name: Given(value=1.0, std=0.1)}, ["x"])
+
+
+@pytest.mark.parametrize(
+    ("std", "prior_std", "expected"),
+    [
+        # The fit with a prior decides, however sharp the prior is; an exact one is what is taken.
+        (2.0, 0.4, (341.0, 1.5)),
+        (2.0, 1.0, (341.0, 1.5)),
+        (2.0, 0.0, (335.0, 0.0)),
+        (0.0, 0.4, (341.0, 1.5)),
+    ],
+)
+def test_a_fit_decides_beside_any_prior_but_an_exact_one(
+    std: float, prior_std: float, expected: tuple[float, float]
+) -> None:
+    alone = dataclasses.replace(reported().axes["x"], drag_n_s_per_m=known(334.0, std))
+    both = dataclasses.replace(alone, drag_n_s_per_m=known(341.0, 1.5))
+    given_drag = {"x.drag_n_s_per_m": Given(value=335.0, std=prior_std)}
+    found = settle_axis("x", alone, both, given_drag)[0].drag_n_s_per_m
+    assert (found.value, found.std) == expected
+    assert found.status is (Status.GIVEN if prior_std <= std else Status.IDENTIFIED)
+    # Without a fit that shows the number, log and prior are weighed.
+    blind = dataclasses.replace(alone, drag_n_s_per_m=UNDECIDED)
+    weighed = settle_axis("x", alone, blind, given_drag)[0].drag_n_s_per_m
+    assert weighed == dataclasses.replace(settle_axis("x", alone, None, given_drag)[0].drag_n_s_per_m)
+    if 0.0 in (std, prior_std):
+        assert weighed.value == (335.0 if prior_std == 0.0 else 334.0)
+        assert weighed.std == 0.0

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from autotune.campaign.fleet import changes, unusual
+from autotune.campaign.fleet import _distances, _robust_covariance, changes, unusual
 from autotune.campaign.text import outcome_text, unusual_text
 from autotune.campaign.work import RunOutcome
 from autotune.drift import Change, change_text, parameter_text
@@ -73,3 +73,33 @@ def test_values_are_shown_in_the_units_of_people() -> None:
     assert parameter_text("rz.coupling_stiffness_n_per_m", 4e3)[1:] == ("N·m/rad", "4000")
     refused = RunOutcome(cell="a", run="2", key="", refused="log", reason="cut")
     assert outcome_text([outcome("a", "1", TRUE), refused]).startswith("2 runs of 1 cell, 1 refused; 0 changes")
+
+
+def test_the_robust_covariance_of_normal_cells_is_that_they_were_drawn_from() -> None:
+    """The planted covariance has no zero and both signs; a tenth of the cells lie 20 deviations away."""
+    true = np.array([[1.0, 0.7, -0.3], [0.7, 1.0, 0.2], [-0.3, 0.2, 1.0]])
+    rows = np.random.default_rng(2).multivariate_normal(np.zeros(3), true, size=20_000)
+    np.testing.assert_allclose(_robust_covariance(rows), true, rtol=0.0, atol=0.05)
+    rows[::10] += 20.0
+    np.testing.assert_allclose(_robust_covariance(rows), true, rtol=0.0, atol=0.4)
+    errors = np.tile([0.0, 0.5, 1.0], (len(rows), 1))
+    found = _distances(rows[:5], errors[:5])
+    shared = _robust_covariance(rows[:5]) + np.diag([0.0, 0.25, 1.0])
+    np.testing.assert_allclose(found, np.sum(rows[:5] @ np.linalg.inv(shared) * rows[:5], axis=1))
+
+
+def test_a_column_that_differs_less_keeps_its_share_of_the_pairs() -> None:
+    """The eigenvectors are those of 2 Σ_ij / (Σ_ii + Σ_jj), the variances along them those of Σ."""
+    true = np.array([[1.0, 0.6, 0.2], [0.6, 1.0, 0.1], [0.2, 0.1, 0.25]])
+    rows = np.random.default_rng(3).multivariate_normal(np.zeros(3), true, size=40_000)
+    sizes = np.diag(true)
+    _, turned = np.linalg.eigh(2.0 * true / (sizes[:, None] + sizes))
+    expected = (turned * np.diag(turned.T @ true @ turned)) @ turned.T
+    np.testing.assert_allclose(_robust_covariance(rows), expected, rtol=0.0, atol=0.02)
+
+
+def test_a_score_is_the_distance_from_the_median_in_robust_deviations_and_the_cells_own() -> None:
+    cells = [outcome(f"c{i}", "mon", (value, *TRUE[1:])) for i, value in enumerate((15.0, 15.5, 16.0, 16.5, 40.0))]
+    (far,) = (each for each in unusual(cells) if each.name)
+    assert (far.cell, far.median) == ("c4", 16.0)
+    assert far.score == pytest.approx(24.0 / np.hypot(1.4826 * 0.5, STD[0]))

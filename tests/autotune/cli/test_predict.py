@@ -2,7 +2,9 @@
 
 import dataclasses
 import json
+import math
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -12,9 +14,11 @@ from autotune.formats.controller import write_controller
 from autotune.formats.controller_record import CollisionSettings
 from autotune.formats.limits import CollisionResponse
 from autotune.formats.quantity import Uncertain
-from autotune.predicting import parse_approach, parse_surface
+from autotune.predicting import ContactRequest, parse_approach, parse_surface
+from autotune.prediction.plants import Surface
 from autotune.prediction.said_gains import parse_gains
 from problems.contact.nonlinearities import DeadbandType
+from problems.errors import ParameterError
 from tests.autotune.cli.test_next import PLANT_TEXT
 from tests.autotune.formats.samples import make_identified
 from tests.autotune.tuning.cases import fast_optimized
@@ -170,3 +174,24 @@ def test_a_controller_file_is_predicted_with_its_own_gains_and_plants(
     ):
         assert main(["predict", str(path), *arguments]) == 2
         assert said in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.parametrize("wrong", [0.0, -1.0, math.nan, math.inf, True, "hard"])
+def test_a_contact_that_is_asked_for_has_numbers_above_0(wrong: Any) -> None:
+    with pytest.raises(ParameterError, match="environment_stiffness must be a number greater than 0"):
+        ContactRequest(stiffness=wrong).touched()
+    for name in ("speed", "force"):
+        with pytest.raises(ParameterError, match=f"approach_{name} must be a number greater than 0"):
+            ContactRequest(**{name: wrong})
+    for name, most in (("payload_mass", 1000.0), ("sample_time", 0.1)):
+        with pytest.raises(ParameterError, match=f"{name} must be a number greater than 0 and at most {most:g}"):
+            ContactRequest(**{name: wrong})
+    assert ContactRequest(payload_mass=1000.0, sample_time=0.1).payload_mass == 1000.0
+    for beyond in ({"payload_mass": 1000.1}, {"sample_time": 0.1001}):
+        with pytest.raises(ParameterError, match=next(iter(beyond))):
+            ContactRequest(**beyond)  # type: ignore[arg-type]
+    with pytest.raises(ParameterError, match="environment_stiffness must be a number greater than 0"):
+        ContactRequest(stiffness=Uncertain(value=-1.0, std=1.0)).touched()
+    assert ContactRequest(stiffness=2e4).touched() == Surface(stiffness=2e4, std=0.0)
+    assert ContactRequest(stiffness=Uncertain(value=2e4, std=9.0)).touched() == Surface(stiffness=2e4, std=9.0)
+    assert ContactRequest(surface="x1").touched() == Surface(name="x1")

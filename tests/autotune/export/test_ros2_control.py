@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from autotune.errors import UsageError
 from autotune.export.ros2_axis import Ros2Axis, with_common_masses
-from autotune.export.ros2_control import Ros2Options
+from autotune.export.ros2_control import Ros2Options, parse_version
 from autotune.export.third_party import Translation
 from autotune.validation.law import certify_law
 from problems.model.third_party_controllers import alternates
@@ -110,3 +111,18 @@ def test_a_common_mass_is_kept_by_a_search_and_is_enough_for_every_damping() -> 
         for axis in with_common_masses(axes).values():
             assert axis.written(tuple(each.high for each in axis.variables))["mass"] == pytest.approx(common, rel=1e-4)
             assert not alternates(axis.law(axis.translated))
+
+
+@pytest.mark.parametrize(
+    ("text", "known"),
+    [
+        *((text, True) for text in ("2.54.0", "2.99.0", "4.0.0", "6.99.9")),
+        *((text, False) for text in ("2.53.9", "3.0.0", "3.9.9", "7.0.0", "2.54", "foxy")),
+    ],
+)
+def test_a_version_is_known_from_the_first_that_runs_the_rule_to_the_last(text: str, known: bool) -> None:
+    if known:
+        assert parse_version(text) == tuple(int(each) for each in text.split("."))
+        return
+    with pytest.raises(UsageError, match=rf"--ros2-version must be humble, .* from 4\.0\.0 to 6\.x, found {text}\."):
+        parse_version(text)

@@ -1,4 +1,5 @@
 import json
+import shlex
 import subprocess
 import sys
 from dataclasses import replace
@@ -10,6 +11,7 @@ from jsonschema import Draft202012Validator
 from autotune.cli.export import command
 from autotune.errors import CertificateError, UsageError
 from autotune.export import export as export_module
+from autotune.export.designing import example_export
 from autotune.export.export import export_controller
 from autotune.export.own_formats import CELL_MARK, JSON, render_cell
 from autotune.export.target import ExportRequest, Rendered
@@ -111,3 +113,14 @@ def test_the_table_is_read_without_numpy() -> None:
     """`autotune export --help` reads it."""
     program = "import sys, autotune.export.targets; sys.exit('numpy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
+
+
+def test_the_command_that_is_shown_exports_to_a_name_of_the_targets_kind() -> None:
+    source = Path("cell/controller.yaml")
+    assert example_export(TARGETS["c"], source) == (
+        "autotune export cell/controller.yaml --target c -o cell/controller.c"
+    )
+    for name, target in TARGETS.items():
+        words = shlex.split(example_export(target, source))
+        assert words[:5] == ["autotune", "export", str(source), "--target", name]
+        assert words[-2:] == ["-o", str(source.with_suffix(".c")) if target.suffix == ".c" else name + target.suffix]

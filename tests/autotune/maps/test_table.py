@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from autotune.maps.make import table_text
+from autotune.maps.make import _interval_summary, table_text
 from autotune.maps.setup import MapSetup
-from problems.maps.search import IntervalRequest, IntervalResult, find_stable_intervals
+from problems.maps.search import IntervalRequest, IntervalResult, StableInterval, find_stable_intervals
 from tests.autotune.maps.map_cases import plan_of, small_map
 
 
@@ -85,3 +85,21 @@ def test_the_intervals_are_in_the_files(folder: Path) -> None:
                 (each.lower, each.upper) for each in column
             ]
     assert counts == {0, 1}
+
+
+def test_the_summary_of_intervals_has_the_ends_of_the_lowest_and_highest(folder: Path) -> None:
+    setup = plan_of(folder, show="stable-lead", x="drag=60:700:4", y="damping=400:1200:2", where="free_space")
+    assert isinstance(setup.request, IntervalRequest)
+
+    def between(*ends: tuple[float, float]) -> tuple[StableInterval, ...]:
+        return tuple(StableInterval(lower=a, upper=b, lower_is_bound=False, upper_is_bound=False) for a, b in ends)
+
+    columns = (between((1.0, 2.0)), (), between((0.5, 3.0), (4.0, 5.0), (6.0, 7.0)), between((2.0, 9.0)))
+    result = IntervalResult(request=setup.request, intervals={"soft": columns, "hard": ((), (), (), ())})
+    tree = _interval_summary(setup, result)
+    assert tree["cases"] == {
+        "soft": {"stable_share": 0.75, "most_intervals": 3, "smallest": [0.5, 2.0], "largest": [2.0, 9.0]},
+        "hard": {"stable_share": 0.0, "most_intervals": 0, "smallest": None, "largest": None},
+    }
+    np.testing.assert_array_equal(result.smallest("soft"), [1.0, np.nan, 0.5, 2.0])
+    np.testing.assert_array_equal(result.largest("soft"), [2.0, np.nan, 7.0, 9.0])

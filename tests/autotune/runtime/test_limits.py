@@ -1,5 +1,6 @@
 """What the runtime enforces of `limits`: every one has its own fault, which holds the command until the start."""
 
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,7 @@ from autotune.runtime import (
     load_controller,
     step,
 )
+from autotune.runtime.guard import Watch, missing_mass_kg, weigh
 from autotune.runtime.load import default_limits
 from problems.errors import ParameterError
 from tests.autotune.formats.samples import make_controller, make_limits
@@ -417,3 +419,24 @@ def test_the_defaults_leave_room_for_certified_contacts() -> None:
 def test_a_controller_has_limits_for_every_axis() -> None:
     with pytest.raises(ParameterError, match=r"limits\.axes.*given for rz too"):
         with_limits(axes={"x": LIMITS.axes["x"]})
+
+
+def test_a_weight_in_the_sensor_does_work_and_what_lies_across_it_makes_it_none() -> None:
+    """Gravity along x of the sensor, a force along it that did not change: F·Δx is counted, a side force ends it."""
+    guard, down = CONTROLLER.guard, (0.0, 0.0, 1.0, 0.0, 1.0, 0.0, -1.0, 0.0, 0.0)
+    light, increment = 4.0 * math.hypot(*PAYLOAD.gravity_W_m_s2), (1e-6, 2e-6, 3e-6)
+    before = Watch(missing_kg=-4.0, weight_kg=-4.0, weight_since=7, weight_work=0.25)
+
+    def weighed(x: float, y: float, z: float) -> tuple[Watch, bool]:
+        return weigh(guard, PAYLOAD, before, (x, y, z, 5.0, 70.0, 90.0), down, (*increment, 0.0, 0.0, 0.0))
+
+    sign = -1.0 if missing_mass_kg(PAYLOAD, (light, 0.0, 0.0, 0.0, 0.0, 0.0), down) > 0.0 else 1.0
+    force = (sign * light, 0.4, -0.3)
+    assert missing_mass_kg(PAYLOAD, (*force, 5.0, 70.0, 90.0), down) == pytest.approx(-4.0)
+    watch, is_other = weighed(*force)
+    assert not is_other
+    assert (watch.weight_since, watch.weight_kg) == (8, -4.0)
+    assert watch.weight_work == pytest.approx(0.25 + np.dot(force, increment), rel=1e-12)
+    for across in ((8.0, 0.0), (0.0, 8.0), (0.0, -8.0)):
+        watch, is_other = weighed(sign * light, *across)
+        assert (watch.weight_since, watch.weight_work, is_other) == (0, 0.0, False)

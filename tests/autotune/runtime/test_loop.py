@@ -2,12 +2,14 @@
 
 import dataclasses
 import time
+from typing import Any
 
 import numpy as np
 import pytest
 
 from autotune.runtime import AxisLaw
 from autotune.runtime.loop import MOST_STATES, LoopPlant, corner_plants, is_stable
+from problems.errors import ParameterError
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Coupling, Environment, PayloadDynamics, Plant
 from problems.model.robot import RobotModel
@@ -147,3 +149,9 @@ def test_the_corners_of_a_domain_are_looked_at_in_milliseconds() -> None:
     # Measured 6 to 10 ms; ten times that is a machine that is busy with something else.
     assert time.process_time() - begin < 0.1
     assert corner_plants(domain | {"wrench_filter": {"delay_s": 1e-3}}, turns=False) == []
+
+
+@pytest.mark.parametrize("change", [{"damping": 1e-310}, {"mass": 1e308, "damping": 1e-3}])
+def test_an_axis_whose_equation_overflows_anywhere_is_refused(change: dict[str, Any]) -> None:
+    with pytest.raises(ParameterError, match="gains whose difference equation has finite coefficients"):
+        dataclasses.replace(make_axis("x"), **change)

@@ -329,3 +329,26 @@ def test_a_wall_with_mass_is_at_rest_again_before_the_next_contact() -> None:
     kept = cell.payload_mass_kg / (cell.payload_mass_kg + 3.0)
     # Within the rest of the sample, 0.8 ms, spring and drag slow the payload by less than a percent.
     np.testing.assert_allclose(speed[first + 1] / speed[first], kept, rtol=0.01)
+
+
+def test_a_scripted_move_begins_where_the_controller_left_the_command() -> None:
+    """The script counts its command from the instant it takes over, wherever that instant has it."""
+    cell, n = silent(SimulatedCell(wall_distance_m=1.0)), 600
+    running, zeros = np.arange(n) % 300 < 150, np.zeros(n)
+    script = Script(
+        rotation_rad=np.zeros((n, 3)),
+        admittance=running,
+        command_m=0.02 + 1e-5 * np.arange(n),
+        desired_force_n=np.full(n, 30.0),
+        hand_force_n=zeros,
+        homing_n_per_m=zeros,
+    )
+    command = run_axis(cell, script, zeros).command_m
+    moved = np.diff(command)
+    takes_over = np.flatnonzero(running[:-1] & ~running[1:])
+    np.testing.assert_allclose(moved[takes_over], 0.0, atol=1e-15)
+    scripted = ~running[:-1] & ~running[1:]
+    np.testing.assert_allclose(moved[scripted], 1e-5, rtol=1e-9)
+    # The controller starts from where the script has left it as well, and moves on: no jump.
+    assert np.max(np.abs(moved)) < 1e-3
+    assert command[149] > command[1]

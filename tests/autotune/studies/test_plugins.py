@@ -317,3 +317,15 @@ def test_samples_are_stable_and_differ() -> None:
         np.max(each.radii) < 1.0 and np.all(np.isfinite([p.peak_contact_force_n for p in each.peaks]))
         for each in designs
     )
+
+
+@pytest.mark.parametrize(("fails_hz", "share"), [(None, 0.0), (0.5, 20.0), (20.0, 0.5), (0.0, np.inf)])
+def test_the_share_of_a_passive_band_is_its_end_over_where_passivity_fails(
+    fails_hz: float | None, share: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Port:
+        def fails_above_hz(self, controller: object) -> float | None:
+            return fails_hz
+
+    monkeypatch.setattr("autotune.studies.objectives.prepare_port", lambda _: Port())
+    assert PassiveBand._share(None, None, 10.0) == share  # type: ignore[arg-type]

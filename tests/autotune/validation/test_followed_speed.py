@@ -4,9 +4,13 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from autotune.validation.followed_speed import followed_speeds, robot_lag_s, robot_share
+from autotune.formats.controller_record import admittance_controller
+from autotune.validation.followed_speed import _impulse_answers, followed_speeds, robot_lag_s, robot_share
 from problems.arrays import FloatArray
+from problems.model.controller import controller_blocks
+from problems.model.difference import ControlState, controller_step
 from problems.model.robot import RobotModel
+from tests.autotune.formats.samples import make_controller
 
 PERIOD_S = 2e-3
 ONE_POLE = RobotModel(numerator=np.array([20.0]), denominator=np.array([1.0, 20.0]), delay_s=2.4e-3)
@@ -81,3 +85,20 @@ def test_no_command_within_the_limit_takes_the_robot_beyond_its_share_and_one_ta
     for _ in range(3):
         drawn = np.repeat(rng.choice([-1.0, 1.0], count // 10), 10)
         assert np.max(np.abs(answer(drawn))) <= share * 1.001
+
+
+def test_a_force_of_one_period_moves_the_command_by_its_impulse_over_the_damping() -> None:
+    controller = make_controller(("x",))
+    law, h = admittance_controller(controller, "x"), controller.sample_time_s
+    force, pose = _impulse_answers(controller, "x", 0.05)
+    assert np.sum(force) == pytest.approx(1.0 / law.damping_n_s_per_m, rel=1e-5)
+    # From the first period on: what a constant force makes of the command, period by period.
+    blocks, commands = controller_blocks(law, h), [0.0]
+    state: ControlState = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    for _ in range(50):
+        command, state = controller_step(blocks, state, 1.0, 0.0)
+        commands.append(command)
+    np.testing.assert_allclose(np.cumsum(force)[:50] * h, np.diff(commands), rtol=1e-9, atol=1e-15)
+    # A displaced pose is answered only while it changes.
+    assert pose[0] != 0.0
+    assert abs(np.sum(pose)) < 1e-3 * np.sum(np.abs(pose))

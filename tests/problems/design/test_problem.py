@@ -1,6 +1,7 @@
 import dataclasses
 import math
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -160,6 +161,10 @@ def test_the_plant_of_a_scenario_is_the_problems_with_that_wall_and_mass() -> No
 def test_a_design_vector_is_a_controller_in_the_order_of_the_variables() -> None:
     found = paper_problem(velocity_filter_rad_per_s=90.0).controller([13.0, 1000.0, 0.02, 7.5e-3])
     assert found.parameters().tolist() == [13.0, 1000.0, 0.02, 7.5e-3, 90.0, 200.0, 0.0]
+    design = np.array([[13.0, 1000.0, 0.02, 5e-5]])
+    for keeps, feedback in ((False, 0.0), (True, 5e-5)):
+        (alone,) = paper_problem(velocity_filter_rad_per_s=90.0).parameters(design, keeps_small=keeps)
+        assert alone.tolist() == [13.0, 1000.0, 0.02, feedback, 90.0, 200.0, 0.0]
 
 
 @pytest.mark.parametrize(("asked", "found"), [(0.0, 0.0), (9.9e-5, 0.0), (1e-4, 1e-4)])

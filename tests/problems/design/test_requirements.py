@@ -16,6 +16,7 @@ from problems.design.requirements import (
     BUILT_IN,
     FIELDS,
     LARGEST_SHARE,
+    AdmittanceTarget,
     MultiplicativeError,
     NoiseLimit,
     PassivityTarget,
@@ -158,3 +159,22 @@ def test_the_worst_scenario_alone_is_as_bad_as_all(name: str) -> None:
     alone = build_scenarios(problem, [worst]).stable(design.controller)
     found = np.max(requirement.ratios(asked, design))
     assert np.max(requirement.ratios(asked, alone)) == pytest.approx(found, rel=1e-9)
+
+
+@pytest.mark.parametrize("slowest_first", [True, False])
+def test_the_worst_scenario_of_an_admittance_is_of_the_robot_that_yields_least(slowest_first: bool) -> None:
+    asked, problem = AdmittanceTarget(min_m_s_per_n=1e-4, band_hz=(0.5, 6.0)), design_problem()
+    some = problem.scenarios(2, 2)[0]
+    bandwidths = (1.5, 4.0, 9.0) if slowest_first else (9.0, 4.0, 1.5)
+    design = build_scenarios(problem, [replace(some, robot_bandwidth_hz=each) for each in bandwidths]).stable(
+        problem.controller(GOOD)
+    )
+    requirement = BUILT_IN["free_space_admittance"]
+    worst = requirement.worst_scenario(asked, design)
+    assert worst.robot_bandwidth_hz == 1.5
+    alone = build_scenarios(problem, [worst]).stable(design.controller)
+    least = requirement.achieved(asked, alone, 0)
+    assert requirement.achieved(asked, design, 0) == least
+    gradient = requirement.gradient(asked, design, 0)
+    assert gradient is not None
+    assert gradient.value == pytest.approx(least, rel=1e-3)

@@ -128,3 +128,15 @@ def test_holds_on_one_surface_are_no_tare_unless_nothing_was_touched_there(place
     log = log_of(line(*position), force=weight + np.concatenate(force), orientation=orientation)
     found = weigh_rests("/wrench", log, collect_static_poses(log, find_motion(log).still))
     assert [finding.code for finding in found] == codes
+
+
+@pytest.mark.parametrize(("missing", "count"), [(0, 1), (1, 0)])
+def test_a_tare_needs_a_rest_of_150_ms_on_either_side(missing: int, count: int) -> None:
+    side, width = round(0.15 * RATE_HZ), round(4e-3 * RATE_HZ)
+    force = np.zeros((2 * (side + width) - missing, 3))
+    force[side + width :] = STEP_N
+    jumps = find_tare_jumps(log_of(line(np.zeros(len(force))), force=force, noise_n=1e-3))
+    assert len(jumps) == count
+    for jump in jumps:
+        np.testing.assert_allclose(jump.force_n, STEP_N, rtol=0.0, atol=1e-3)
+        assert jump.time_s == pytest.approx((side + width) / RATE_HZ, abs=width / RATE_HZ)
