@@ -33,6 +33,7 @@ from identification.joint_fit.rubbing_coupling import fine_path, rubbed_force
 from identification.joint_fit.solve import Point, Problem
 from identification.result import Status
 from identification.signals.segments import Span
+from identification.verdicts import TWO_SIDED
 from problems.arrays import FloatArray
 
 PERIOD_S, FINER = 1e-3, 40
@@ -378,8 +379,8 @@ def test_where_the_force_shows_no_robot_it_is_that_of_command_and_pose() -> None
 
 @pytest.mark.parametrize("explains", [True, False])
 def test_deviations_are_those_of_a_fit_that_explains_the_misfit_and_else_wider(explains: bool) -> None:
-    fit = plain()
-    size = len(fit.values)
+    fit, size, wide = plain(), len(plain().values), ((0, 0.5, 0.6), (1, 0.7, 1.0), (2, 1.0, 3.0))
+    fit = replace(fit, ci95={fit.names[i]: (low * fit.values[i], high * fit.values[i]) for i, low, high in wide})
     found = Extended(
         move=np.zeros(size),
         covariance=np.diag((1e-5 * fit.values) ** 2),
@@ -391,6 +392,10 @@ def test_deviations_are_those_of_a_fit_that_explains_the_misfit_and_else_wider(e
     )
     expected = found.covariance if explains else fit.covariance + found.covariance
     np.testing.assert_allclose(with_extension(fit, found).covariance, expected, atol=1e-9 * np.max(expected))
+    for i, low, high in wide:
+        ends = 1.0 + np.array([-1.0, 1.0]) * TWO_SIDED * np.sqrt(expected[i, i]) / fit.values[i]
+        ends = ends if explains else np.array([min(low, ends[0]), max(high, ends[1])])
+        np.testing.assert_allclose(with_extension(fit, found).ci95[fit.names[i]], ends * fit.values[i], rtol=1e-9)
 
 
 def test_a_robot_that_gives_way_leaves_the_joint_covariance() -> None:
