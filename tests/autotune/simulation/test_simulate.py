@@ -338,7 +338,7 @@ def test_a_scripted_move_begins_where_the_controller_left_the_command() -> None:
     script = Script(
         rotation_rad=np.zeros((n, 3)),
         admittance=running,
-        command_m=0.02 + 1e-5 * np.arange(n),
+        command_m=np.asarray(0.02 + 1e-5 * np.arange(n), dtype=np.float64),
         desired_force_n=np.full(n, 30.0),
         hand_force_n=zeros,
         homing_n_per_m=zeros,
