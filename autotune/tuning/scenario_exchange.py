@@ -84,6 +84,14 @@ class WholeSet:
             return exact
         return exact.together_with(build_scenarios(self.problem, found).evaluate_exactly(controller))
 
+    def evaluate_design(self, design: FloatArray) -> tuple[Evaluation, tuple[PlantMargins, ...]]:
+        """Evaluate a design (n,); an unstable scenario counts as an infinite miss, with no margins."""
+        try:
+            exact = self.evaluate(self.problem.controller(design))
+        except UnstableLoopError:
+            return self.prepared.evaluate(design), ()
+        return exact.evaluation, exact.margins
+
     def unstable(self, controller: AdmittanceController) -> tuple[Scenario, ...]:
         """Return the scenarios of the largest spectral radii among those that are unstable."""
         radii = self.prepared.radii(controller)
@@ -367,3 +375,12 @@ def _comes_to_rest(pair: SampledContact, controller: AdmittanceController, ratio
         if follow_contact(pair, controller, approach, window=window).ending is Ending.BOUNCING:
             return False
     return True
+
+
+def misses(evaluation: Evaluation) -> str:
+    """Say what a design misses, and by how much."""
+    missed = [(name, value) for name, value in evaluation.requirements.items() if value > 1.0]
+    return (
+        ", ".join(f"{name} (only {min(100.0 / value, 99.9):.3g} % of what is asked)" for name, value in missed)
+        or "a peak"
+    )

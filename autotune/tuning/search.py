@@ -14,7 +14,6 @@ from problems.design.evaluation import Evaluation, PlantMargins, PreparedScenari
 from problems.design.problem import BIQUAD_VARIABLES, DesignProblem
 from problems.design.uncertainty import Scenario
 from problems.progress import no_progress
-from problems.stability.margins import UnstableLoopError
 
 from .bounds import Box, presentable, spread_out, without_lead
 from .descent import BACKOFF, SHORT_WAY, descend, polish_exactly
@@ -24,6 +23,7 @@ from .scenario_exchange import (
     ImpactTest,
     WholeSet,
     missed_elsewhere,
+    misses,
     missing_scenarios,
     moved_scenario,
     softly_missed_scenarios,
@@ -40,6 +40,10 @@ _POLISH_STARTS, _OTHER_VALLEYS = 3, 6
 # that ends a little outside of what is asked goes on.
 _WITH_BIQUAD, _LEGS, _MOST_LEGS = 20, 2, 5
 _SAME, _NEAR, _FAR = 1e-3, 0.1, 0.45
+# Steps along a kink end a little outside: further legs keep more in hand.
+_IN_HAND = 5e-4
+# A valley that ends higher than this is left: more scenarios only raise it.
+_CLOSE = 1.01
 # What six digits may cost a requirement.
 _RESERVE = 5e-6
 _HAIR = 2e-3
@@ -110,7 +114,7 @@ def solve_design(
     search, active = _begun(problem, seed, start, neighbour, counterexamples)
     whole = WholeSet(problem, seed, counterexamples.scenarios)
     # The given design is kept if nothing better is found: margins held in reserve could cost a hair otherwise.
-    given = None if start is None else (start, *_evaluated_exactly(whole, start))
+    given = None if start is None else (start, *whole.evaluate_design(start))
     search.elite = [search.box.unit(each) for each in others]
     if explores and not (start is not None and search.has_biquad):
         unit = search.explore(active, lambda share: report(0.6 * share))
@@ -119,7 +123,7 @@ def solve_design(
     for round_index in range(_ROUNDS):
         unit = search.polish(active, unit)
         design = presentable(problem, search.box.design(unit))
-        exact, margins = _evaluated_exactly(whole, design)
+        exact, margins = whole.evaluate_design(design)
         report(0.4 / _ROUNDS)
         search.note_round(len(active), exact)
         worse = worst_scenarios(problem, exact, search.last, active)
@@ -152,7 +156,7 @@ def _unsettled(last: Evaluation) -> InfeasibleError:
     """Say what the last design misses of a search that did not come to an end."""
     return InfeasibleError(
         f"No design was found that holds over the whole uncertainty within {_ROUNDS} rounds of adding the worst case; "
-        f"the last one misses {_misses(last)}. Ask for less, or narrow the ranges.",
+        f"the last one misses {misses(last)}. Ask for less, or narrow the ranges.",
         missed=last.violation,
     )
 
@@ -172,15 +176,6 @@ def _begun(
     worst = (moved_scenario(each, neighbour.problem, problem) for each in neighbour.active.scenarios)
     active = tuple(dict.fromkeys((*problem.scenarios(3, 2), *worst)))
     return Search(problem, seed, begin, generations=_NEARBY_GENERATIONS), active
-
-
-def _evaluated_exactly(whole: WholeSet, design: FloatArray) -> tuple[Evaluation, tuple[PlantMargins, ...]]:
-    """Evaluate over the whole set; an unstable scenario in it counts as an infinite miss, with no margins."""
-    try:
-        exact = whole.evaluate(whole.problem.controller(design))
-    except UnstableLoopError:
-        return whole.prepared.evaluate(design), ()
-    return exact.evaluation, exact.margins
 
 
 class Search:
@@ -213,8 +208,10 @@ class Search:
         self.last: Evaluation | None = None
         self.elite: list[FloatArray] = []
         self.steps: list[SearchStep] = []
-        # The least cost, over the scenarios at hand, of a design that was seen to come to rest, and that of a descent.
+        # The least cost, over the scenarios at hand, of a design that was seen to come to rest, and that of a descent;
+        # where descents ended.
         self._calm = self._reached = np.inf
+        self._ends: list[FloatArray] = []
 
     def explore(self, active: tuple[Scenario, ...], report: Callable[[float], None]) -> FloatArray:
         """Run differential evolution on the active scenarios; return the best point, keep the best few."""
@@ -287,6 +284,7 @@ class Search:
     def screen(self, active: tuple[Scenario, ...]) -> BatchEvaluator:
         """Return the batch evaluator over the active scenarios, of the goal if there is one."""
         self._calm = self._reached = np.inf
+        self._ends = []
         return replace(build_batch_evaluator(build_scenarios(self.problem, active)), goal=self.goal)
 
     def _costs(
@@ -333,7 +331,8 @@ class Search:
         order = np.argsort(costs, kind="stable")
         best = candidates[order[0]]
         # The next round starts where this one ended, in the best few valleys.
-        self.elite = spread_out([candidates[i] for i in order if costs[i] < _MISSED], _NEAR, _POLISH_STARTS)
+        enough = min(_MISSED, _CLOSE * costs[order[0]])
+        self.elite = spread_out([candidates[i] for i in order if costs[i] < enough], _NEAR, _POLISH_STARTS)
         if np.min(costs) >= _MISSED:
             # The population knew other scenarios, and may have left the valley that holds over these too.
             best = self._recover(screen, [best], far=self.goal is None)
@@ -396,17 +395,27 @@ class Search:
 
     def local(self, screen: BatchEvaluator, start: FloatArray) -> FloatArray:
         """Descend from a point, with what the grid flattered asked for."""
-        unit = start
+        unit, reserve = start, BACKOFF
         iterations, legs = (_WITH_BIQUAD, _LEGS) if self.has_biquad else (SHORT_WAY, 1)
         for leg in range(_MOST_LEGS):
-            found = descend(screen, self.box, unit, backoff=self.backoff, iterations=iterations)
+            begun = unit
+            found = descend(screen, self.box, unit, backoff=self.backoff, reserve=reserve, iterations=iterations)
             unit = found.unit
             self.evaluations += found.evaluations
+            # A valley whose end is known.
+            is_near = any(np.linalg.norm(unit - end) < _NEAR for end in self._ends)
+            if is_near and found.cost > (1.0 - _SAME) * self._reached:
+                break
             if found.missed == 0.0:
                 self._reached = min(self._reached, found.cost)
+                if np.linalg.norm(unit - begun) < _SAME:
+                    break
             # A cost that is too high already while something is missed only grows on the way back.
             if leg + 1 >= legs and not (0.0 < found.missed < _FAR_OFF and found.cost < self._reached):
+                if found.missed == 0.0:
+                    self._ends.append(unit)
                 break
+            reserve = _IN_HAND if leg + 1 >= legs else BACKOFF
         if not self.impacts:
             return unit
         return self.box.unit(self.impacts.walk_back(self.box.design(start), self.box.design(unit)))
@@ -431,16 +440,8 @@ class Search:
         said = "No controller within the bounds meets all requirements in every scenario"
         # The screen passes over what a design misses further on, so this one need not be the closest.
         return InfeasibleError(
-            f"{said}; the search ended at one that misses {_misses(evaluation)}. Relax what it misses, narrow the "
+            f"{said}; the search ended at one that misses {misses(evaluation)}. Relax what it misses, narrow the "
             "ranges of stiffness and payload, or widen the bounds.",
             bare=said,
             missed=evaluation.violation,
         )
-
-
-def _misses(evaluation: Evaluation) -> str:
-    missed = [(name, value) for name, value in evaluation.requirements.items() if value > 1.0]
-    return (
-        ", ".join(f"{name} (only {min(100.0 / value, 99.9):.3g} % of what is asked)" for name, value in missed)
-        or "a peak"
-    )
