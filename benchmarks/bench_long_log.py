@@ -30,6 +30,7 @@ from autotune.formats.controller import read_controller
 from autotune.formats.controller_record import admittance_controller
 from autotune.simulation.truth import SimulatedCell
 from benchmarks.long_log import write_long_log
+from identification.logs.read import WINDOW_S
 
 _DAY_H = 24.0
 _SHORTER_S = 120.0
@@ -107,7 +108,9 @@ def main() -> int:
     if sys.argv[1:2] == ["--command"]:
         return _command(sys.argv[2:])
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--hours", type=float, nargs="+", default=[0.5, 1.0, 2.0], help="lengths of the logs")
+    parser.add_argument(
+        "--hours", type=float, nargs="+", default=[0.5, 1.0, 2.0], help="lengths of the logs, to ten minutes"
+    )
     parser.add_argument("--compression", choices=["", "zstd"], default="", help="of the chunks")
     parser.add_argument("--commands", nargs="+", choices=["inspect", "identify", "validate", "predict"])
     options = parser.parse_args()
@@ -122,10 +125,11 @@ def main() -> int:
             "predict": [f"{made}/identified.yaml", "--controller", *of_controller],
         }
         memories: dict[str, list[tuple[float, float]]] = {name: [] for name in options.commands or commands}
-        for hours in options.hours:
-            # The last window is no longer than the others, which would pass for growth.
+        lengths = [max(1, round(3600.0 * hours / WINDOW_S)) * WINDOW_S / 3600.0 for hours in options.hours]
+        for hours in lengths:
+            # The last window is no longer than the others, which would pass for growth: it takes in half a window.
             count = write_long_log(path, 3600.0 * hours - _SHORTER_S, [cell], compression=options.compression)
-            print(f"{hours:g} h, {path.stat().st_size / 1e9:.2f} GB, {count} messages")
+            print(f"{hours:.3g} h, {path.stat().st_size / 1e9:.2f} GB, {count} messages")
             for name, found in memories.items():
                 # Beside each command, as the machine's speed drifts.
                 passed, passing = _pass(path)
@@ -137,9 +141,9 @@ def main() -> int:
                     f"largest process {memory[1]:.0f} MiB",
                     flush=True,
                 )
-    if len(options.hours) > 1:
+    if len(lengths) > 1:
         for name, found in memories.items():
-            (slope, of_one), (start, one) = np.polyfit(options.hours, found, 1)
+            (slope, of_one), (start, one) = np.polyfit(lengths, found, 1)
             print(f"{name}: {slope:+.1f} MiB per hour, so a day takes {start + _DAY_H * slope:.0f} MiB;", end=" ")
             print(f"of the largest process {of_one:+.1f}, {one + _DAY_H * of_one:.0f} MiB")
     return 0
