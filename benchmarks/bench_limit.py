@@ -5,10 +5,13 @@ design's noise, and of drawn problems; `--drawn 20` says how many. The structure
 the noise of the command in the place of the bounds of M_a, K_l and B_fb, and a biquad too. They may approach more
 slowly than the four gains, as far as the admittance allows; the last three columns keep the speed of these.
 `--observer` prints instead what a disturbance observer of the payload (P̂, ω_a and ω_v free) reaches at the same noise,
-alone and beside a biquad.
+alone and beside a biquad. `--write docs/limit.md` makes both tables and the figure of that page anew.
 """
 
 import argparse
+import contextlib
+import io
+import itertools
 import math
 import statistics
 import sys
@@ -38,6 +41,9 @@ _NOMINAL = paper_cell((5e5, 5e5), (16.0, 16.0))
 _GRID = (3, 2)
 _OBSERVER = {"velocity_filter_rad_per_s": (20.0, 1500.0), "acceleration_filter_rad_per_s": (20.0, 1500.0)}
 _SHARES = (0.0, 0.3, 0.7)
+# So many draws are looked at with an observer.
+_OBSERVED = 9
+_FIGURE = "figures/structures.svg"
 _FACTORS = (0.5, 0.7, 1.0, 1.5, 2.0, 3.0, 5.0)
 
 
@@ -162,25 +168,15 @@ def draw_trade(path: Path) -> None:
     path.write_bytes(render(chart, path.suffix, mark=PICTURE_MARK))
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--drawn", type=int, default=20, help="how many drawn problems")
-    parser.add_argument("--picture", type=Path, help="draw peak against noise of the paper's nominal cell there")
-    parser.add_argument("--observer", action="store_true", help="print what a disturbance observer reaches instead")
-    options = parser.parse_args()
-    if options.observer:
-        print_observers(options.drawn)
-        return 0
-    if options.picture is not None:
-        draw_trade(options.picture)
-        return 0
+def print_limits(drawn: int) -> None:
+    """Print peaks, noise and times of four gains, structures and limit, and what they come to in the median."""
     print(
         "| problem | four gains [N] | at their noise [N] | and a biquad [N] | any order reaches [N] | none below [N] "
         "| noise [mm/s/N] | search [s] | structures [s] | limit [s] |"
     )
     print("|---|---|---|---|---|---|---|---|---|---|")
     reached, bound, saved = list[float](), list[float](), list[tuple[float, float]]()
-    for name, problem, noise in _cases(options.drawn):
+    for name, problem, noise in _cases(drawn):
         row, limit, shares = _row(name, problem, noise)
         print(row, flush=True)
         if limit is not None and name.startswith("drawn"):
@@ -194,6 +190,41 @@ def main() -> int:
             f"structures reach {100.0 * statistics.median(one for one, _ in saved):.0f} %, with a biquad "
             f"{100.0 * statistics.median(both for _, both in saved):.0f} %."
         )
+
+
+def write_page(page: Path, drawn: int) -> None:
+    """Replace the tables of the page by new ones, and its figure."""
+    text = page.read_text(encoding="utf-8")
+    for fill, count in ((print_limits, drawn), (print_observers, min(drawn, _OBSERVED))):
+        printed = io.StringIO()
+        with contextlib.redirect_stdout(printed):
+            fill(count)
+        table = [line for line in printed.getvalue().splitlines() if line.startswith("|") and "no design" not in line]
+        before, head, rest = text.partition(table[0])
+        if not head:
+            raise ValueError(f"The page has no table that begins with {table[0]}")
+        after = itertools.dropwhile(lambda line: line.startswith("|"), rest.splitlines()[1:])
+        text = "\n".join((before + table[0], *table[1:], *after, ""))
+        print(printed.getvalue(), flush=True)
+    page.write_text(text, encoding="utf-8")
+    draw_trade(page.parent / _FIGURE)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--drawn", type=int, default=20, help="how many drawn problems")
+    parser.add_argument("--picture", type=Path, help="draw peak against noise of the paper's nominal cell there")
+    parser.add_argument("--observer", action="store_true", help="print what a disturbance observer reaches instead")
+    parser.add_argument("--write", type=Path, help="the page whose tables and figure are replaced, docs/limit.md")
+    options = parser.parse_args()
+    if options.write is not None:
+        write_page(options.write, options.drawn)
+    elif options.observer:
+        print_observers(options.drawn)
+    elif options.picture is not None:
+        draw_trade(options.picture)
+    else:
+        print_limits(options.drawn)
     return 0
 
 
