@@ -12,6 +12,8 @@ from problems.model.plant import FREE_SPACE
 from problems.model.sampled import build_loop, build_sampled_plant
 from problems.stability.noise import command_speed_gain, spectral_speed_rms
 
+from .noise_limit import find_sensor_noise
+
 # Less is in the noise of the spectrum itself.
 _WORTH_SAYING = 0.2
 
@@ -31,13 +33,15 @@ def spectrum_notes(
     for name, problem in problems.items():
         limit, is_turning = problem.requirements.command_noise, name in ROTATIONAL_AXES
         density = np.array(spectrum.torque_n2_m2_per_hz if is_turning else spectrum.force_n2_per_hz)
-        if limit is None or not limit.force_noise_rms_n or not density.any():
+        rms = find_sensor_noise(identified, name)
+        # A noise that is said, or one newton where none is known, is not that of the spectrum.
+        if not rms or limit is None or limit.force_noise_rms_n != rms or not density.any():
             continue
         law, nominal = admittance_controller(controller, name), problem.plants.nominal
         plants = [
             build_sampled_plant(each, problem.sample_time_s) for each in (nominal, nominal.in_contact_with(FREE_SPACE))
         ]
-        white = limit.force_noise_rms_n * max(command_speed_gain(each, law) for each in plants)
+        white = rms * max(command_speed_gain(each, law) for each in plants)
         logged = max(spectral_speed_rms(build_loop(each, law), frequency, density) for each in plants)
         if abs(logged - white) > _WORTH_SAYING * white:
             unit = f"m{axis_units(name).speed}"

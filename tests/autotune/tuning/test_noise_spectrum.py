@@ -63,3 +63,6 @@ def test_nothing_is_said_where_no_noise_is_limited_or_no_spectrum_known(controll
     plant = measured(HUM)
     assert list(spectrum_notes(controller, problem_of(plant, None), plant)) == []
     assert list(spectrum_notes(controller, problem_of(identified_plant()), identified_plant())) == []
+    # Nor of noise that somebody said, whatever the log's spectrum is.
+    said = problem_of(plant, replace(LIMIT, force_noise_rms_n=1.0))
+    assert list(spectrum_notes(controller, said, plant)) == []
