@@ -134,7 +134,7 @@ def _stiffness(_context: click.Context, _option: click.Parameter, text: str | No
     type=click.Choice(["gains", "noise", "biquad"]),
     show_default="as problem.yaml says, or noise",
     help="The law: four gains in their bounds (gains), limited by the noise of the command instead, to what those make "
-    "or the robot's jitter at rest, where problem.yaml says no bounds (noise), or with a biquad in the path of the "
+    "or the robot's jitter at rest (noise), or with a biquad in the path of the "
     "force too (biquad).",
 )
 @pareto_options

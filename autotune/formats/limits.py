@@ -12,6 +12,7 @@ from problems.frozen import FrozenDict, Rule, freeze
 from .units import AXES
 
 MOST_REST_SAMPLES = 100_000
+MOST_POSE_SPEED_M_S, MOST_POSE_SPEED_RAD_S = 20.0, 50.0
 Peak = Annotated[float, Rule(minimum=-1_000_000, maximum=1_000_000)]
 
 
@@ -148,8 +149,8 @@ class Limits:
     force_n: Annotated[float, Rule(exclusiveMinimum=0, maximum=100_000)]
     torque_n_m: Annotated[float, Rule(exclusiveMinimum=0, maximum=10_000)]
     axes: Annotated[Mapping[Annotated[str, Rule(enum=AXES)], AxisLimits], Rule(minProperties=1)]
-    pose_speed_m_s: Annotated[float, Rule(exclusiveMinimum=0, maximum=20)]
-    pose_speed_rad_s: Annotated[float, Rule(exclusiveMinimum=0, maximum=50)]
+    pose_speed_m_s: Annotated[float, Rule(exclusiveMinimum=0, maximum=MOST_POSE_SPEED_M_S)]
+    pose_speed_rad_s: Annotated[float, Rule(exclusiveMinimum=0, maximum=MOST_POSE_SPEED_RAD_S)]
     stale_wrench_s: Annotated[float, Rule(exclusiveMinimum=0, maximum=10)]
     stale_pose_s: Annotated[float, Rule(exclusiveMinimum=0, maximum=10)]
     rest_samples: Annotated[int, Rule(minimum=1, maximum=MOST_REST_SAMPLES)]

@@ -8,7 +8,15 @@ import numpy as np
 
 from autotune.errors import InfeasibleError, UsageError
 from autotune.formats.controller_record import AxisPrediction, Controller
-from autotune.formats.limits import AxisLimits, Limits, LimitsNoise, LimitsSpec, ResidualPeaks
+from autotune.formats.limits import (
+    MOST_POSE_SPEED_M_S,
+    MOST_POSE_SPEED_RAD_S,
+    AxisLimits,
+    Limits,
+    LimitsNoise,
+    LimitsSpec,
+    ResidualPeaks,
+)
 from autotune.formats.problem import ProblemSpec
 from autotune.formats.units import axis_units
 from autotune.validation.followed_speed import NOISE_DEVIATIONS, FollowedSpeed, choose_followed, safe_speed
@@ -68,6 +76,13 @@ def with_limits(controller: Controller, settings: LimitsSettings) -> Controller:
     reasons: dict[str, str] = {}
     axes = {name: _axis_limits(controller, name, settings.noise, reasons) for name in controller.axes}
     limits = _said(controller, choose_limits(controller, settings.noise, axes, reasons), settings.spec)
+    if limits.pose_speed_m_s > MOST_POSE_SPEED_M_S or limits.pose_speed_rad_s > MOST_POSE_SPEED_RAD_S:
+        raise UsageError(
+            f"The pose is too noisy for a limit of its speed: with sensor.position_noise_rms_m of "
+            f"{settings.noise.position_m:.3g} m it would be {limits.pose_speed_m_s:g} m/s and "
+            f"{limits.pose_speed_rad_s:g} rad/s, where at most {MOST_POSE_SPEED_M_S:g} and {MOST_POSE_SPEED_RAD_S:g} "
+            "are allowed; record a pose of less noise, or say limits.pose_speed_m_s and pose_speed_rad_s."
+        )
     limited = replace(controller, limits=limits)
     _check_safe(limited)
     predicted = {name: _predicted(limited, name) for name in controller.axes}

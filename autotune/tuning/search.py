@@ -228,7 +228,8 @@ class Search:
         plain = without_lead(self.problem.variables, np.asarray(found.x))
         self.elite.append(plain[np.argmin(self._costs(screen, plain, peaks_if_missed=False))])
         if found.fun >= _MISSED:
-            return self._recover(screen, self._closest(seen))
+            # What is known already may hold where a population saw nothing that does.
+            return self._recover(screen, [*self._closest(seen), *self.elite])
         good = [unit for value, unit in sorted(seen, key=lambda pair: pair[0]) if value < _MISSED]
         # The best, and the best of other valleys: the generations leave a valley that starts higher, but may end lower.
         near, far = spread_out(good, _NEAR, _POLISH_STARTS), spread_out(good, _FAR, _OTHER_VALLEYS)[1:]
@@ -354,12 +355,12 @@ class Search:
         A population may end beside the set, or in a valley that has none of it: neither shows that there is none. Where
         little is missed, or `far` from there too, another one is asked before anything is refused.
         """
-        ends = [self.local(screen, start) for start in closest]
+        ends = [*closest, *(self.local(screen, start) for start in closest)]
         costs = self._tightened_costs(screen, np.array(ends))
         if np.min(costs) < _MISSED:
             return ends[int(np.argmin(costs))]
         if np.min(costs) > (1.0 + _FAR_OFF) * _MISSED and not far:
-            raise self._refusal(screen.prepared, [*closest, *ends])
+            raise self._refusal(screen.prepared, ends)
         seen: list[tuple[float, FloatArray]] = []
 
         def noted(units: FloatArray) -> FloatArray:
@@ -371,7 +372,7 @@ class Search:
         more = [np.asarray(found.x), *(self.local(screen, start) for start in self._closest(seen))]
         costs = self._tightened_costs(screen, np.array(more))
         if np.min(costs) >= _MISSED:
-            raise self._refusal(screen.prepared, [*closest, *ends, *more])
+            raise self._refusal(screen.prepared, [*ends, *more])
         return more[int(np.argmin(costs))]
 
     def _tightened_costs(self, screen: BatchEvaluator, units: FloatArray) -> FloatArray:

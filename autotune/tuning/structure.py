@@ -86,7 +86,9 @@ class StructureChoice:
         said = f"Axis {name}: {objective.title} {shown('gains')} with four gains in their bounds"
         if "noise" in self.costs:
             whose = "the noise of the command that is asked" if self.is_asked else "their noise of the command"
-            whose = "as much noise of the command as the robot's jitter at rest" if self._is_of_jitter else whose
+            whose = (
+                "at most as much noise of the command as the robot's jitter at rest" if self._is_of_jitter else whose
+            )
             said += f", {shown('noise')} with {whose} ({noise}) in the place of these bounds"
         if "biquad" in self.costs:
             said += f", {shown('biquad')} with a biquad and still wider bounds"
@@ -101,7 +103,12 @@ class StructureChoice:
         elif self.taken == list(self.costs)[-1]:
             kept = ""
         limited = self._limited(name, problem.sample_time_s)
-        return f"{said}. Taken: {words[self.taken]}{kept}; margins, admittance and a hand are asked for alike.{limited}"
+        held = problem.requirements.asked().get(_HELD)
+        alike = f" (|1 + L| ≥ {held.min_modulus:g} while one holds the payload)" if isinstance(held, HeldByHand) else ""
+        return (
+            f"{said}. Taken: {words[self.taken]}{kept}; margins, admittance and a hand{alike} are asked for alike."
+            f"{limited}"
+        )
 
     @property
     def _is_of_jitter(self) -> bool:
@@ -137,6 +144,7 @@ class StructureSearch:
         self._structure, self._identified, self._seed = spec.structure or DEFAULT, identified, seed
         self._said, self._said_turning = {*spec.bounds}, {*spec.bounds, *spec.rotational.bounds}
         self.choices: dict[str, StructureChoice] = {}
+        self._unweighed: list[str] = []
 
     def searched(self, plain: Mapping[str, SearchResult]) -> dict[str, SearchResult]:
         """Return the searches with the structure, where it is worth it."""
@@ -147,6 +155,11 @@ class StructureSearch:
             hand = certified_hand(name, each.problem)
             said = self._said_turning if name in ROTATIONAL_AXES else self._said
             noise = NoiseOf(find_sensor_noise(self._identified, name), find_position_noise(self._identified, name))
+            if noise.position and not noise.force and each.problem.requirements.command_noise is None:
+                # B_fb brings the pose's noise into the command, and there is nothing to weigh it against.
+                found[name] = each
+                self._unweighed.append(name)
+                continue
             found[name], choice = choose_structure(
                 each, self._structure, hand, seed=self._seed, said=said, measured=noise
             )
@@ -156,7 +169,13 @@ class StructureSearch:
 
     def notes(self, searches: Mapping[str, SearchResult]) -> list[str]:
         """Return a sentence for each axis."""
-        return [each.message(name, searches[name].problem) for name, each in self.choices.items()]
+        unweighed = [
+            f"Axis {name}: the four gains stay in their bounds: the log shows noise of the pose but none of the "
+            "sensor, so that no limit of the command's noise follows; say requirements.command_noise in problem.yaml "
+            "for more."
+            for name in self._unweighed
+        ]
+        return [*unweighed, *(each.message(name, searches[name].problem) for name, each in self.choices.items())]
 
 
 def choose_structure(
@@ -171,8 +190,8 @@ def choose_structure(
     """Return the best law up to a structure, and what was compared; `plain` are four gains in their bounds.
 
     A law with more freedom must meet all that is asked of the four gains, make no more noise of the command, or of the
-    command's speed than two poses at rest seem to have where that is more and nobody `said` bounds, and keep nine
-    tenths of their modulus in a hand, over the same plants. The bounds of M_a, K_l and B_fb, which stand for that
+    command's speed than two poses at rest seem to have where that is more, and keep nine tenths of their modulus in a
+    hand, over the same plants. The bounds of M_a, K_l and B_fb, which stand for that
     noise, are then wider, but those that somebody `said`. One that saves less than `PRICE` beside a simpler one is not
     taken.
     """
@@ -181,7 +200,7 @@ def choose_structure(
     if asked is not None:
         noise = asked.max_speed_rms_m_s / (asked.force_noise_rms_n or math.nan)
     else:
-        if measured.force and measured.position and not said:
+        if measured.force and measured.position:
             jitter = jitter_speed(measured.position, plain.problem.sample_time_s) / measured.force
         noise = max(gains, jitter or 0.0)
     found: dict[Structure, SearchResult | None] = {"gains": plain}

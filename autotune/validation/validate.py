@@ -31,7 +31,7 @@ from .requirements import check_admittance, check_further, check_margins, check_
 from .validation_samples import ValidationSamples, build_validation_samples, recorded_plants
 from .variable_damping import check_variable_damping
 
-# An early touch that peaks this much above what is stated is told.
+# An early touch that peaks this much above what is stated is reported.
 _EARLIER = 1.05
 _STIFFNESS_POINTS, _MASS_POINTS = 25, 3
 _MOST_DEADBAND = 0.5  # of the force that drives the approach

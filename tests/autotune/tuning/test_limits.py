@@ -73,6 +73,10 @@ def test_noise_and_what_was_left_over_in_the_log_widen_them() -> None:
     drowned = with_limits(small_controller(), replace(wish, noise=replace(wish.noise, gravity_residual_n=4.0))).limits
     assert drowned is not None
     assert drowned.rest_force_n == 5.0
+    with pytest.raises(
+        UsageError, match=r"too noisy for a limit of its speed: .* of 0\.001 m .* where at most 20 and 50"
+    ):
+        with_limits(small_controller(), replace(wish, noise=replace(wish.noise, position_m=1e-3)))
 
 
 def test_a_problem_says_its_own() -> None:

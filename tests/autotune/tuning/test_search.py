@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.optimize import minimize
+from scipy.optimize import OptimizeResult, minimize
 
 from autotune.errors import InfeasibleError
 from autotune.tuning import scenario_exchange as joining
@@ -319,3 +319,18 @@ def test_more_is_asked_where_a_scenario_that_is_known_misses_and_not_where_anoth
     # The plant that misses it joined in the second round.
     assert "delay_margin_s" in joining.missed_elsewhere(exact.evaluation, exact.margins, problem.scenarios(3, 2))
     assert joining.missed_elsewhere(exact.evaluation, exact.margins, found.active.scenarios) == ()
+
+
+def test_a_population_that_finds_nothing_leaves_the_designs_that_were_given(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where what is asked has hardly any room, as a limit that every law just meets, only what is known may hold."""
+    known = solved()
+    cost = known.evaluation.cost
+
+    def lost(_search: Search, costs: object, **_: object) -> OptimizeResult:
+        del costs
+        return OptimizeResult(x=np.full(len(known.problem.variables), 0.5), fun=1.5e12)
+
+    monkeypatch.setattr(Search, "_evolve", lost)
+    again = solve_design(known.problem, others=[known.design])
+    assert again.evaluation.is_feasible
+    assert again.evaluation.cost <= cost * (1.0 + 1e-4)

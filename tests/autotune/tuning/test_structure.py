@@ -30,6 +30,7 @@ from autotune.tuning.structure import (
     PRICE,
     NoiseOf,
     StructureChoice,
+    StructureSearch,
     choose_structure,
     equal_noise,
     limited_problem,
@@ -48,7 +49,7 @@ from problems.model.controller import AdmittanceController
 from problems.model.plant import FREE_SPACE
 from problems.model.response import free_space_admittance, loop_response
 from problems.model.sampled import build_sampled_plant
-from tests.autotune.tuning.cases import FAST_SPEC, fast_optimized, identified_plant
+from tests.autotune.tuning.cases import FAST_SPEC, fast_optimized, identified_plant, known
 
 H = 8e-4
 HAND = HandImpedance()
@@ -180,7 +181,7 @@ def test_what_feedback_of_a_noisy_pose_makes_of_the_command_counts() -> None:
 
 
 @pytest.mark.parametrize(
-    ("position", "said", "is_of_jitter"), [(2e-6, (), True), (2e-8, (), False), (2e-6, ("damping",), False)]
+    ("position", "said", "is_of_jitter"), [(2e-6, (), True), (2e-8, (), False), (2e-6, ("mass",), True)]
 )
 def test_the_limit_is_the_larger_of_the_four_gains_noise_and_the_robots_jitter(
     position: float, said: tuple[str, ...], is_of_jitter: bool, monkeypatch: pytest.MonkeyPatch
@@ -198,17 +199,29 @@ def test_the_limit_is_the_larger_of_the_four_gains_noise_and_the_robots_jitter(
     assert limit is not None
     assert limit.max_speed_rms_m_s == pytest.approx(of_robot if is_of_jitter else of_gains, rel=1e-5)
     message = choice.message("x", plain().problem)
+    assert (asked[0].bounds["mass"] == DEFAULT_BOUNDS["mass"]) == bool(said)
     jitter, gains = f"{1e3 * of_robot:.3g} mm/s", f"{1e3 * of_gains:.3g} mm/s"
     if is_of_jitter:
         assert f"limited to {jitter} RMS, the robot's jitter at rest (√2 · 2 µm of pose noise per tick" in message
         assert f"which is more than the {gains} of the four gains" in message
-    elif said:
-        assert "jitter" not in message
     else:
         assert (
             f"limited to {gains} RMS, that of the four gains in their bounds, which is more than the {jitter}"
             in message
         )
+
+
+@pytest.mark.parametrize("force", [None, 0.0])
+def test_noise_of_the_pose_alone_loosens_no_bound(force: float | None) -> None:
+    """Without the sensor's noise nothing says how much of the pose's B_fb may bring into the command."""
+    plant = identified_plant()
+    silent = replace(plant.sensor.force_noise_rms_n, value=force)
+    sensor = replace(plant.sensor, position_noise_rms_m=known(2e-6), force_noise_rms_n=silent)
+    search = StructureSearch(ProblemSpec(), replace(plant, sensor=sensor), 0)
+    assert search.searched({"x": plain()}) == {"x": plain()}
+    (note,) = search.notes({"x": plain()})
+    assert note.startswith("Axis x: the four gains stay in their bounds: the log shows noise of the pose but none of")
+    assert not search.choices
 
 
 def test_bounds_that_somebody_said_hold() -> None:
