@@ -16,7 +16,7 @@ from .dask_pool import MOST_DEATHS, DaskPool
 from .manifest import LoggedRun
 from .options import RunOptions
 from .state import CampaignState, Sight, open_state
-from .text import counted
+from .text import counted, left_text
 from .work import RunOutcome, RunTask, build_task, work_on
 
 Phase = Callable[[str, int], AbstractContextManager[Callable[..., None]]]
@@ -38,6 +38,7 @@ def work_on_runs(
     storage: str | None = None,
     progress: Phase | None = None,
     note: Callable[[str], None] | None = None,
+    is_another_look: bool = False,
 ) -> tuple[RunOutcome, ...]:
     """Return what came of every run, in their order; work only on those of which nothing is known yet.
 
@@ -64,7 +65,9 @@ def work_on_runs(
         Is entered with what is done ("checksums" of the files, then "campaign") and the number of runs of which it is
         to be done, and gives what is called with 1 and the run's name for each.
     note
-        Is called with a sentence about runs that are done again, or that others work on.
+        Is called with a sentence about runs that are done already, are done again, or that others work on.
+    is_another_look
+        Whether this process has worked on such runs before: what is done already is then no news.
 
     Raises
     ------
@@ -81,6 +84,8 @@ def work_on_runs(
                 advance(1, run.name)
         work = _Work(state, [tasks[run.name] for run in runs], note or _nothing)
         work.look()
+        if work.done and not is_another_look:
+            work.note(left_text(len(work.left), len(runs)))
         with progress("campaign", max(len(work.left), 1)) as work.advance:
             if not work.left:
                 work.advance(1)
@@ -100,7 +105,7 @@ class _Work:
     """The runs that are left, and what came of the others."""
 
     def __init__(self, state: CampaignState, tasks: Sequence[RunTask], note: Callable[[str], None]) -> None:
-        self._state, self._note = state, note
+        self._state, self.note = state, note
         self.advance: Callable[..., None] = _nothing
         self.left = {task.run.name: task for task in tasks}
         self.free: deque[RunTask] = deque()
@@ -119,13 +124,13 @@ class _Work:
         self._hosts = ", ".join(sorted(sight.hosts))
         if lost := ", ".join(name for name in sight.lost if name not in self._told):
             self._told.update(sight.lost)
-            self._note(f"Done again, since files of their results are missing or altered: {lost}.")
+            self.note(f"Done again, since files of their results are missing or altered: {lost}.")
 
     def wait(self) -> None:
         """Wait a moment for what others work on, and say so once."""
         if self._hosts not in self._told:
             self._told.add(self._hosts)
-            self._note(f"Waiting for {self._hosts} to finish {counted(len(self.left), 'run')}.")
+            self.note(f"Waiting for {self._hosts} to finish {counted(len(self.left), 'run')}.")
         time.sleep(_WAIT_S)
 
     def do_what_is_free(self, executor: Executor | None, jobs: int) -> None:

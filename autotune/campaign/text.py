@@ -19,6 +19,12 @@ def outcome_text(outcomes: Sequence[RunOutcome]) -> str:
     return f"{', '.join(parts)}; {counted(changed, 'change')} from run to run, {counted(odd, 'unusual value')}."
 
 
+def left_text(left: int, count: int) -> str:
+    """Say how many runs of a campaign are to be done, where some are done already."""
+    runs, key = f"of {counted(count, 'run')}", "done with these inputs, options and version."
+    return f"{left} {runs} to do: {count - left} are {key}" if left else f"Nothing to do: {count} {runs} {key}"
+
+
 def counted(number: int, noun: str) -> str:
     """Return a number with its noun."""
     return f"{number} {noun}{'' if number == 1 else 's'}"

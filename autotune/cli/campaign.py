@@ -119,7 +119,8 @@ def command(
         outcomes: tuple[RunOutcome, ...] | None = None
         while True:
             before = outcomes
-            outcomes = _once(output, manifest, out, options, count, executor, storage, may_be_empty=watch is not None)
+            look = {"may_be_empty": watch is not None, "is_another_look": before is not None}
+            outcomes = _once(output, manifest, out, options, count, executor, storage, **look)
             tree = _tree(output, out, outcomes, report)
             if watch is None:
                 break
@@ -148,6 +149,7 @@ def _once(
     storage: str | None,
     *,
     may_be_empty: bool,
+    is_another_look: bool,
 ) -> "tuple[RunOutcome, ...]":
     """Work on what is missing, and write the tables of all."""
     from autotune.campaign.manifest import read_manifest
@@ -156,7 +158,15 @@ def _once(
 
     runs = read_manifest(manifest, may_be_empty=may_be_empty)
     outcomes = work_on_runs(
-        runs, out, options, jobs=jobs, executor=executor, storage=storage, progress=output.progress, note=output.note
+        runs,
+        out,
+        options,
+        jobs=jobs,
+        executor=executor,
+        storage=storage,
+        progress=output.progress,
+        note=output.note,
+        is_another_look=is_another_look,
     )
     write_tables(out, outcomes)
     return outcomes

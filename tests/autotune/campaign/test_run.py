@@ -58,14 +58,20 @@ class Counting(Executor):
 
 def test_what_is_finished_is_not_done_again_and_what_changed_is(logs: Path, tmp_path: Path) -> None:
     runs, first, again, other = read_manifest(logs), Counting(), Counting(), Counting()
-    outcomes = work_on_runs(runs, tmp_path / "out", executor=first)
+    notes = list[str]()
+    outcomes = work_on_runs(runs, tmp_path / "out", executor=first, note=notes.append)
     assert [f"{each.cell}/{each.run}" for each in outcomes] == [run.name for run in runs] == first.worked
     assert {each.refused for each in outcomes} == {"log"}
-    assert work_on_runs(runs, tmp_path / "out", executor=again) == outcomes
+    assert notes == []
+    assert work_on_runs(runs, tmp_path / "out", executor=again, note=notes.append) == outcomes
     assert again.worked == []
+    assert notes == ["Nothing to do: 12 of 12 runs done with these inputs, options and version."]
     (logs / "cell1" / "run4.csv").write_text("t,a\n0,9\n1,2\n", encoding="utf-8")
-    work_on_runs(runs, tmp_path / "out", executor=other)
+    work_on_runs(runs, tmp_path / "out", executor=other, note=notes.append)
     assert other.worked == ["cell1/run4"]
+    assert notes[1:] == ["1 of 12 runs to do: 11 are done with these inputs, options and version."]
+    work_on_runs(runs, tmp_path / "out", executor=again, note=notes.append, is_another_look=True)
+    assert (again.worked, len(notes)) == ([], 2)
 
 
 def test_options_and_settings_are_part_of_the_key(logs: Path, tmp_path: Path) -> None:

@@ -271,12 +271,17 @@ def test_a_result_whose_files_are_missing_or_altered_is_done_again(logs: Path, t
     first = campaign(logs, out, storage=storage)
     files = {path: path.read_bytes() for path in out.rglob("identified.yaml")}
     (out / "cells" / "cell0" / "run00" / "note.txt").write_text("of the user", encoding="utf-8")
-    assert (len(files), again(), notes) == (COUNT, [], [])
+    assert (len(files), again(), notes) == (
+        COUNT,
+        [],
+        [f"Nothing to do: {COUNT} of {COUNT} runs done with these inputs, options and version."],
+    )
     (out / "cells" / "cell1" / "run01" / "identified.yaml").write_text("key: other\n", encoding="utf-8")
     shutil.rmtree(out / "cells" / "cell2")
     names = ["cell1/run01", "cell2/run02", "cell2/run06", "cell2/run10"]
     assert again() == names
-    assert notes == [f"Done again, since files of their results are missing or altered: {', '.join(names)}."]
+    assert notes[1] == f"Done again, since files of their results are missing or altered: {', '.join(names)}."
+    assert notes[2:] == [f"4 of {COUNT} runs to do: {COUNT - 4} are done with these inputs, options and version."]
     assert {path: path.read_bytes() for path in out.rglob("identified.yaml")} == files
     assert again() == []
 

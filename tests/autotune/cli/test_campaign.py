@@ -53,6 +53,8 @@ def test_runs_are_identified_and_told_of(run_cli: RunCli, fleet: Path, tmp_path:
     assert all(text in page for text in ("All runs", "Refused", "press", "payload mass [kg]"))
     again = run_cli("campaign", fleet, "-o", "out", "--no-optimize", "--json")
     tree = json.loads(again.stdout)
+    done_all = "Nothing to do: 2 of 2 runs done with these inputs, options and version."
+    assert (done_all in again.stderr.replace("\n ", ""), "to do" in done.stderr) == (True, False)
     assert [run["refused"] for run in tree["runs"]] == ["", "log"]
 
 
@@ -131,4 +133,5 @@ def test_a_folder_that_is_watched_says_what_is_new_and_nothing_else(
     assert done.returncode == 130
     said = done.stderr.replace("\n ", "")
     assert said.count("Looking again every 7 s") == 2
+    assert "to do" not in said
     assert said.count("refused (log): press/tue: ") == said.count("refused (log): weld/new: ") == 1
