@@ -1,11 +1,11 @@
 """Change random places of the code, one at a time, and see whether the tests notice.
 
-Each change goes into a copy of the checkout, in which the kernels are compiled already. Three groups of tests, without
-the slow ones, run up to the first that fails: those of the changed module and those of its room that import it, those
-elsewhere that import it and the rest of its room, and those that import a module that imports it. What none has noticed
-within the processor time for a group counts as survived; a test that does not end has noticed it. Functions are changed
-in their source, not wrapped at run time as mutation libraries do: the compiler of the kernels would not take a wrapped
-one.
+Each change goes into a copy of the checkout, in which the kernels are compiled already. Groups of tests run up to the
+first that fails: those of the changed module and those of its room that import it, those elsewhere that import it and
+the rest of its room, those that import a module that imports it, those that reach it by more imports, and the slow ones
+of the first two groups. What none has noticed within the processor time for a group counts as survived; a
+test that does not end has noticed it. Functions are changed in their source, not wrapped at run time as mutation
+libraries do: the compiler of the kernels would not take a wrapped one.
 """
 
 import argparse
@@ -13,6 +13,7 @@ import ast
 import math
 import os
 import random
+import re
 import resource
 import shutil
 import signal
@@ -31,14 +32,21 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 FLOORS = ("problems", "identification", "autotune")
-_SWAPS: dict[type[ast.AST], type[ast.AST]] = {
-    ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,
-    ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.In: ast.NotIn, ast.NotIn: ast.In,
-    ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.And: ast.Or, ast.Or: ast.And,
+# Of two that are ordered both the bound itself and the side are changed.
+_COMPARISONS: dict[type[ast.cmpop], tuple[type[ast.cmpop], ...]] = {
+    ast.Lt: (ast.LtE, ast.GtE), ast.LtE: (ast.Lt, ast.Gt), ast.Gt: (ast.GtE, ast.LtE), ast.GtE: (ast.Gt, ast.Lt),
+    ast.Eq: (ast.NotEq,), ast.NotEq: (ast.Eq,), ast.Is: (ast.IsNot,), ast.IsNot: (ast.Is,),
+    ast.In: (ast.NotIn,), ast.NotIn: (ast.In,),
 }  # fmt: skip
+_OPERATORS: dict[type[ast.operator], type[ast.operator]] = {
+    ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult
+}  # fmt: skip
+# A text or a list with another operator between fails wherever it runs: that a line runs is what coverage shows.
+_NOT_NUMBERS = (ast.JoinedStr, ast.List, ast.ListComp, ast.Tuple, ast.Set, ast.Dict)
 _LIMIT, _SILENCE = "MUTATE_LIMIT_S", "MUTATE_SILENCE_S"
 # A test that waits for ever uses no processor time: what has not used it up in so many times as long waits.
 _WAITING = 10.0
+_DOTTED = re.compile(rf"({'|'.join(FLOORS)})(\.\w+)+")
 _NAMES = {"min": "max", "max": "min", "any": "all", "all": "any"}
 
 
@@ -52,6 +60,7 @@ class Mutant:
     stop: int
     before: str
     after: str
+    kind: str
 
     def applied(self, source: bytes) -> bytes:
         return source[: self.start] + self.after.encode() + source[self.stop :]
@@ -73,7 +82,10 @@ def find_mutants(path: Path, source: bytes) -> list[Mutant]:
             start = starts[node.lineno - 1] + node.col_offset
             stop = starts[(node.end_lineno or node.lineno) - 1] + (node.end_col_offset or 0)
             before = source[start:stop].decode()
-            found.append(Mutant(path=path, line=node.lineno, start=start, stop=stop, before=before, after=after))
+            kind = type(node).__name__
+            found.append(
+                Mutant(path=path, line=node.lineno, start=start, stop=stop, before=before, after=after, kind=kind)
+            )
     return found
 
 
@@ -93,16 +105,13 @@ def _executed(node: ast.AST) -> Iterator[ast.AST]:
 
 def _changed(node: ast.AST) -> Iterator[str]:
     """Yield the texts that may stand instead of a node."""
-    if isinstance(node, ast.Compare) and type(node.ops[0]) in _SWAPS and len(node.ops) == 1:
-        yield _text(ast.Compare(node.left, [_SWAPS[type(node.ops[0])]()], node.comparators))  # type: ignore[list-item]
-    elif (
-        isinstance(node, ast.BinOp)
-        and type(node.op) in _SWAPS
-        and not isinstance(node.left, ast.Constant | ast.JoinedStr)
-    ):
-        yield _text(ast.BinOp(node.left, _SWAPS[type(node.op)](), node.right))  # type: ignore[arg-type]
+    if isinstance(node, ast.Compare) and len(node.ops) == 1:
+        for other in _COMPARISONS[type(node.ops[0])]:
+            yield _text(ast.Compare(node.left, [other()], node.comparators))
+    elif isinstance(node, ast.BinOp) and type(node.op) in _OPERATORS and _is_of_numbers(node):
+        yield _text(ast.BinOp(node.left, _OPERATORS[type(node.op)](), node.right))
     elif isinstance(node, ast.BoolOp):
-        yield _text(ast.BoolOp(_SWAPS[type(node.op)](), node.values))  # type: ignore[arg-type]
+        yield _text(ast.BoolOp(ast.Or() if isinstance(node.op, ast.And) else ast.And(), node.values))
     elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not | ast.USub):
         yield _text(node.operand)
     elif isinstance(node, ast.IfExp):
@@ -111,6 +120,12 @@ def _changed(node: ast.AST) -> Iterator[str]:
         yield repr(2 * node.value or 1)
     elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in _NAMES:
         yield _text(ast.Call(ast.Name(_NAMES[node.func.id]), node.args, node.keywords))
+
+
+def _is_of_numbers(node: ast.BinOp) -> bool:
+    sides = (node.left, node.right)
+    texts = any(isinstance(each, ast.Constant) and isinstance(each.value, str | bytes) for each in sides)
+    return not texts and not any(isinstance(each, _NOT_NUMBERS) for each in sides)
 
 
 def _text(node: ast.expr) -> str:
@@ -122,19 +137,42 @@ def files_of_tests(path: Path) -> tuple[list[Path], ...]:
 
     The room is the folder of the tests for the module's package or, where there is none, for the package around it.
     """
-    name = _module(path)
     room = next(folder for each in path.parents if (ROOT / (folder := "tests" / each)).is_dir())
-    importers = {_module(file) for file in _files(*FLOORS) if name in _imports(file)}
+    steps = _steps_to(_module(path))
 
-    def distance(test: Path) -> int:
+    def group(test: Path) -> int:
         if test == room / f"test_{path.name}":
             return 0
-        if name in _imports(test):
-            return 1 if test.is_relative_to(room) else 2
-        return 3 if test.is_relative_to(room) else 5 - bool(importers & _imports(test))
+        count = steps.get(_module(test), 0)
+        if test.is_relative_to(room):
+            return 0 if count == 1 else 1
+        return min(count, 4) if count else 5
 
-    ranked = sorted((distance(test), test) for test in _files("tests") if test.name.startswith("test_"))
-    return tuple([test for rank, test in ranked if rank in group] for group in ((0, 1), (2, 3), (4,)))
+    def rank(test: Path) -> tuple[bool, int, bool, Path]:
+        count = steps.get(_module(test), len(steps))
+        return test != room / f"test_{path.name}", count, not test.is_relative_to(room), test
+
+    tests = sorted((test for test in _files("tests") if test.name.startswith("test_")), key=rank)
+    return tuple([test for test in tests if group(test) in each] for each in ((0,), (1,), (2,), (3, 4)))
+
+
+def _steps_to(name: str) -> dict[str, int]:
+    """Return by how many imports each module that reaches `name` does so."""
+    steps, newest = {name: 0}, {name}
+    while newest:
+        newest = {each for found in newest for each in _importers().get(found, ())} - steps.keys()
+        steps |= dict.fromkeys(newest, 1 + max(steps.values()))
+    return steps
+
+
+@cache
+def _importers() -> dict[str, frozenset[str]]:
+    """Return the modules that import each one, in all of the checkout."""
+    found: dict[str, set[str]] = {}
+    for file in _files(*FLOORS, "tests", "tools", "benchmarks", "examples"):
+        for name in _imports(file):
+            found.setdefault(name, set()).add(_module(file))
+    return {name: frozenset(files) for name, files in found.items()}
 
 
 def _files(*folders: str) -> list[Path]:
@@ -147,7 +185,7 @@ def _module(path: Path) -> str:
 
 @cache
 def _imports(path: Path) -> frozenset[str]:
-    """Return the modules that a file imports, and whatever else it imports from them."""
+    """Return the modules that a file imports, now or later by a name in a text, and what else it imports from them."""
     found = set[str]()
     for node in ast.walk(ast.parse((ROOT / path).read_bytes())):
         if isinstance(node, ast.Import):
@@ -156,6 +194,8 @@ def _imports(path: Path) -> frozenset[str]:
             above = path.parts[: -node.level] if node.level else ()
             source = ".".join((*above, *filter(None, [node.module])))
             found |= {source, *(f"{source}.{alias.name}" for alias in node.names)}
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and _DOTTED.fullmatch(node.value):
+            found |= {node.value, node.value.rpartition(".")[0]}
     return frozenset(found)
 
 
@@ -169,24 +209,26 @@ class Verdict(StrEnum):
 
 
 def judge(mutant: Mutant, root: Path, limit_s: float, silence_s: float) -> Verdict:
-    """Run the tests on the copy `root`, which is changed for good: each group for `limit_s`."""
+    """Run the tests on the copy `root`, which is changed for good: each group, and the slow ones, for `limit_s`."""
     target = root / mutant.path
     source = target.read_bytes()
     # The file may be linked from another copy.
     target.unlink()
     target.write_bytes(mutant.applied(source))
     verdicts = []
-    for files in files_of_tests(mutant.path):
+    groups = files_of_tests(mutant.path)
+    slow = [file for file in groups[0] + groups[1] if b"mark.slow" in (root / file).read_bytes()]
+    for files, marked in (*((group, "not slow") for group in groups), (slow, "slow")):
         if files:
-            verdicts.append(run_tests(files, root, limit_s, silence_s))
+            verdicts.append(run_tests(files, root, limit_s, silence_s, marked))
             if verdicts[-1] is Verdict.CAUGHT:
                 return Verdict.CAUGHT
     return Verdict.OUT_OF_TIME if Verdict.OUT_OF_TIME in verdicts else Verdict.SURVIVED
 
 
-def run_tests(files: list[Path], root: Path, limit_s: float, silence_s: float) -> Verdict:
+def run_tests(files: list[Path], root: Path, limit_s: float, silence_s: float, marked: str = "not slow") -> Verdict:
     """Run files of tests in their order up to the first that fails; both times are processor times of their process."""
-    options = ("-q", "-x", "-m", "not slow", "-n", "0", "--no-header", "--tb=no", "-p", "no:cacheprovider")
+    options = ("-q", "-x", "-m", marked, "-n", "0", "--no-header", "--tb=no", "-p", "no:cacheprovider")
     with subprocess.Popen(
         [sys.executable, "-m", "pytest", "-p", "tools.mutate", *options, *(str(root / file) for file in files)],
         cwd=root,
@@ -204,6 +246,8 @@ def run_tests(files: list[Path], root: Path, limit_s: float, silence_s: float) -
                 os.killpg(run.pid, signal.SIGKILL)
     if code == -signal.SIGXCPU:
         return Verdict.OUT_OF_TIME
+    if code == pytest.ExitCode.USAGE_ERROR:
+        raise FileNotFoundError(f"no tests in {root}: {', '.join(map(str, files))}")
     return Verdict.SURVIVED if code in (0, pytest.ExitCode.NO_TESTS_COLLECTED) else Verdict.CAUGHT
 
 
@@ -264,11 +308,14 @@ def main() -> int:
                 shutil.copytree(ready, copy, copy_function=os.link, dirs_exist_ok=True)
                 return judge(mutant, Path(copy), options.limit, options.silence), time.monotonic() - begun
 
-        caught, running = 0, {threads.submit(judged, mutant): mutant for mutant in mutants}
+        verdicts, running = dict[str, list[Verdict]](), {threads.submit(judged, mutant): mutant for mutant in mutants}
         for i, done in enumerate(as_completed(running)):
             verdict, lasted_s = done.result()
-            caught += verdict is Verdict.CAUGHT
+            verdicts.setdefault(running[done].kind, []).append(verdict)
             print(f"{i + 1:3d} {verdict:15s} {lasted_s:5.0f} s  {running[done]}", flush=True)
+    counts = {kind: (each.count(Verdict.CAUGHT), len(each)) for kind, each in sorted(verdicts.items())}
+    print(", ".join(f"{kind} {caught} of {drawn}" for kind, (caught, drawn) in counts.items()))
+    caught = sum(each for each, _ in counts.values())
     print(f"{caught} of {options.count} caught ({100.0 * caught / options.count:.0f} %)")
     return 0
 

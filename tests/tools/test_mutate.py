@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 def largest(values: list[int], floor: int = 0) -> int:
     if len(values) < 2 and not values:
         raise ValueError(f"at least {1 + 1} values")
+    folder = Path("a") / "b" + [3]
     return max(values) - floor
 '''
 
@@ -28,28 +29,38 @@ def test_each_change_is_another_program_and_none_touches_types_or_messages() -> 
     assert len(changed) == len(mutants) >= 6
     for text in changed:
         compile(text, "toy.py", "exec")
-        assert b"1 + 1" in text
+        assert b"at least {1 + 1}" in text
         assert b"LIMIT = 3" in text
+        assert b'Path("a") / "b" + [' in text
     assert {mutant.before for mutant in mutants} >= {"0", "2", "max(values)", "not values"}
+    assert {m.after for m in mutants if m.before == "len(values) < 2"} == {"(len(values) <= 2)", "(len(values) >= 2)"}
 
 
 def test_the_nearest_tests_come_first() -> None:
-    near, far, second_hand = files_of_tests(Path("problems/stability/margins.py"))
+    near, far, second_hand, farther = files_of_tests(Path("problems/stability/margins.py"))
     room = Path("tests/problems/stability")
     assert near[0] == room / "test_margins.py"
     assert all(file.is_relative_to(room) for file in near)
     # Then those elsewhere that import it, before those that only live in the same room.
     assert far.index(Path("tests/autotune/validation/test_margins.py")) < far.index(room / "test_passivity.py")
     assert Path("tests/autotune/tuning/test_search.py") in second_hand
-    files = near + far + second_hand
+    files = near + far + second_hand + farther
     assert len({*files}) == len(files)
 
 
 def test_a_module_that_its_package_hands_on_has_the_tests_of_the_package() -> None:
-    near, far, second_hand = files_of_tests(Path("problems/design/requirements/peak_force.py"))
+    near, far, second_hand, _ = files_of_tests(Path("problems/design/requirements/peak_force.py"))
     assert near == []
     assert Path("tests/problems/design/test_requirements.py") in far
     assert Path("tests/autotune/tuning/test_limits.py") in second_hand
+
+
+def test_what_reaches_a_module_through_tools_or_by_a_command_s_name_is_asked_last() -> None:
+    """A record's bounds are in the schemas, which a tool makes; the commands are modules by name."""
+    *_, farther = files_of_tests(Path("autotune/formats/plan.py"))
+    assert Path("tests/tools/test_make_reference.py") in farther
+    *_, farther = files_of_tests(Path("identification/given.py"))
+    assert Path("tests/autotune/cli/test_identify.py") in farther
 
 
 @pytest.mark.parametrize(
