@@ -93,6 +93,8 @@ def test_the_pictures_of_a_log_without_weight_show_its_force_and_when_it_touched
     assert evidence is not None
     assert evidence.compensated_S_n is None
     assert np.array_equal(evidence.raw_S_n, recording.wrench.force_n)
+    # Without rests under weight nothing shows how wrong the force's scale is.
+    assert evidence.gain_error_share == 0.0
     charts = list(wrench_charts(evidence, found.timelines[0], "1"))
     assert [len(chart.panels) for chart in charts] == [3, 3]
     assert "its weight removed before; the force reaches" in charts[0].alternative

@@ -119,6 +119,21 @@ def test_no_law_of_a_cell_peaks_below_its_bound(approach: Approach) -> None:
     assert near > 5
 
 
+@pytest.mark.parametrize("approach", [PROBLEM.approach, Approach(speed_m_s=0.03)])
+def test_of_a_single_law_the_bound_is_its_largest_force_at_a_tick(approach: Approach) -> None:
+    """The touch falls on a tick; of the sample of the touch alone an interval is left, a thousandth of the force."""
+    search, stable = _Search([PLANT], LAW, approach, H, Asked()), 0
+    for cell in cells(4, 20, 1e-9):
+        try:
+            trace = simulate_contact(CONTACT, law_at(cell[0], cell[2]), approach)
+        except UnstableLoopError:
+            continue
+        stable += 1
+        largest = float(np.max(trace.contact_force_n))
+        assert 0.998 * largest <= search.least_peak(cell) <= trace.peak_contact_force_n
+    assert stable > 10
+
+
 @pytest.mark.parametrize(
     "asked",
     [

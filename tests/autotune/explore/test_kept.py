@@ -1,5 +1,7 @@
 """Designs that are kept beside each other."""
 
+import re
+
 import numpy as np
 import pytest
 from bokeh.document import Document
@@ -28,6 +30,9 @@ def test_kept_designs_stand_beside_each_other_and_a_click_returns_to_one(page: E
     assert page.keeper.table.text.count("<tr>") == 3
     assert "<td>1250</td>" in page.keeper.table.text
     assert "<td>1400</td>" in page.keeper.table.text
+    heads = re.findall(r'<th scope="col">([^<]*)</th>', page.keeper.table.text)
+    assert heads[1:5] == ["M_a [kg]", "B_a [N·s/m]", "K_l [ms]", "B_fb [ms]"]
+    assert heads[5:8] == ["worst peak [N]", "modulus margin", "|G| [m/s/N]"]
     # The curve of the second one is that of the present design.
     kept, now = page.figures.sources["kept"].data, page.figures.sources["contact"].data
     assert kept["text"] == ["1", "2"]

@@ -29,6 +29,18 @@ def data(page: ExplorePage, name: str) -> np.ndarray:
     return np.array(page.figures.sources[name].data["y"], dtype=np.float64)
 
 
+def test_every_slider_has_a_range_that_a_browser_takes_one_of_another_axis_too(tmp_path: Path) -> None:
+    free = small_exploration().axes["y"]
+    held = replace(free.problem, bounds={**free.problem.bounds, "mass": (6.0, 6.0)})
+    axes = {"x": replace(free, problem=held), "y": free}
+    page = build_page(replace(small_exploration(), axes=axes), Target(tmp_path / "controller.yaml"), Document())
+    assert not all(slider.visible for slider in page.sliders.values())
+    for slider in page.sliders.values():
+        assert slider.start < slider.end
+        assert slider.start <= slider.value <= slider.end
+        assert 0.0 < slider.step <= slider.end - slider.start
+
+
 @pytest.mark.parametrize(("name", "value"), [("damping", 1400.0), ("mass", 7.0), ("payload_mass_kg", 20.0)])
 def test_turning_changes_the_transient_and_the_loops(page: ExplorePage, name: str, value: float) -> None:
     before = {key: data(page, key) for key in ("contact", "force", "begun")}

@@ -2,15 +2,19 @@
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from benchmarks.tuning_problems import paper_cell
 from problems.contact.linear_controller_contact import simulate_linear_contact
 from problems.contact.transient import Approach, SampledContact, build_sampled_contact, simulate_contact
+from problems.design.problem import AdmittanceTarget
 from problems.model.controller import AdmittanceController
-from problems.model.plant import Coupling, Environment, PayloadDynamics, Plant
+from problems.model.plant import FREE_SPACE, Coupling, Environment, PayloadDynamics, Plant
+from problems.model.response import free_space_admittance
 from problems.model.robot import RobotModel
 from problems.model.sampled import build_loop, build_sampled_plant, spectral_radius
 from problems.stability.noise import command_speed_gain
@@ -18,7 +22,7 @@ from tests.conftest import RunCli
 
 pytest.importorskip("cvxpy", reason="needs the extra `limit`")
 
-from autotune.limit.limit import NEGLECTED_BELOW, ReachedPeak, _meets
+from autotune.limit.limit import NEGLECTED_BELOW, ReachedPeak, _meets, find_limit, hardest
 from autotune.limit.programs import ConvexStep, EqualDemands, at_rest, lower_bound, noise_rows
 from autotune.limit.signals import ContactSignals, contact_signals
 from autotune.limit.youla import YoulaBasis
@@ -186,6 +190,33 @@ def test_what_happens_before_the_command_can_answer_is_in_the_bound() -> None:
     # The force of a tick is answered a tick later at the earliest, and `late` ticks later the robot begins to move.
     untouched = float(np.max(signals.wall_contact[: late + 1]))
     assert lower_bound(signals, asked, 20).force_n >= untouched * (1.0 - 1e-4)
+
+
+@pytest.mark.parametrize("target", [AdmittanceTarget(min_m_s_per_n=6.5e-4, band_hz=(0.1, 3.0)), None])
+def test_the_admittance_of_the_design_is_the_least_of_the_band_that_is_asked(
+    target: AdmittanceTarget | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without one it is that at 1 Hz, and nothing is asked of it; the noise is that of the law."""
+    monkeypatch.setattr("autotune.limit.limit._attain", lambda *_: (None, None))
+    problem = paper_cell((5e5, 5e5), (16.0, 16.0))
+    problem = replace(problem, requirements=replace(problem.requirements, free_space_admittance=target))
+    law = replace(_LAW, damping_n_s_per_m=1100.0, lead_s=0.02, mass_kg=5.0, feedback_damping_s=0.027)
+    found = find_limit(problem, law, hardest(problem, law, problem.scenarios(2, 2), 1))
+    free = build_sampled_plant(problem.plant(found.scenarios[0]).in_contact_with(FREE_SPACE), problem.sample_time_s)
+    grid = 2.0 * np.pi * (np.geomspace(0.1, 3.0, 400) if target else np.array([1.0]))
+    least = float(np.min(np.abs(free_space_admittance(free, law, grid))))
+    assert found.design.min_m_s_per_n == pytest.approx(least, rel=1e-6)
+    assert found.asked.min_m_s_per_n == (None if target is None else 6.5e-4)
+    assert (len(found.asked.band_rad_per_s) > 0) is (target is not None)
+    contact = build_sampled_plant(problem.plant(found.scenarios[0]), problem.sample_time_s)
+    noise = max(command_speed_gain(plant, law) for plant in (free, contact))
+    assert found.asked.noise_m_s_per_n == pytest.approx(noise, rel=1e-9)
+    assert found.design.trace.driving_force_n == found.asked.driving_force_n
+    if target is None:
+        return
+    twice = find_limit(problem, law, found.scenarios, noise_factor=2.0)
+    assert twice.asked.noise_m_s_per_n == pytest.approx(2.0 * noise, rel=1e-9)
+    assert twice.bound.force_n <= found.bound.force_n * (1.0 + 1e-6) <= found.design.peak_force_n * (1.0 + 1e-6)
 
 
 def test_the_command_prints_design_reached_and_bound(
