@@ -5,10 +5,13 @@ import re
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from autotune.cli._pareto import _proof_options
 from autotune.formats.yaml12 import load_yaml
+from autotune.validation.axis_proof import ProofOptions
 from tests.autotune.tuning.cases import FAST_PROBLEM_YAML, write_plant
 from tests.next_step import is_next_alone
 
@@ -25,6 +28,23 @@ def prepare(folder: Path) -> None:
 def _few_seeds(monkeypatch: pytest.MonkeyPatch) -> None:
     """A study begins with two points of the solver's front instead of five (those are `test_front.py`'s)."""
     monkeypatch.setattr("autotune.studies.front._SEED_POINTS", 2)
+
+
+@pytest.mark.parametrize(
+    ("slack_percent", "budget_s", "axes", "expected"),
+    [
+        (None, None, None, None),
+        (3.0, None, None, ProofOptions(slack=0.03)),
+        (None, 0.0, None, ProofOptions(further_s=0.0)),
+        (None, 30.0, None, ProofOptions(further_s=30.0)),
+        (None, 90.0, None, ProofOptions(budget_s=90.0, further_s=90.0)),
+        (None, None, "together", ProofOptions(axes="together")),
+    ],
+)
+def test_a_budget_is_for_the_uncertain_plant_and_never_takes_from_the_usual_proof(
+    slack_percent: float | None, budget_s: float | None, axes: Any, expected: ProofOptions | None
+) -> None:
+    assert _proof_options(slack_percent, budget_s, axes) == expected
 
 
 @pytest.mark.slow

@@ -1,12 +1,13 @@
 """What `problem.yaml` says of a payload that is soft inside, and what it refuses."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from autotune.errors import UsageError
-from autotune.formats.bumper_record import BumperContacts
+from autotune.formats.bumper_record import BumperContacts, BumperRecord
 from autotune.formats.problem import ProblemSpec, read_problem
 from autotune.formats.records import record_tree
 from problems.errors import ParameterError
@@ -62,3 +63,12 @@ def test_where_nothing_was_proved_nothing_is_written_of_a_proof() -> None:
     proof = ("proved_modulus", "share", "cells", "arcs", "budget_s", "run_time_s")
     assert [getattr(contacts, name) for name in proof] == [0.0] * len(proof)
     assert record_tree(contacts) == {**sampled, "hardest": {"mass_kg": 16.0}}
+    bumper = Bumper(mass_kg=0.5, stiffness_n_per_m=1e5, damping_n_s_per_m=50.0)
+    axes = {"x": contacts, "y": replace(contacts, proved_modulus=0.4, share=0.7, cells=3.0)}
+    record = BumperRecord(bumper=bumper, axes=axes, method="sampled", proof_method="proved")
+    said = "with a bumper of 0.5 kg on 100 N/mm and 50 N·s/m"
+    assert [each["claim"].partition(" |1 + L|")[0] for each in record.sampled()] == [
+        f"axis x: {said}",
+        f"axis y: {said}",
+    ]
+    assert [each["claim"] for each in record.proved()] == [f"axis y: stable with |1 + L| > 0.4 {said}"]

@@ -42,7 +42,7 @@ from autotune.validation.requirements import speed_rms
 from benchmarks.tuning_problems import paper_cell
 from problems.contact.nonlinear_simulation import simulate_nonlinear
 from problems.design.hand import HandImpedance
-from problems.design.problem import DEFAULT_BOUNDS, DesignProblem, NoiseLimit, Requirements
+from problems.design.problem import DEFAULT_BOUNDS, DesignProblem, NoiseLimit, Requirements, biquad_bounds
 from problems.design.requirements import AdmittancePeak, HeldByHand
 from problems.errors import ParameterError
 from problems.model.controller import AdmittanceController
@@ -53,6 +53,24 @@ from tests.autotune.tuning.cases import FAST_SPEC, fast_optimized, identified_pl
 
 H = 8e-4
 HAND = HandImpedance()
+
+
+@pytest.mark.parametrize(("corner", "time_s"), [(25.0, 0.03), (100.0, 0.01), (600.0, 0.002)])
+def test_a_biquad_that_does_nothing_is_one_of_the_problem_s_designs(corner: float, time_s: float) -> None:
+    """Zero and pole are the same, at the corner or at the nearest bound: the response is that of the four gains."""
+    corners = {"biquad_zero_s": (0.002, 0.03), "biquad_pole_s": (0.002, 0.03)}
+    problem = replace(papers_cell(), bounds={**DEFAULT_BOUNDS, **biquad_bounds(H, 30.0), **corners})
+    plain = np.array([6.0, 1250.0, 0.018, 0.005])
+    design = structure_module._neutral(problem, plain, corner)
+    found = dict(zip(problem.variables, design.tolist(), strict=True))
+    assert found["biquad_zero_s"] == found["biquad_pole_s"] == time_s
+    plant = build_sampled_plant(problem.plant(problem.scenarios(2, 2)[0]), problem.sample_time_s)
+    grid = np.geomspace(1.0, 3000.0, 50)
+    with_biquad, without = (
+        loop_response(plant, law, grid).at_command
+        for law in (problem.controller(design), papers_cell().controller(plain))
+    )
+    np.testing.assert_allclose(with_biquad, without, rtol=1e-9)
 
 
 def papers_cell() -> DesignProblem:

@@ -5,20 +5,24 @@ from typing import Any
 
 import pytest
 
-from autotune.certificate.certify import METHOD
-from autotune.certificate.claim import prove
+from autotune.certificate.certify import METHOD, ProofOutcome, Verdict
+from autotune.certificate.claim import CombinedCertificate, prove
 from autotune.errors import CertificateError
 from autotune.formats.certificate_record import AxisDomain, ConfidenceSet
 from autotune.formats.controller_record import admittance_controller
+from autotune.formats.units import axis_units
+from autotune.text import scenario_text
 from autotune.tuning.record import build_domain
 from autotune.validation.axis_proof import (
     ProofOptions,
     Prover,
+    describe_unstable,
     modulus_claim,
     prove_axis,
     refuted_inside,
     stability_claim,
 )
+from problems.design.uncertainty import Scenario
 from problems.model.controller import AdmittanceController
 from tests.autotune.tuning.cases import fast_optimized
 
@@ -122,3 +126,18 @@ def test_the_domain_of_a_file_is_the_set_that_was_proved() -> None:
     """Else a claim of the file would not be one that was answered when it was made, and would be proved twice."""
     problem = fast_optimized().searches["x"].problem
     assert build_domain(problem).plants == problem.plants
+
+
+def outcome(verdict: Verdict, plant: Scenario | None = None) -> ProofOutcome:
+    return ProofOutcome(verdict=verdict, modulus=0.0, cells=1, arcs=1, work=1, share=1.0, plant=plant)
+
+
+def test_what_is_not_proved_is_said_with_where_the_loop_is_and_its_plant() -> None:
+    good, plant = outcome(Verdict.PROVED), Scenario(environment_stiffness_n_per_m=1e5, payload_mass_kg=16.0)
+    bad = outcome(Verdict.REFUTED, plant)
+    units = axis_units("x")
+    free = CombinedCertificate(free_space=(good, bad), contact=())
+    contact = CombinedCertificate(free_space=(good,), contact=(good, bad))
+    at = f": fails at {scenario_text(plant, units)}"
+    assert describe_unstable(free, units) == f"stability in free space does not hold or cannot be proved{at}"
+    assert describe_unstable(contact, units) == f"stability in contact does not hold or cannot be proved{at}"

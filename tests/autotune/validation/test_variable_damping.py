@@ -1,12 +1,15 @@
 """Small gain around one B_a: its identity in the exact sampled loop, its bound, and claims that are too wide."""
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from autotune.certificate.claim import Claim
 from autotune.formats.limits import VariableDampingSettings
 from autotune.validation.axis_proof import Prover
 from autotune.validation.variable_damping import METHOD, _feedback_response, needed_modulus, prove_varied
@@ -114,6 +117,28 @@ def test_every_damping_of_a_range_that_is_proved_is_stable_when_it_is_kept() -> 
         for stiffness in (0.0, 5e4, 2e5):
             loop = build_loop(build_sampled_plant(plants().at(14.0, stiffness), PERIOD_S), law)
             assert spectral_radius(loop) < 1.0
+
+
+@pytest.mark.parametrize(("above", "centre"), [(1.001, 1300.0), (0.999, 1200.0)])
+@pytest.mark.parametrize("budget_s", [0.1, 5.0])
+def test_a_modulus_that_is_proved_of_the_law_is_enough_where_it_covers_what_is_needed(
+    above: float, centre: float, budget_s: float
+) -> None:
+    law = replace(LAW, damping_n_s_per_m=1300.0)
+    needed = needed_modulus(law, plants().nominal.robot, PERIOD_S, (900.0, 1500.0))
+    asked = list[Claim]()
+
+    def prove(claim: Claim) -> SimpleNamespace:
+        asked.append(claim)
+        return SimpleNamespace(holds=True)
+
+    prover = cast(Prover, SimpleNamespace(origin=lambda _: "", prove=prove))
+    known = (above * needed, budget_s)
+    found = prove_varied(prover, plants(), law, PERIOD_S, variable(900.0, 1500.0), known)
+    assert found.centre == centre
+    assert asked[0].modulus == pytest.approx(known[0] if above > 1.0 else found.needed_modulus)
+    # |B − B_0| is 400 of 1300 and 300 of 1200 at most.
+    assert found.needed_modulus == pytest.approx(400.0 / 1300.0 if above > 1.0 else 0.25, rel=1e-5)
 
 
 def test_a_range_that_holds_an_unstable_damping_is_not_proved() -> None:

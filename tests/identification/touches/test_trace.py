@@ -53,6 +53,16 @@ def test_a_blow_is_noticed_and_leaves_the_secant_alone() -> None:
     assert contact.secant_n_per_m == pytest.approx(SPRING_N_PER_M, rel=0.02)
 
 
+@pytest.mark.parametrize(("force_n", "is_blow"), [(4.0, False), (12.0, True)])
+def test_a_swing_below_twice_the_spring_is_no_blow(force_n: float, is_blow: bool) -> None:
+    """It comes where the spring has 8 N, before half of the way, and the payload leaves the surface behind it."""
+    late = TIME_S - 0.05
+    swing = force_n * np.sin(np.pi * late / BLOW_S) * ((late >= 0.0) & (late < BLOW_S))
+    off = SPRING_N_PER_M * DEPTH_M * ((late >= BLOW_S) & (late < 0.1))
+    contact = identify_trace(DEPTH_M, SPRING_N_PER_M * DEPTH_M + swing - off, H_S)
+    assert (contact.spike is not None) is is_blow
+
+
 def test_the_hold_is_where_it_was_held_and_not_the_end_of_the_trace() -> None:
     """Pressed for 1.5 s and let go for as long: the last fifth is off the surface."""
     depth = np.concatenate([DEPTH_M, DEPTH_M[::-1][::10], np.zeros(1350)])

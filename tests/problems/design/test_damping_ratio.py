@@ -39,6 +39,16 @@ def test_what_alternates_from_tick_to_tick_oscillates_and_what_only_decays_does_
     assert slowest_damping_ratio(np.array([0.9, -0.8])) == pytest.approx(decay / math.hypot(decay, math.pi), rel=1e-12)
 
 
+@pytest.mark.parametrize("size", [0.9, 1e-3, 1e-6])
+@pytest.mark.parametrize(("angle", "oscillates"), [(1e-5, True), (1e-9, False)])
+def test_rounding_of_a_double_real_pole_is_no_oscillation_however_fast_it_decays(
+    size: float, angle: float, oscillates: bool
+) -> None:
+    z = size * np.exp(1j * np.array([angle, -angle]))
+    expected = -math.log(size) / math.hypot(math.log(size), angle) if oscillates else math.inf
+    assert slowest_damping_ratio(z) == pytest.approx(expected, rel=1e-12)
+
+
 @pytest.mark.parametrize("stiffness", [0.0, 5e4, 5e5])
 @pytest.mark.parametrize("design", [GOOD, RINGING])
 def test_both_ways_to_assemble_the_loop_agree(stiffness: float, design: tuple[float, ...]) -> None:
