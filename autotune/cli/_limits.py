@@ -66,8 +66,8 @@ def limits_of(output: Output, found: "Optimized", *, with_trade: bool = False) -
                 continue
             # The trade is that of four gains, whatever the structure of the design.
             choice = found.structures.get(name)
-            gains = problem if choice is None else replace(problem, bounds=choice.bounds)
-            trade = trade_noise(gains, law, scenarios, progress=advance) if with_trade else ()
+            bounds = problem.bounds if choice is None else choice.bounds
+            trade = trade_noise(search, bounds, progress=advance) if with_trade else ()
             limits[name] = replace(limit, trade=trade)
     return limits
 

@@ -141,7 +141,7 @@ def _found(
 def _print_limit(found: "LimitResult", axis: str) -> None:
     """Print the controllers side by side, over which plants, and what is neglected."""
     from autotune.formats.units import axis_units
-    from autotune.limit.limit import NEGLECTED_ABOVE, NEGLECTED_BELOW
+    from autotune.limit.limit import NEGLECTED_ABOVE
     from autotune.text import scenario_text
 
     units = axis_units(axis)
@@ -163,7 +163,7 @@ def _print_limit(found: "LimitResult", axis: str) -> None:
         f"  over {'; '.join(scenario_text(each, units) for each in found.scenarios)}; approached at "
         f"{1e3 * found.approach_speed_m_s:.4g} m{units.speed}"
     )
-    print_message(f"  neglected by the force that none gets below: {NEGLECTED_BELOW}")
+    print_message(f"  neglected by the force that none gets below: {found.neglected_below}")
     print_message(f"  neglected by the controller of any order: {NEGLECTED_ABOVE}")
 
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
 import numpy as np
@@ -48,6 +48,8 @@ _BOUND_SHORTEST, _BOUND_LONGEST, _BOUND_PEAK_TIMES = 120, 450, 2
 _GRID = 600
 _SHOWN_S = 0.2
 _MET = 1.0 + 1e-9
+# Within this share of the force that it rests with, nothing better is looked for.
+_AT_REST = 1.005
 # A limit of the noise that lies this near to that of the design is the same in a sentence.
 _SAME_NOISE = 0.01
 
@@ -55,6 +57,7 @@ NEGLECTED_BELOW = (
     "free space, the admittance beyond its speed of approach, the other margins, what noise and modulus ask after the "
     "ticks that count, and the force between two ticks"
 )
+NEGLECTED_AT_REST = "a deadband, with which the robot may stop short of F^d"
 NEGLECTED_ABOVE = (
     "requirements beside modulus, noise and admittance, of which other margins are compared on the exact loops, plants "
     "beside those looked at, deadband and command limits"
@@ -92,7 +95,7 @@ class LimitResult:
     `noise_factor` how often the design's noise it may have, `missed` the margins that it was not asked to keep and that
     lie below what the problem asks, by name: what is asked and what it has. `trade` is what four gains reach with other
     noise, where that was looked for; `two_gains` what no other B_a and K_l in their bounds get below on the hardest
-    contact, M_a and B_fb as they are, None where that cannot be bounded (`certificate.least_peak`).
+    contact, M_a and B_fb as they are, None where that cannot be bounded (`certificate.least_peak`) or F^d is the bound.
     """
 
     scenarios: tuple[Scenario, ...]
@@ -107,6 +110,11 @@ class LimitResult:
     missed: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     trade: tuple[NoisePoint, ...] = ()
     two_gains: LeastPeak | None = None
+
+    @property
+    def neglected_below(self) -> str:
+        """What the bound from below leaves out."""
+        return NEGLECTED_AT_REST if self.bound.is_at_rest else NEGLECTED_BELOW
 
     @property
     def reached_n(self) -> float:
@@ -125,9 +133,15 @@ class LimitResult:
             if abs(self.noise_factor - 1.0) < _SAME_NOISE
             else f"of {self.noise_factor:.3g} times its noise"
         )
-        said += f"at this speed of approach no linear controller {noise} gets below {self.bound.force_n:.4g} {unit}"
+        if self.bound.is_at_rest:
+            said += (
+                f"no controller gets below {self.bound.force_n:.4g} {unit}, the F^d that presses on when it has stopped"
+            )
+        else:
+            said += f"at this speed of approach no linear controller {noise} gets below {self.bound.force_n:.4g} {unit}"
         if self.attained is None:
-            return f"{said}, and none better than the design was found"
+            is_least = self.bound.is_at_rest and self.design.peak_force_n <= self.bound.force_n * _AT_REST
+            return said if is_least else f"{said}, and none better than the design was found"
         said = f"{said}; {self.reached_n:.4g} {unit} is reached"
         misses = [
             f"{each.title} of {each.shown_scale * has:.4g} where {each.shown_scale * asked:.4g} {each.unit}".replace(
@@ -145,7 +159,8 @@ class LimitResult:
         lines = [_line(self.design.trace, self.place, "the design", "before")]
         if self.attained is not None:
             lines.append(_line(self.attained.trace, self.place, "a linear controller of any order", "after"))
-        floor = ChartLimit(value=self.bound.force_n, label="no linear controller below")
+        label = "F^d, no controller below" if self.bound.is_at_rest else "no linear controller below"
+        floor = ChartLimit(value=self.bound.force_n, label=label)
         what = "force" if unit == "N" else "torque"
         panel = Panel(
             x=Scale(label="time after touching [ms]"),
@@ -176,10 +191,10 @@ class LimitResult:
             "attained": None if self.attained is None else self.attained.to_dict(),
             "missed": {name: {"asked": asked, "attained": has} for name, (asked, has) in self.missed.items()},
             "states": None if self.controller is None else self.controller.state_count,
-            "lower_bound": {"force_n": self.bound.force_n, "ticks": self.bound.ticks, "inputs": self.bound.inputs},
+            "lower_bound": asdict(self.bound),
             "two_gains": None if self.two_gains is None else {"force_n": self.two_gains.force_n},
             **({"noise_trade": [each.to_dict() for each in self.trade]} if self.trade else {}),
-            "neglected": {"attained": NEGLECTED_ABOVE, "lower_bound": NEGLECTED_BELOW},
+            "neglected": {"attained": NEGLECTED_ABOVE, "lower_bound": self.neglected_below},
         }
 
 
@@ -302,13 +317,20 @@ def find_limit(
         driving_force_n=design.trace.driving_force_n,
         at_contact=at_contact,
     )
-    signals = _signals(pairs, law, problem.approach)
-    attained, controller = _attain(signals, law, asked, judge, lambda share: report(0.8 * share))
-    bound = max(
-        (lower_bound(each, asked, _bound_ticks(each, law, problem.approach)) for each in signals),
-        key=lambda found: found.force_n,
-    )
-    report(0.2)
+    # A law that approaches under a force does not rest before the contact's force is that.
+    rest = LowerBound(force_n=problem.approach.force_n or 0.0, ticks=0, inputs=0, is_at_rest=True)
+    is_least = design.peak_force_n <= rest.force_n * _AT_REST
+    attained = controller = None
+    bounds = [rest]
+    if not is_least:
+        signals = _signals(pairs, law, problem.approach)
+        attained, controller = _attain(signals, law, asked, judge, lambda share: report(0.8 * share))
+        bounds += [lower_bound(each, asked, _bound_ticks(each, law, problem.approach)) for each in signals]
+    bound = max(bounds, key=lambda found: found.force_n)
+    report(1.0 if is_least else 0.2)
+    two_gains = None
+    if at_contact and not bound.is_at_rest:
+        two_gains = _bound_two_gains(problem, law, scenarios, asked, design.peak_force_n)
     better = attained is not None and attained.peak_force_n < design.peak_force_n
     return LimitResult(
         scenarios=tuple(scenarios),
@@ -321,7 +343,7 @@ def find_limit(
         controller=controller if better else None,
         bound=bound,
         missed=_missed(requirements, attained) if better and attained is not None else {},
-        two_gains=_bound_two_gains(problem, law, scenarios, asked, design.peak_force_n) if at_contact else None,
+        two_gains=two_gains,
     )
 
 

@@ -1,19 +1,16 @@
 """What the least worst peak is where the noise of the command may be more or less, with bounds that hardly bind."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from autotune.errors import InfeasibleError
 from autotune.tuning.bounds import loosened_bounds
-from autotune.tuning.search import solve_design
+from autotune.tuning.search import SearchResult, solve_design
+from autotune.tuning.structure import equal_noise, without_rise
 from problems.arrays import FloatArray
-from problems.design.problem import DesignProblem, NoiseLimit
-from problems.design.uncertainty import Scenario
+from problems.design.problem import NoiseLimit
 from problems.model.controller import AdmittanceController
-from problems.model.plant import FREE_SPACE
-from problems.model.sampled import build_sampled_plant
 from problems.progress import no_progress
-from problems.stability.noise import command_speed_gain
 
 FACTORS = (0.5, 1.0, 2.0, 5.0)
 
@@ -53,38 +50,37 @@ def trade_text(points: Sequence[NoisePoint], unit: str) -> str:
 
 
 def trade_noise(
-    problem: DesignProblem,
-    law: AdmittanceController,
-    scenarios: Sequence[Scenario],
+    found: SearchResult,
+    bounds: Mapping[str, tuple[float, float]],
     *,
     factors: Sequence[float] = FACTORS,
     progress: Callable[[float], None] | None = None,
 ) -> tuple[NoisePoint, ...]:
-    """Search four gains for each of `factors` times the noise that `law` makes over `scenarios`.
+    """Search four gains for each of `factors` times the noise that the design found makes.
 
-    Everything else is asked as in `problem`; M_a may be a fifth of its lower bound, K_l five times and
-    B_fb twice the upper ones. The pose's noise counts as where `problem` limits that of the command.
+    Everything else is asked as of that design, the admittance's peak too, and `bounds`, those of four gains, are
+    loosened as `optimize` does where the noise is limited. The pose's noise counts where it did.
     """
-    report, h = progress or no_progress, problem.sample_time_s
-    plants = [problem.plant(each) for each in scenarios]
-    plants += [each.in_contact_with(FREE_SPACE) for each in plants]
-    present = max(command_speed_gain(build_sampled_plant(each, h), law) for each in plants)
-    bounds, points, known = loosened_bounds(problem), list[NoisePoint](), list[FloatArray]()
-    known_noise = problem.requirements.command_noise
+    report, present = progress or no_progress, equal_noise(found)
+    gains = without_rise(found, replace(found.problem, bounds=bounds))
+    known_noise = gains.requirements.command_noise
     of_pose = None
     if known_noise is not None and known_noise.position_noise_rms_m and known_noise.force_noise_rms_n:
         of_pose = known_noise.position_noise_rms_m / known_noise.force_noise_rms_n
+    known = [found.design] if gains.variables == found.problem.variables else list[FloatArray]()
+    points = list[NoisePoint]()
     for factor in factors:
         limit = NoiseLimit(max_speed_rms_m_s=factor * present, force_noise_rms_n=1.0, position_noise_rms_m=of_pose)
-        asked = replace(problem, bounds=bounds, requirements=replace(problem.requirements, command_noise=limit))
+        requirements = replace(gains.requirements, command_noise=limit)
+        asked = replace(gains, bounds=loosened_bounds(gains), requirements=requirements)
         try:
             # A law that is quiet enough for less noise is one for more.
-            found = solve_design(asked, others=known)
+            best = solve_design(asked, others=known)
         except InfeasibleError:
-            peak, best = None, None
+            peak, law = None, None
         else:
-            peak, best = found.evaluation.objective_cost, asked.controller(found.design)
-            known.append(found.design)
-        points.append(NoisePoint(factor=factor, noise_m_s_per_n=limit.max_speed_rms_m_s, peak_force_n=peak, law=best))
+            peak, law = best.evaluation.objective_cost, asked.controller(best.design)
+            known.append(best.design)
+        points.append(NoisePoint(factor=factor, noise_m_s_per_n=limit.max_speed_rms_m_s, peak_force_n=peak, law=law))
         report(1.0 / len(factors))
     return tuple(points)

@@ -263,11 +263,15 @@ def solve_quietly(problem: "cp.Problem") -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class LowerBound:
-    """No controller's peak is below `force_n`, by the first `ticks` ticks and `inputs` inputs of the modulus."""
+    """No controller's peak is below `force_n`, by the first `ticks` ticks and `inputs` inputs of the modulus.
+
+    Where it `is_at_rest` it is F^d, which the force ends at, and nothing was solved.
+    """
 
     force_n: float
     ticks: int
     inputs: int
+    is_at_rest: bool = False
 
 
 def lower_bound(plant: ContactSignals, asked: EqualDemands, ticks: int) -> LowerBound:

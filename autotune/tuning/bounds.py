@@ -13,9 +13,8 @@ from problems.model.controller import SMALLEST_FEEDBACK_DAMPING_S
 
 LINEAR_VARIABLES = frozenset({"lead_s", "feedback_damping_s", "compensation_mass_kg"})
 """Variables that may be zero: counted by the width of their bounds, the others by their logarithm."""
-# How much wider below and above those bounds become that stand for the sensor's noise where nothing else limits it.
-_LOOSER = {"mass": (5.0, 1.0), "lead_s": (1.0, 5.0), "feedback_damping_s": (1.0, 2.0)}
-_WITH_BIQUAD = {"mass": (10.0, 3.0), "lead_s": (1.0, 20.0), "feedback_damping_s": (1.0, 4.0)}
+# How much longer those bounds become that stand for the sensor's noise where nothing else limits it.
+_LONGER = {"mass": 3.0, "lead_s": 10.0, "feedback_damping_s": 4.0}
 # Laws without lead and feedback are looked at on so many M_a and B_a.
 _GRID, _OF_LEAD = (5, 9), ("lead_s", "feedback_damping_s")
 # Beside its bounds a value this small is none.
@@ -62,18 +61,18 @@ def presentable(problem: DesignProblem, design: FloatArray) -> FloatArray:
     return np.asarray(np.clip(rounded, bounds[:, 0], bounds[:, 1]))
 
 
-def loosened_bounds(
-    problem: DesignProblem, said: Collection[str] = (), *, has_biquad: bool = False
-) -> dict[str, tuple[float, float]]:
+def loosened_bounds(problem: DesignProblem, said: Collection[str] = ()) -> dict[str, tuple[float, float]]:
     """Return the bounds with a lighter mass, more lead and feedback damping, for where the noise is limited.
 
-    Wider still beside a biquad. What is fixed stays, and what somebody `said`.
+    M_a goes down to h B_a at the least B_a: what a lighter one adds is over within a tick. What is fixed stays, and
+    what somebody `said`.
     """
     bounds = dict(problem.bounds)
-    for name, (shorter, longer) in (_WITH_BIQUAD if has_biquad else _LOOSER).items():
+    lightest = problem.sample_time_s * bounds["damping"][0]
+    for name, longer in _LONGER.items():
         low, high = bounds[name]
         if low < high and name not in said:
-            bounds[name] = low / shorter, high * longer
+            bounds[name] = min(low, lightest) if name == "mass" else low, high * longer
     return bounds
 
 

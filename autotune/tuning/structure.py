@@ -12,6 +12,7 @@ from autotune.formats.problem import ProblemSpec, Structure
 from autotune.formats.units import ROTATIONAL_AXES, axis_units
 from identification.result import Identified
 from problems.arrays import FloatArray
+from problems.contact.transient import build_sampled_contact, simulate_contact
 from problems.design.evaluation import build_scenarios
 from problems.design.hand import HandImpedance
 from problems.design.problem import BIQUAD_VARIABLES, DesignProblem, NoiseLimit, biquad_bounds
@@ -48,6 +49,8 @@ _KEPT_IN_A_HAND = 0.9
 _SLOWEST_HZ = 2.0
 # Corners [rad/s] at which a biquad that does nothing begins, and its damping.
 _CORNERS, _DAMPING = (25.0, 60.0, 120.0, 250.0, 600.0), 0.4
+# From this share of the speed of approach on the robot's jitter is a doubtful limit.
+_MUCH = 0.5
 # What the noise of the plain law is rounded up by, so that six digits of it are not in the way.
 _ROUNDED = 1e-6
 
@@ -58,8 +61,8 @@ class StructureChoice:
 
     All make the commanded speed's noise at most `noise_m_s_per_n` per newton of the force's: what `is_asked` in
     problem.yaml, else that of four gains in their bounds, or the robot's own jitter at rest where the log shows it and
-    it is larger (`measured`, by which `jitter_m_s_per_n` is that; None where it is not known, or bounds are said). It
-    `counts_pose` where the pose's noise is part of that. `bounds` are those of the four gains.
+    it is larger (`measured`, by which `jitter_m_s_per_n` is that; None where it is not known). It `counts_pose` where
+    the pose's noise is part of that. `bounds` are those of the four gains, `approach_m_s` their speed of approach.
     """
 
     costs: Mapping[Structure, float | None]
@@ -69,6 +72,7 @@ class StructureChoice:
     counts_pose: bool = False
     gains_m_s_per_n: float = math.nan
     jitter_m_s_per_n: float | None = None
+    approach_m_s: float = math.inf
     measured: NoiseOf = UNKNOWN
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
@@ -91,7 +95,7 @@ class StructureChoice:
             )
             said += f", {shown('noise')} with {whose} ({noise}) in the place of these bounds"
         if "biquad" in self.costs:
-            said += f", {shown('biquad')} with a biquad and still wider bounds"
+            said += f", {shown('biquad')} with a biquad too"
         words = {
             "gains": "the four gains in their bounds",
             "noise": "the four gains at that noise",
@@ -124,9 +128,19 @@ class StructureChoice:
         )
         jitter = jitter_source(self.measured.position or 0.0, name, sample_time_s)
         if self._is_of_jitter:
-            return (
+            said = (
                 f" The noise of the command is limited to {of_robot} RMS, the robot's jitter at rest ({jitter}), which "
                 f"is more than the {of_gains} of the four gains in their bounds."
+            )
+            share = rms * self.noise_m_s_per_n / self.approach_m_s
+            if share < _MUCH:
+                return said
+            key = "max_speed_rms_m_s" if units.force == "N" else "max_speed_rms_rad_s"
+            less = f"{{command_noise: {{{key}: {rms * self.gains_m_s_per_n:.3g}}}}}"
+            less = f"requirements: {less}" if units.force == "N" else f"rotational: {{requirements: {less}}}"
+            return (
+                f"{said} That is {100.0 * share:.0f} % of the {1e3 * self.approach_m_s:.3g} m{units.speed} of the "
+                f"approach, and the pose's noise may be no motion at all; for as little as those make say {less}."
             )
         return (
             f" The noise of the command is limited to {of_gains} RMS, that of the four gains in their bounds, which is "
@@ -225,6 +239,7 @@ def choose_structure(
         counts_pose=counts_pose,
         gains_m_s_per_n=gains,
         jitter_m_s_per_n=jitter,
+        approach_m_s=_approach_speed(plain),
         measured=measured,
         bounds=plain.problem.bounds,
     )
@@ -239,7 +254,7 @@ def solve_limited(
     of a biquad at once. None lets the admittance rise above what it is at rest by more than the plain law does, or by
     a twentieth.
     """
-    problem = _without_rise(plain, problem)
+    problem = without_rise(plain, problem)
     starts = [each.design for each in known]
     if BIQUAD_VARIABLES[0] in problem.variables:
         starts = [_neutral(problem, each, corner) for each in starts for corner in _CORNERS]
@@ -280,8 +295,7 @@ def limited_problem(
     target = asked.free_space_admittance
     slowest = 2.0 * math.pi * (_SLOWEST_HZ if target is None else target.band_hz[1])
     biquad = biquad_bounds(plain.sample_time_s, slowest) if has_biquad else {}
-    bounds = loosened_bounds(plain, said, has_biquad=has_biquad)
-    return replace(plain, bounds={**bounds, **biquad}, requirements=asked)
+    return replace(plain, bounds={**loosened_bounds(plain, said), **biquad}, requirements=asked)
 
 
 def _solved(
@@ -300,7 +314,8 @@ def _held(plain: SearchResult, problem: DesignProblem, hand: HandImpedance) -> D
         return problem
     # Any modulus does for looking.
     held = HeldByHand(**vars(hand), min_modulus=0.5)
-    least = float(f"{_KEPT_IN_A_HAND * _least_held(plain, held):.3g}")
+    kept = min(_least_held(plain, held), asked.modulus_margin or math.inf)
+    least = float(f"{_KEPT_IN_A_HAND * kept:.3g}")
     if least == 0.0:
         return problem
     return replace(
@@ -308,7 +323,7 @@ def _held(plain: SearchResult, problem: DesignProblem, hand: HandImpedance) -> D
     )
 
 
-def _without_rise(plain: SearchResult, problem: DesignProblem) -> DesignProblem:
+def without_rise(plain: SearchResult, problem: DesignProblem) -> DesignProblem:
     """Return the problem with a limit of the admittance's peak, unless one is asked."""
     asked = problem.requirements
     if _RISE in asked.asked():
@@ -333,6 +348,13 @@ def equal_noise(found: SearchResult) -> float:
     plants += [each.in_contact_with(FREE_SPACE) for each in plants]
     most = max(command_speed_gain(build_sampled_plant(each, problem.sample_time_s), law) for each in plants)
     return float(f"{most * (1.0 + _ROUNDED):.6g}")
+
+
+def _approach_speed(found: SearchResult) -> float:
+    """Return the steady speed [m/s] at which a design approaches the nominal plant."""
+    problem = found.problem
+    pair = build_sampled_contact(build_sampled_plant(problem.plants.nominal, problem.sample_time_s))
+    return simulate_contact(pair, problem.controller(found.design), problem.approach).contact_speed_m_s
 
 
 def _neutral(problem: DesignProblem, plain: FloatArray, corner: float) -> FloatArray:

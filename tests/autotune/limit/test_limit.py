@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks.tuning_problems import paper_cell
-from problems.contact.linear_controller_contact import simulate_linear_contact
+from problems.contact.linear_controller_contact import simulate_linear_contact, trace_linear_contact
 from problems.contact.transient import Approach, SampledContact, build_sampled_contact, simulate_contact
 from problems.design.problem import AdmittanceTarget
 from problems.model.controller import AdmittanceController
@@ -22,7 +22,7 @@ from tests.conftest import RunCli
 
 pytest.importorskip("cvxpy", reason="needs the extra `limit`")
 
-from autotune.limit.limit import NEGLECTED_BELOW, ReachedPeak, _meets, find_limit, hardest
+from autotune.limit.limit import NEGLECTED_AT_REST, NEGLECTED_BELOW, ReachedPeak, _meets, find_limit, hardest
 from autotune.limit.programs import ConvexStep, EqualDemands, at_rest, lower_bound, noise_rows
 from autotune.limit.signals import ContactSignals, contact_signals
 from autotune.limit.youla import YoulaBasis
@@ -244,6 +244,27 @@ def test_the_command_prints_design_reached_and_bound(
     }
     assert (tmp_path / "limit.svg").read_text(encoding="utf-8").startswith("<?xml")
     assert found["neglected"]["lower_bound"] == NEGLECTED_BELOW
+
+
+def test_no_controller_gets_below_the_force_that_presses_on_at_rest(run_cli: RunCli, tmp_path: Path) -> None:
+    """On a soft surface the design's peak is F^d itself, so that nothing better is looked for."""
+    soft = _PLANT.replace("[5e5, 5e5]", "[3e3, 3e3]")
+    (tmp_path / "plant.yaml").write_text(soft, encoding="utf-8")
+    done = run_cli("limit", "plant.yaml")
+    assert done.returncode == 0, done.stderr
+    assert "axis x: 30 N; no controller gets below 30 N, the F^d that presses on when it has stopped\n" in done.stdout
+    assert f"neglected by the force that none gets below: {NEGLECTED_AT_REST}" in done.stdout
+
+
+@pytest.mark.parametrize("delay_s", [2.4e-3, 0.0])
+def test_every_linear_law_ends_at_the_force_of_the_bound(delay_s: float) -> None:
+    """A law that approaches under F^d integrates, so that it stops at that force alone, whatever its order."""
+    pair = _pair(delay_s)
+    basis, signals = _basis(pair), _signals(pair)
+    law = basis.controller(basis.start(), signals.open, _H)
+    for each in (simulate_contact(pair, _LAW, _APPROACH), trace_linear_contact(pair, law, _APPROACH)):
+        assert each.contact_force_n[-1] == pytest.approx(30.0, rel=0.02)
+        assert each.peak_contact_force_n >= 30.0
 
 
 def test_optimize_says_and_draws_how_far_its_design_is(
