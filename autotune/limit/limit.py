@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -12,8 +12,6 @@ from autotune.charts.chart import Chart, Line, Panel, Role, Scale
 from autotune.charts.chart import Limit as ChartLimit
 from autotune.errors import InfeasibleError
 from autotune.text import scenario_text
-from problems.arrays import FloatArray
-from problems.contact.linear_controller_contact import trace_linear_contact
 from problems.contact.transient import (
     Approach,
     ContactTransient,
@@ -29,12 +27,11 @@ from problems.errors import ParameterError
 from problems.model.axis_kind import STRAIGHT, AxisKind
 from problems.model.controller import AdmittanceController
 from problems.model.linear_controllers import LinearController
-from problems.model.response import free_space_admittance, loop_response
-from problems.model.sampled import Controller, SampledPlant, build_loop, build_sampled_plant, spectral_radius
+from problems.model.sampled import build_loop, build_sampled_plant
 from problems.progress import no_progress
-from problems.stability.margins import RawMargins, UnstableLoopError, frequency_grid, margins_on_grid
-from problems.stability.noise import command_speed_gain
+from problems.stability.margins import UnstableLoopError
 
+from .judge import LoopJudge, ReachedPeak
 from .noise_trade import NoisePoint
 from .programs import ConvexStep, EqualDemands, LowerBound, NoSolutionError, lower_bound
 from .signals import ContactSignals, contact_signals
@@ -45,7 +42,6 @@ _TAPS, _TIME_CONSTANTS = 150, (12.0, 40.0, 120.0, 400.0)
 _MOST_STEPS, _SETTLED = 8, 1e-3
 _SHORTEST, _LONGEST, _PEAK_TIMES = 250, 900, 8
 _BOUND_SHORTEST, _BOUND_LONGEST, _BOUND_PEAK_TIMES = 120, 450, 2
-_GRID = 600
 _SHOWN_S = 0.2
 _MET = 1.0 + 1e-9
 # Within this share of the force that it rests with, nothing better is looked for.
@@ -62,29 +58,6 @@ NEGLECTED_ABOVE = (
     "requirements beside modulus, noise and admittance, of which other margins are compared on the exact loops, plants "
     "beside those looked at, deadband and command limits"
 )
-
-
-@dataclass(frozen=True, kw_only=True)
-class ReachedPeak:
-    """What one controller does over the plants: worst peak [N], margins, noise [m/s/N] and least |G| [m/s/N].
-
-    `trace` is its contact with the plant of the worst peak.
-    """
-
-    peak_force_n: float
-    modulus: float
-    gain_db: float
-    phase_deg: float
-    delay_s: float
-    noise_m_s_per_n: float
-    min_m_s_per_n: float
-    trace: ContactTransient
-
-    def to_dict(self) -> dict[str, float | None]:
-        """Return the numbers; None is a margin without limit."""
-        names = [each.name for each in fields(self) if each.name != "trace"]
-        numbers = {name: float(getattr(self, name)) for name in names}
-        return {name: number if math.isfinite(number) else None for name, number in numbers.items()}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -204,54 +177,6 @@ def _line(trace: ContactTransient, place: str, label: str, role: Role) -> Line:
     return Line(x=1e3 * trace.time_s[shown], y=force[shown], label=label, role=role)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Judge:
-    """Looks at a controller on the exact loops of all plants, with none of the convex program's numbers."""
-
-    pairs: tuple[SampledContact, ...]
-    approach: Approach
-    band_rad_per_s: FloatArray
-    at_contact: bool
-
-    def __call__(self, law: Controller) -> ReachedPeak:
-        """Return what it reaches; raises UnstableLoopError where a loop is unstable."""
-        traces = [self._trace(pair, law) for pair in self.pairs]
-        worst = max(traces, key=self.peak)
-        plants = [plant for pair in self.pairs for plant in (pair.contact, pair.free)]
-        margins = np.min([_margins(plant, law) for plant in plants], axis=0)
-        return ReachedPeak(
-            peak_force_n=self.peak(worst),
-            modulus=float(margins[0]),
-            gain_db=float(margins[1]),
-            phase_deg=float(margins[2]),
-            delay_s=float(margins[3]),
-            noise_m_s_per_n=max(command_speed_gain(plant, law) for plant in plants),
-            min_m_s_per_n=min(
-                float(np.min(np.abs(free_space_admittance(pair.free, law, self.band_rad_per_s)))) for pair in self.pairs
-            ),
-            trace=worst,
-        )
-
-    def peak(self, trace: ContactTransient) -> float:
-        """Return the peak [N] where it is asked."""
-        return trace.peak_contact_force_n if self.at_contact else trace.peak_sensor_force_n
-
-    def _trace(self, pair: SampledContact, law: Controller) -> ContactTransient:
-        if isinstance(law, AdmittanceController):
-            return simulate_contact(pair, law, self.approach)
-        radius = spectral_radius(build_loop(pair.free, law))
-        if not radius < 1.0:
-            raise UnstableLoopError(radius)
-        return trace_linear_contact(pair, law, self.approach)
-
-
-def _margins(plant: SampledPlant, law: Controller) -> RawMargins:
-    omega = frequency_grid(plant, _GRID)
-    response = loop_response(plant, law, omega)
-    found = [margins_on_grid(omega, each) for each in (response.at_force, response.at_command)]
-    return RawMargins(*np.min(found, axis=0))
-
-
 def hardest(
     problem: DesignProblem,
     law: AdmittanceController,
@@ -296,7 +221,7 @@ def find_limit(
     at_contact = not isinstance(problem.objective, PeakObjective) or problem.objective.place == "contact"
     requirements, target = problem.requirements, problem.requirements.free_space_admittance
     band = np.zeros(0) if target is None else band_frequencies(pairs[0].contact.plant.robot, target.band_hz)
-    judge = _Judge(
+    judge = LoopJudge(
         pairs=pairs,
         approach=problem.approach,
         band_rad_per_s=band if len(band) else np.array([2.0 * math.pi]),
@@ -317,17 +242,7 @@ def find_limit(
         driving_force_n=design.trace.driving_force_n,
         at_contact=at_contact,
     )
-    # A law that approaches under a force does not rest before the contact's force is that.
-    rest = LowerBound(force_n=problem.approach.force_n or 0.0, ticks=0, inputs=0, is_at_rest=True)
-    is_least = design.peak_force_n <= rest.force_n * _AT_REST
-    attained = controller = None
-    bounds = [rest]
-    if not is_least:
-        signals = _signals(pairs, law, problem.approach)
-        attained, controller = _attain(signals, law, asked, judge, lambda share: report(0.8 * share))
-        bounds += [lower_bound(each, asked, _bound_ticks(each, law, problem.approach)) for each in signals]
-    bound = max(bounds, key=lambda found: found.force_n)
-    report(1.0 if is_least else 0.2)
+    attained, controller, bound = _solve(pairs, law, problem.approach, asked, judge, design.peak_force_n, report)
     two_gains = None
     if at_contact and not bound.is_at_rest:
         two_gains = _bound_two_gains(problem, law, scenarios, asked, design.peak_force_n)
@@ -345,6 +260,29 @@ def find_limit(
         missed=_missed(requirements, attained) if better and attained is not None else {},
         two_gains=two_gains,
     )
+
+
+def _solve(
+    pairs: Sequence[SampledContact],
+    law: AdmittanceController,
+    approach: Approach,
+    asked: EqualDemands,
+    judge: LoopJudge,
+    peak_force_n: float,
+    report: Callable[[float], None],
+) -> tuple[ReachedPeak | None, LinearController | None, LowerBound]:
+    """Return the best controller that met everything, if any was looked for and found, and the bound from below."""
+    # A law that approaches under a force does not rest before the contact's force is that.
+    rest = LowerBound(force_n=approach.force_n or 0.0, ticks=0, inputs=0, is_at_rest=True)
+    if peak_force_n <= rest.force_n * _AT_REST:
+        report(1.0)
+        return None, None, rest
+    signals = _signals(pairs, law, approach)
+    attained, controller = _attain(signals, law, asked, judge, lambda share: report(0.8 * share))
+    bounds = (lower_bound(each, asked, _bound_ticks(each, law, approach)) for each in signals)
+    bound = max((rest, *bounds), key=lambda found: found.force_n)
+    report(0.2)
+    return attained, controller, bound
 
 
 def _bound_two_gains(
@@ -403,7 +341,7 @@ def _attain(
     signals: tuple[ContactSignals, ...],
     law: AdmittanceController,
     asked: EqualDemands,
-    judge: _Judge,
+    judge: LoopJudge,
     report: Callable[[float], None],
 ) -> tuple[ReachedPeak | None, LinearController | None]:
     """Return the best controller that met everything on the exact loops, None where there was none."""
@@ -435,7 +373,7 @@ def _attain(
     return best, kept
 
 
-def _judged(judge: _Judge, law: LinearController) -> ReachedPeak | None:
+def _judged(judge: LoopJudge, law: LinearController) -> ReachedPeak | None:
     try:
         return judge(law)
     except UnstableLoopError:

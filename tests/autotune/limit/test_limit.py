@@ -22,7 +22,8 @@ from tests.conftest import RunCli
 
 pytest.importorskip("cvxpy", reason="needs the extra `limit`")
 
-from autotune.limit.limit import NEGLECTED_AT_REST, NEGLECTED_BELOW, ReachedPeak, _meets, find_limit, hardest
+from autotune.limit.judge import ReachedPeak
+from autotune.limit.limit import NEGLECTED_AT_REST, NEGLECTED_BELOW, _meets, find_limit, hardest
 from autotune.limit.programs import ConvexStep, EqualDemands, at_rest, lower_bound, noise_rows
 from autotune.limit.signals import ContactSignals, contact_signals
 from autotune.limit.youla import YoulaBasis
