@@ -211,7 +211,7 @@ def test_plots_are_figures_and_take_axes(design: at.Design) -> None:
         design.plot_map("damping", "stiffness")
     with pytest.raises(at.UsageError, match="two different gains"):
         design.plot_map("lead", "lead_s")
-    for wrong in (3, [3, 4]):
+    for wrong in (3, [3, 4], [plt.figure().add_subplot(), 3]):
         with pytest.raises(at.UsageError, match="ax must be matplotlib axes"):
             design.plot_nyquist(ax=wrong)  # type: ignore[arg-type]
     design.plot_map("damping", "lead_s")

@@ -52,6 +52,10 @@ def test_a_filter_that_was_found_and_taken_out_of_the_file_is_asked_for() -> Non
         build_problems(cut, ProblemSpec())
     said = replace(ProblemSpec(), uncertain={"wrench_time_constant_s": (0.0, 0.0)})
     assert build_problems(cut, said)["x"].plants.nominal.wrench_filter.is_none
+    late = replace(ProblemSpec(), uncertain={"wrench_delay_s": (0.0, 1e-3)})
+    assert build_problems(cut, late)["x"].plants.nominal.wrench_filter == WrenchFilter(delay_s=0.5e-3)
+    told = replace(seen_by(None), findings=(replace(found, code="other"),))
+    assert build_problems(told, ProblemSpec())["x"].plants.nominal.wrench_filter.is_none
     assert not built(CORNER).plants.nominal.wrench_filter.is_none
 
 
@@ -109,8 +113,51 @@ def test_a_delay_becomes_a_delay_and_leaves_the_position_alone() -> None:
             WrenchFilter(time_constant_s=TAU),
             {},
         ),
+        (
+            WrenchFilterEstimate(
+                corner_hz=Estimate(value=None, std=None, status=Status.WEAK, ci95=(40.0, 60.0), method="by hand")
+            ),
+            {},
+            WrenchFilter(time_constant_s=TAU),
+            # 1/(2π f), five digits, outwards.
+            {"wrench_time_constant_s": (2.6525e-3, 3.9789e-3)},
+        ),
+        (DELAY, {"wrench_delay_s": "nominal"}, WrenchFilter(delay_s=2.4e-3), {}),
+        (
+            DELAY,
+            {"wrench_delay_s": (1e-3, 3e-3)},
+            WrenchFilter(delay_s=2.4e-3),
+            {"wrench_delay_s": (1e-3, 3e-3)},
+        ),
+        (
+            DELAY,
+            {"wrench_delay_s": (3e-3, 4e-3)},
+            WrenchFilter(delay_s=3e-3),
+            {"wrench_delay_s": (3e-3, 4e-3)},
+        ),
+        (
+            WrenchFilterEstimate(delay_s=known(1e-5, 2e-5)),
+            {},
+            WrenchFilter(delay_s=1e-5),
+            {"wrench_delay_s": (0.0, 5e-5)},
+        ),
+        (
+            WrenchFilterEstimate(delay_s=replace(known(2.4e-3, 1e-5), ci95=(2.3e-3, 2.41e-3))),
+            {},
+            WrenchFilter(delay_s=2.4e-3),
+            {"wrench_delay_s": (2.3e-3, 2.42e-3)},
+        ),
+        (
+            WrenchFilterEstimate(delay_s=replace(known(2.4e-3, 1e-5), ci95=(2.39e-3, 2.5e-3))),
+            {},
+            WrenchFilter(delay_s=2.4e-3),
+            {"wrench_delay_s": (2.38e-3, 2.5e-3)},
+        ),
     ],
-    ids=["nominal", "none", "a range", "a range of nothing", "weak", "given"],
+    ids=[
+        *("nominal", "none", "a range", "a range of nothing", "weak", "given", "a weak corner"),
+        *("nominal delay", "around a delay", "beyond a delay", "not below 0", "interval below", "interval above"),
+    ],
 )
 def test_problem_yaml_wins_and_a_weak_value_is_its_interval(
     wrench: WrenchFilterEstimate | None,
