@@ -1,0 +1,153 @@
+"""The pages of many: a campaign's runs and a schedule's classes, each number where the record has it."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from autotune.campaign.work import RunOutcome
+from autotune.charts.chart import Chart, Points
+from autotune.formats.schedule import Schedule, read_schedule, write_schedule
+from autotune.report.campaign_page import build_campaign_page
+from autotune.report.page import Note, Page, Table
+from autotune.report.schedule_page import build_schedule_page
+from tests.autotune.campaign.test_fleet import TRUE, fleet, outcome
+from tests.autotune.formats.test_schedule import make_schedule
+
+MON, TUE = (1.0 * 86400.0 * 365.0 * 50.0, 86400.0 * (365.0 * 50.0 + 1.0))
+
+
+def section(page: Page, key: str) -> tuple[object, ...]:
+    return next((each.blocks for each in page.sections if each.key == key), ())
+
+
+def table(page: Page, key: str) -> Table:
+    (found,) = (each for each in section(page, key) if isinstance(each, Table))
+    return found
+
+
+def texts(of: Table) -> list[list[str]]:
+    return [[cell.text for cell in row] for row in of.rows]
+
+
+def points(chart: Chart) -> dict[str, Points]:
+    return {each.label: each for each in chart.panels[0].elements if isinstance(each, Points)}
+
+
+def check_sides(of: Table) -> None:
+    """A column is set to the right if and only if its entries are numbers, with a unit or a deviation or without."""
+    for i, head in enumerate(of.heads()):
+        entries = [row[i].text for row in of.rows if row[i].text]
+        are_numbers = bool(entries) and all(re.fullmatch(r"[+-]?\d+(\.\d+)?( .*)?", each) for each in entries)
+        assert head.is_number == are_numbers, head.text
+
+
+def test_a_campaign_with_a_refusal_a_change_and_a_lost_certificate() -> None:
+    runs = [
+        replace(outcome("a", "mon", TRUE, at=MON), peaks_n={"x": (50.0, 40.0), "rz": (None, 3.0)}),
+        replace(
+            outcome("a", "tue", (16.0, 3.3e5, 2.4e-3), at=TUE), peaks_n={"x": (60.0, 45.0)}, outside=("K_s is 330",)
+        ),
+        replace(outcome("b", "mon", TRUE, at=MON), peaks_n={"x": (None, 42.0), "rz": (None, 2.0)}),
+        RunOutcome(cell="b", run="tue", key="", refused="log", reason="it is cut"),
+        RunOutcome(cell="c", run="mon", key="", refused="estimate", reason="it stands still"),
+        RunOutcome(cell="d", run="mon", key="", refused="log", reason="it is empty"),
+    ]
+    page = build_campaign_page(runs, "a footer")
+    assert [each.key for each in page.sections] == ["certificates", "refused", "changes", "peaks", "runs"]
+    assert (page.tone, page.footer) == ("bad", "a footer")
+    assert page.lead.startswith("6 runs of 4 cells, 3 refused, 1 certificate no longer valid; 1 change")
+    (note,) = (each for each in section(page, "certificates") if isinstance(each, Note))
+    assert note.text == "a, tue: K_s is 330."
+    # What is refused most often comes first.
+    assert texts(table(page, "refused")) == [
+        ["log", "2", "b", "tue", "it is cut"],
+        ["log", "2", "d", "mon", "it is empty"],
+        ["estimate", "1", "c", "mon", "it stands still"],
+    ]
+    assert texts(table(page, "changes")) == [
+        ["a", "mon", "tue", "x: K_s", "300", "330", "N/mm", "+10 %", f"{3e4 / np.hypot(3e3, 3e3):.1f}"]
+    ]
+    every = table(page, "runs")
+    assert every.columns == ("cell", "run", "recorded", "outcome", "payload mass [kg]", "x: K_s [N/mm]", "x: T_d [ms]")
+    assert texts(every)[0] == ["a", "mon", "2019-12-20 00:00", "good", "16.000 ± 0.020", "300.0 ± 3.0", "2.400 ± 0.020"]
+    assert texts(every)[3] == ["b", "tue", "", "log", "", "", ""]
+    assert [row[3].tone for row in every.rows] == ["good"] * 3 + ["bad"] * 3
+    for key in ("refused", "changes", "runs"):
+        check_sides(table(page, key))
+
+
+def test_peaks_are_those_of_each_cells_newest_run_by_axis() -> None:
+    runs = [
+        replace(outcome("a", "mon", TRUE, at=1.0), peaks_n={"x": (50.0, 40.0)}),
+        replace(outcome("a", "tue", TRUE, at=2.0), peaks_n={"x": (60.0, 45.0), "rz": (None, 3.0)}),
+        replace(outcome("b", "mon", TRUE, at=1.0), peaks_n={"x": (None, 42.0)}),
+        outcome("c", "mon", TRUE, at=1.0),
+    ]
+    page = build_campaign_page(runs, "")
+    assert page.tone == "good"
+    straight, turning = (each for each in section(page, "peaks") if isinstance(each, Chart))
+    shown = points(straight)
+    assert (shown["with the new controller"].x.tolist(), shown["with the new controller"].y.tolist()) == (
+        [1.0, 2.0],
+        [45.0, 42.0],
+    )
+    before = shown["with the gains of the log"]
+    assert (before.x.tolist(), before.y.tolist()) == ([1.0], [60.0])
+    assert straight.caption == "1: a; 2: b"
+    assert "of 2 cells with the new controller, from 42 to 45 N" in straight.alternative
+    assert straight.panels[0].x.limits == (0.5, 2.5)
+    assert list(points(turning)) == ["with the new controller"]
+    assert turning.panels[0].y.label == "peak [N·m]"
+    assert turning.panels[0].x.limits == (0.5, 1.5)
+
+
+def test_a_cell_unlike_the_others_is_named_with_their_median_and_one_by_all_together() -> None:
+    cells = fleet(40)
+    cells[7] = outcome("c7", "mon", (27.0, TRUE[1], TRUE[2]))
+    page = build_campaign_page(cells, "")
+    assert page.tone == "warn"
+    assert [each.key for each in page.sections] == ["unusual", "runs"]
+    odd = table(page, "unusual")
+    check_sides(odd)
+    (alone,) = (row for row in texts(odd) if row[1] == "payload mass")
+    assert (alone[0], alone[2], alone[4]) == ("c7", "27", "kg")
+    assert 15.0 < float(alone[3]) < 17.0
+    together = [row for row in texts(odd) if row[1] == "all together"]
+    assert all(row[4] == "squared distance" and float(row[2]) > float(row[3]) for row in together)
+
+
+def test_a_schedule_shows_every_class_with_its_peaks_and_what_one_for_all_costs(tmp_path: Path) -> None:
+    schedule = make_schedule()
+    page = page_of(schedule, tmp_path / "cell")
+    tree = read_schedule(tmp_path / "cell" / "schedule.yaml").tree
+    found = table(page, "classes")
+    check_sides(found)
+    assert page.lead.startswith(f"{len(tree['classes'])} classes, ")
+    rows = texts(found)
+    expected = [(entry, axis) for entry in tree["classes"] for axis in entry["axes"]]
+    assert [(row[0], row[1]) for row in rows] == [(entry["name"], axis) for entry, axis in expected]
+    for row, (entry, axis) in zip(rows, expected, strict=True):
+        unit = "N·m" if axis.startswith("r") else "N"
+        cells = dict(zip(found.columns, row, strict=True))
+        key = "peak_torque_n_m" if axis.startswith("r") else "peak_force_n"
+        assert cells["peak"] == f"{entry['axes'][axis][key]:.4g} {unit}"
+        assert entry["checksum"].startswith(cells["checksum"])
+        costs = ("102.4 N", "+9.31 N") if (entry["name"], axis) == ("m14-18", "x") else (cells["peak"], f"+0 {unit}")
+        assert (cells["with one for all"], cells["costs"]) == costs
+        low, high = entry["payload_mass_kg"]
+        assert cells["payload [kg]"] == (f"{low:g}" if low == high else f"{low:g} to {high:g}")
+        if "K_e [N/mm]" in cells and entry["environment_stiffness_n_per_m"]:
+            low, high = (1e-3 * end for end in entry["environment_stiffness_n_per_m"])
+            assert cells["K_e [N/mm]"] == (f"{low:g}" if low == high else f"{low:g} to {high:g}")
+    for chart in (each for each in section(page, "classes") if isinstance(each, Chart)):
+        own = points(chart)["with its own controller"]
+        assert own.x.tolist() == list(range(1, len(own.y) + 1))
+        assert chart.panels[0].x.limits == (0.5, len(tree["classes"]) + 0.5)
+        assert f"from {own.y.min():.4g} to {own.y.max():.4g} " in chart.alternative
+
+
+def page_of(schedule: Schedule, folder: Path) -> Page:
+    write_schedule(folder, schedule)
+    return build_schedule_page(read_schedule(folder / "schedule.yaml"))
