@@ -16,7 +16,6 @@ from identification.logs.roles.cell import (
     WrenchUnits,
 )
 from identification.logs.roles.orientation import is_rotation, orientation_width
-from identification.logs.roles.units import FORCE_N, TORQUE_N_M
 from problems.errors import ParameterError
 
 
@@ -99,12 +98,3 @@ def test_only_rotations_are_rotations(entry: int, change: float) -> None:
     assert not is_rotation(off[None])[0]
     with pytest.raises(ParameterError, match="a rotation matrix"):
         Mounting(orientation=tuple(off.tolist()), orientation_as="matrix_row_major")
-
-
-def test_units_are_those_of_the_books() -> None:
-    # A pound-force is 0.45359237 kg times standard gravity, an inch 25.4 mm: exact by definition,
-    # up to one rounding.
-    assert FORCE_N["lbf"] == pytest.approx(0.45359237 * 9.80665, rel=1e-15)
-    assert TORQUE_N_M["lbf·ft"] == pytest.approx(12 * TORQUE_N_M["lbf·in"], rel=1e-15)
-    assert TORQUE_N_M["lbf·in"] == pytest.approx(0.112984829, rel=1e-8)
-    assert TORQUE_N_M["Nm"] == TORQUE_N_M["N·m"] == 1.0
