@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from .mdk import MdkExport, MdkProgram, mdk_target
-from .ros_yaml import CONTROL_FRAME, NAME_OPTIONS, SENSOR_NAME, Tree, managed_parameters
+from .ros_yaml import CONTROL_FRAME, INVERSE_DAMPING, NAME_OPTIONS, SENSOR_NAME, Tree, managed_parameters
 
 if TYPE_CHECKING:
     from .mdk_axis import MdkForm
@@ -32,8 +32,6 @@ KNOWN_KEYS = frozenset(
 """What is written of the parameters that the controller declares."""
 # The declared ranges of inertia, damping ratio and stiffness; what is not tuned gets the upper ends.
 _INERTIA, _MOST_RATIO, _MOST_STIFFNESS = (1e-4, 1e6), 5.0, 1000.0
-# The pseudo-inverse is damped by this; it takes motion away, at 0.0005 less than 1 % beyond singularities.
-_ALPHA = 0.0005
 _NO_FILTER = -1.0
 
 
@@ -67,7 +65,7 @@ def parameter_tree(made: MdkExport) -> Tree:
             "plugin_package": "dynamics_interface",
             "base": options.base_link,
             "tip": options.tip_link,
-            "alpha": _ALPHA,
+            "alpha": INVERSE_DAMPING,
         },
         "ft_sensor": {"is_enabled": True, "name": options.sensor_name, "frame": {"id": frame}},
         "control": {"frame": {"id": options.control_frame or frame}},

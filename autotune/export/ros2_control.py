@@ -16,6 +16,7 @@ from problems.frozen import FrozenDict
 
 from .ros_yaml import (
     CONTROL_FRAME,
+    INVERSE_DAMPING,
     NAME_OPTIONS,
     SENSOR_NAME,
     InstallationNames,
@@ -79,9 +80,6 @@ KNOWN_KEYS = frozenset(
     }
 )
 """Every parameter that the controller declares in 4.x, 5.x and 6.x (admittance_controller_parameters.yaml)."""
-
-# The inverse of the Jacobian is damped by this; it takes motion away, at 0.0005 less than 1 % beyond singularities.
-_ALPHA = 0.0005
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -164,7 +162,7 @@ def parameter_tree(
             "plugin_package": "kinematics_interface",
             "base": options.base_link,
             "tip": options.tip_link,
-            "alpha": _ALPHA,
+            "alpha": INVERSE_DAMPING,
         },
         "ft_sensor": {
             "name": options.sensor_name,

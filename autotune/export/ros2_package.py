@@ -16,6 +16,7 @@ from autotune.errors import UsageError
 from autotune.version import __version__
 
 from .ros_yaml import (
+    INVERSE_DAMPING,
     NAME_OPTIONS,
     SENSOR_NAME,
     InstallationNames,
@@ -85,7 +86,7 @@ def config_tree(controller: "RuntimeController", package: str, options: PackageO
             "plugin_package": "kinematics_interface",
             "base": options.base_link,
             "tip": options.tip_link,
-            "alpha": 0.0005,
+            "alpha": INVERSE_DAMPING,
         },
         "payload": {
             "mass_kg": payload.mass_kg,

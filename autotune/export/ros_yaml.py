@@ -76,6 +76,9 @@ UPRIGHT: Mapping[str, Quaternion] = FrozenDict({"orientation": (0.0, 0.0, 0.0, 1
 DOWNWARDS: Mapping[str, Quaternion] = FrozenDict({"orientation": (1.0, 0.0, 0.0, 0.0)})
 """The orientation of a sensor on a tool that points down, as an example."""
 
+INVERSE_DAMPING = 0.0005
+"""Damps the inverse of the Jacobian; it takes motion away, less than 1 % where the arm is not near a singularity."""
+
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_./-]*")
 _WIDTH = 110
 # The ways in which a body can move.

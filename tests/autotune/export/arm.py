@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from autotune.export.ros_yaml import INVERSE_DAMPING
 from problems.arrays import FloatArray
 from problems.compiled import compiled
 
@@ -113,7 +114,7 @@ class AdmittanceFile:
     stiffness: list[float]
     selected_axes: list[bool]
     joint_damping: float
-    alpha: float = 0.0005
+    alpha: float = INVERSE_DAMPING
     filter_coefficient: float = 1.0
 
     def after_a_push(

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from autotune.export.fzi_cartesian import KEYS_OF, FziOptions
 from autotune.export.ros2_control import Ros2Options
+from autotune.export.ros_yaml import INVERSE_DAMPING
 from autotune.formats.controller import read_controller, write_controller
 from problems.arrays import FloatArray
 from problems.model.linear_controllers import LinearController
@@ -209,3 +210,12 @@ def test_the_arm_s_jacobian_is_the_slope_of_its_pose() -> None:
     # Stretched out, as the maker draws it: a_2 + a_3 along −x, d_4 + d_6 along −y, d_1 − d_5 above the base.
     reach = chain(UR10E, np.zeros(6))[1][6]
     np.testing.assert_allclose(reach, [-1.18425, -0.2907, 0.06085], atol=1e-12)
+
+
+@pytest.mark.parametrize("pose", [*POSES, *UPRIGHT])
+def test_the_damped_inverse_takes_less_than_a_percent_of_any_motion(pose: FloatArray) -> None:
+    """J (JᵀJ + αI)⁻¹ Jᵀ of what is asked: in the worst direction σ²/(σ² + α) of the least singular value."""
+    axes, origins, _ = chain(UR10E, pose)
+    seen = jacobian(axes, origins, origins[6], 6)
+    moved = seen @ np.linalg.solve(seen.T @ seen + INVERSE_DAMPING * np.eye(6), seen.T)
+    assert 0.99 < np.min(np.linalg.eigvalsh(0.5 * (moved + moved.T))) < 1.0
