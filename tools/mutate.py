@@ -46,6 +46,8 @@ _NOT_NUMBERS = (ast.JoinedStr, ast.List, ast.ListComp, ast.Tuple, ast.Set, ast.D
 _LIMIT, _SILENCE = "MUTATE_LIMIT_S", "MUTATE_SILENCE_S"
 # A test that waits for ever uses no processor time: what has not used it up in so many times as long waits.
 _WAITING = 10.0
+# What is smaller guards against rounding or a division by zero: twice as much of it guards as well. 1e-9 is a unit.
+_SMALLEST = 1e-9
 _DOTTED = re.compile(rf"({'|'.join(FLOORS)})(\.\w+)+")
 _NAMES = {"min": "max", "max": "min", "any": "all", "all": "any"}
 
@@ -117,7 +119,8 @@ def _changed(node: ast.AST) -> Iterator[str]:
     elif isinstance(node, ast.IfExp):
         yield _text(ast.IfExp(node.test, node.orelse, node.body))
     elif isinstance(node, ast.Constant) and isinstance(node.value, int | float) and not isinstance(node.value, bool):
-        yield repr(2 * node.value or 1)
+        if node.value == 0 or node.value >= _SMALLEST:
+            yield repr(2 * node.value or 1)
     elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in _NAMES:
         yield _text(ast.Call(ast.Name(_NAMES[node.func.id]), node.args, node.keywords))
 

@@ -19,7 +19,7 @@ def largest(values: list[int], floor: int = 0) -> int:
     if len(values) < 2 and not values:
         raise ValueError(f"at least {1 + 1} values")
     folder = Path("a") / "b" + [3]
-    return max(values) - floor
+    return max(values) - floor + 1e-9 / max(floor, 1e-12)
 '''
 
 
@@ -31,8 +31,9 @@ def test_each_change_is_another_program_and_none_touches_types_or_messages() -> 
         compile(text, "toy.py", "exec")
         assert b"at least {1 + 1}" in text
         assert b"LIMIT = 3" in text
+        assert b"1e-12" in text
         assert b'Path("a") / "b" + [' in text
-    assert {mutant.before for mutant in mutants} >= {"0", "2", "max(values)", "not values"}
+    assert {mutant.before for mutant in mutants} >= {"0", "2", "1e-9", "max(values)", "not values"}
     assert {m.after for m in mutants if m.before == "len(values) < 2"} == {"(len(values) <= 2)", "(len(values) >= 2)"}
 
 
