@@ -10,7 +10,7 @@ from autotune.errors import CertificateError, InfeasibleError, UsageError
 from autotune.explore import saving as save_module
 from autotune.explore import source as source_module
 from autotune.explore.saving import Target, changed_lines, save_controller
-from autotune.explore.source import problem_of, read_exploration, with_requirements
+from autotune.explore.source import _bounds, problem_of, read_exploration, with_requirements
 from autotune.formats.certificate_record import SoftRequirement
 from autotune.formats.controller import read_controller, write_controller
 from autotune.formats.controller_record import Controller, ControllerStatus
@@ -20,6 +20,7 @@ from autotune.tuning.strategies import StrategySettings
 from autotune.tuning.threshold import ThresholdSettings
 from problems.design.evaluation import build_scenarios
 from problems.design.problem import AdmittanceTarget
+from problems.model.controller import AdmittanceController
 from problems.model.plant import WrenchFilter
 from tests.autotune.explore.start import solved_exploration
 from tests.autotune.tuning.cases import FAST_PROBLEM_YAML, FAST_REQUIREMENTS, FURTHER, fast_optimized, write_plant
@@ -199,3 +200,26 @@ def test_a_design_that_validation_refuses_is_not_written(tmp_path: Path, monkeyp
     with pytest.raises(CertificateError, match="not so"):
         save_controller(exploration, {"x": exploration.axes["x"].design}, Target(path))
     assert not path.exists()
+
+
+def test_sliders_reach_the_usual_bounds_and_about_a_turning_axis_a_tenth_and_ten_times_the_gains() -> None:
+    law = AdmittanceController(mass_kg=2.0, damping_n_s_per_m=20000.0, lead_s=0.05, feedback_damping_s=0.01)
+    usual = _bounds(law, "x", 8e-4, reads_position=True)
+    # Gains outside of the usual bounds are an end.
+    assert usual == {
+        "mass": (2.0, 100.0),
+        "damping": (100.0, 20000.0),
+        "lead_s": (0.0, 0.05),
+        "feedback_damping_s": (0.0, 0.05),
+    }
+    turning = _bounds(law, "rz", 8e-4, reads_position=False)
+    assert turning["mass"] == pytest.approx((0.2, 20.0))
+    assert turning["damping"] == pytest.approx((2000.0, 200000.0))
+    assert (turning["lead_s"], turning["feedback_damping_s"]) == ((0.0, 0.05), (0.0, 0.0))
+    # What is compensated stays as it is.
+    heavy = _bounds(replace(law, compensation_mass_kg=3.0), "x", 8e-4, reads_position=True)
+    assert {name: heavy[name] for name in heavy if name not in usual} == {
+        "velocity_filter_rad_per_s": (law.velocity_filter_rad_per_s,) * 2,
+        "acceleration_filter_rad_per_s": (law.acceleration_filter_rad_per_s,) * 2,
+        "compensation_mass_kg": (3.0, 3.0),
+    }

@@ -14,7 +14,7 @@ from identification.joint_fit.data import JointData, usual_coupling
 from identification.joint_fit.fit import identify_joint
 from identification.joint_fit.result import JointFit
 from identification.joint_fit.segments import Segment
-from identification.joint_fit.turning_payload import _low_pass, _weights
+from identification.joint_fit.turning_payload import _as_path, _low_pass, _weights
 from identification.payload.turning import turning_force
 from identification.signals.segments import Span
 from problems.arrays import FloatArray
@@ -145,3 +145,17 @@ def test_what_turns_comes_and_goes_by_ramps_around_the_spans(period_s: float) ->
     assert np.max(np.abs(np.diff(weights))) == pytest.approx(period_s / 4e-3)
     assert np.sum(weights) == pytest.approx(101 + 4 * 8e-3 / period_s)
     assert np.flatnonzero(weights)[0] == pytest.approx(200 - 10e-3 / period_s, abs=1)
+
+
+@pytest.mark.parametrize("omega", [5.0, 40.0])
+def test_a_force_over_the_coupling_is_a_path_with_its_derivatives(omega: float) -> None:
+    """Of e^{jωt} it is 1/(K_s + jω B_s) of that, its n-th derivative per sample (jωh)ⁿ, over n factorial."""
+    count = 4000
+    wave = np.exp(1j * omega * PERIOD_S * np.arange(count))
+    found = _as_path(wave.real, np.array([STIFFNESS, DAMPING]), PERIOD_S)
+    held = wave / (STIFFNESS + 1j * omega * DAMPING)
+    # The start from 0 decays with B_s/K_s = 2 ms; the spline's third derivative is good to some thousandths.
+    inside = slice(1000, count - 100)
+    for order, over in enumerate((1.0, 1.0, 2.0, 6.0)):
+        exact = (held * (1j * omega * PERIOD_S) ** order).real / over
+        np.testing.assert_allclose(found[inside, order], exact[inside], atol=5e-3 * float(np.max(np.abs(exact))))
