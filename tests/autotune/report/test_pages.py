@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from autotune.charts.chart import Band, Bars, Chart, Heat, Line, Points
+from autotune.charts.chart import Band, Bars, Chart, Heat, Line, Panel, Points, Scale
 from autotune.formats.canonical import short
 from autotune.formats.controller import ControllerFile, controller_tree
 from autotune.formats.controller_record import Controller
@@ -290,3 +290,18 @@ def test_a_log_without_contacts_is_left_out() -> None:
     nothing = LogComparison(contacts=(), passed_over=0, mass_kg=16.0, is_weighed=True)
     page = build_validate_page(small_controller(), CHECKSUM, Validated(report=GOOD, compared=nothing))
     assert "measured" not in charts_of(page)
+
+
+@pytest.mark.parametrize("live", [(True, False), (False, False)])
+def test_the_engine_is_on_a_page_with_a_single_figure_that_can_be_zoomed(live: tuple[bool, bool]) -> None:
+    line = Line(x=np.array([0.0, 1.0]), y=np.array([0.0, 2.0]), label="a line", role="after")
+    panel = Panel(x=Scale(label="time [s]"), y=Scale(label="force [N]"), elements=(line,))
+    alternative = "A line that rises from nothing to two newtons in a second."
+    charts = tuple(
+        Chart(key=f"c{i}", title="Line", alternative=alternative, panels=(panel,), live=each)
+        for i, each in enumerate(live)
+    )
+    text = render_page(Page(title="Lines", lead="Two.", sections=(Section(key="s", title="Both", blocks=charts),)))
+    check_page(text)
+    assert [f'id="c{i}-data"' in text for i in range(2)] == list(live)
+    assert ('id="engine"' in text) is any(live)

@@ -2,15 +2,26 @@
 
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
 from identification.result import CONTACT_UNEXPLAINED, EnvironmentEstimate, Estimate, Status
+from identification.signals.segments import Span
+from identification.timeline import left_contacts
 from identification.timeline.contacts import find_contacts
-from identification.timeline.left_contacts import Accounted, ObservedAxis, account_for_contacts, learn_slope
+from identification.timeline.left_contacts import (
+    Accounted,
+    ContactSlope,
+    ObservedAxis,
+    account_for_contacts,
+    learn_slope,
+)
 from identification.timeline.timeline import build_timeline
 from identification.verdicts import unidentifiable
+from problems.arrays import FloatArray
 from tests.identification.signals.test_segments import line, log_of
 from tests.identification.synthetic import ramp
 from tests.identification.timeline.test_contacts import H_S, LOAD, WALL_M, Press, driven, pressed, there_and_back
@@ -147,3 +158,55 @@ def test_as_many_touches_are_found_as_end_in_surfaces_and_findings(
     assert named + sum(message) == touches
     # K_s to a third leaves 3 · 0.33 K_e/K_s open: 0.8 of 2e5, and 0.4 of 1e5.
     assert named == sum(stiffness < 2e5 or coupling is K_S for stiffness in (*order, 1e5))
+
+
+def slope_of(
+    force: FloatArray, way: FloatArray, *, sign: int = 1, std: float | None = 300.0, onset: bool = True
+) -> ContactSlope | None:
+    """Return what is learned of one contact of these samples, pressed along the axis or against it."""
+    count = len(force)
+    of = SimpleNamespace(softest_n_per_m=1000.0, axis=SimpleNamespace(force_n=-sign * force))
+    payload = SimpleNamespace(touch_n=sign * force, position_m=sign * way)
+    span = Span(start=0, stop=count)
+    contact = SimpleNamespace(onset=0 if onset else None, span=span, hold=span)
+    coupling = Estimate(value=3e5, std=std, status=Status.IDENTIFIED, method="by hand")
+    return learn_slope(cast(Any, of), cast(Any, payload), cast(Any, contact), coupling)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("stiffness", [1.2e3, 2e4, 2e5])
+def test_the_slope_of_a_spring_is_the_spring_and_as_open_as_the_coupling_and_the_model_leave_it(
+    stiffness: float, sign: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(left_contacts, "press_sign", lambda *_: sign)
+    force = 40.0 * np.sin(np.linspace(0.0, np.pi, 50))
+    found = slope_of(force, 0.01 + force / stiffness, sign=sign)
+    assert found is not None
+    # dK_e = K_e² d(1/K_s), beside 7 % of what the model leaves out; three deviations.
+    left_open = 3.0 * np.hypot(0.07, stiffness * 300.0 / 3e5**2)
+    assert found.sign == sign
+    assert found.low_n_per_m == pytest.approx(stiffness * (1.0 - left_open), rel=1e-9)
+    assert found.high_n_per_m == pytest.approx(stiffness * (1.0 + left_open), rel=1e-9)
+    assert found.stiffness_n_per_m == pytest.approx(stiffness, rel=1e-9)
+    # What is not known of a sample leaves it out.
+    way = np.where(np.arange(50) == 25, np.nan, 0.01 + force / stiffness)
+    assert slope_of(force, way, sign=sign) is not None
+
+
+def test_a_slope_that_is_not_clear_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(left_contacts, "press_sign", lambda *_: 1)
+    force = 40.0 * np.sin(np.linspace(0.0, np.pi, 50))
+    way = force / 2e4
+    assert slope_of(force, way, onset=False) is None
+    assert slope_of(force, way, std=None) is None
+    assert slope_of(force, np.zeros(50)) is None
+    assert slope_of(force, -way) is None
+    assert slope_of(force, force / 900.0) is None
+    assert slope_of(force[20:31], way[20:31]) is None
+    assert slope_of(force[19:31], way[19:31]) is not None
+    # K_s to a third: open by more than half where the surface is as stiff.
+    assert slope_of(force, force / 3e5, std=6e4) is None
+    # Nine tenths of the variance: r² of a way that is shaken.
+    shaken = np.random.default_rng(1).normal(size=50)
+    assert slope_of(force, way + 0.05 * float(np.std(way)) * shaken) is not None
+    assert slope_of(force, way + 0.6 * float(np.std(way)) * shaken) is None
