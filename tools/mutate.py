@@ -231,6 +231,9 @@ def judge(mutant: Mutant, root: Path, limit_s: float, silence_s: float) -> Verdi
 
 def run_tests(files: list[Path], root: Path, limit_s: float, silence_s: float, marked: str = "not slow") -> Verdict:
     """Run files of tests in their order up to the first that fails; both times are processor times of their process."""
+    # A file that is not there would end the run as a change that cannot be imported does.
+    if missing := [str(file) for file in files if not (root / file).is_file()]:
+        raise FileNotFoundError(f"no tests in {root}: {', '.join(missing)}")
     options = ("-q", "-x", "-m", marked, "-n", "0", "--no-header", "--tb=no", "-p", "no:cacheprovider")
     with subprocess.Popen(
         [sys.executable, "-m", "pytest", "-p", "tools.mutate", *options, *(str(root / file) for file in files)],
@@ -249,8 +252,6 @@ def run_tests(files: list[Path], root: Path, limit_s: float, silence_s: float, m
                 os.killpg(run.pid, signal.SIGKILL)
     if code == -signal.SIGXCPU:
         return Verdict.OUT_OF_TIME
-    if code == pytest.ExitCode.USAGE_ERROR:
-        raise FileNotFoundError(f"no tests in {root}: {', '.join(map(str, files))}")
     return Verdict.SURVIVED if code in (0, pytest.ExitCode.NO_TESTS_COLLECTED) else Verdict.CAUGHT
 
 

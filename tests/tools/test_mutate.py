@@ -87,6 +87,14 @@ def test_a_test_that_waits_for_ever_has_noticed(tmp_path: Path, monkeypatch: pyt
     )
 
 
+def test_what_breaks_the_fixtures_has_been_noticed_and_a_file_that_is_not_there_is_no_answer(tmp_path: Path) -> None:
+    file = _copy_with("pass", tmp_path)
+    (tmp_path / "conftest.py").write_text("import nothing_of_that_name\n")
+    assert run_tests([file], tmp_path, 60.0, 30.0) is Verdict.CAUGHT
+    with pytest.raises(FileNotFoundError, match=r"no tests in .*: missing\.py"):
+        run_tests([file, Path("missing.py")], tmp_path, 60.0, 30.0)
+
+
 def test_files_run_in_the_order_given(tmp_path: Path) -> None:
     """What comes second is not reached, though it has a slow test."""
     file = _copy_with("assert False", tmp_path)
