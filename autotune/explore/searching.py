@@ -109,7 +109,7 @@ class Searcher:
 
         def show() -> None:
             if self._cancelled is not None and not self._cancelled.is_set():
-                self.button.label = f"Cancel the search ({share:.0%})"
+                self.button.label = f"Cancel the search ({100.0 * share:.0f} %)"
 
         def progress(more: float) -> None:
             nonlocal share, shown_at

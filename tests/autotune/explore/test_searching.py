@@ -67,6 +67,28 @@ def test_a_search_is_cancelled_and_leaves_the_gains(page: ExplorePage, monkeypat
     assert page.designs["x"].tolist() == DESIGN.tolist()
 
 
+def test_the_button_shows_how_far_the_search_is_until_it_is_cancelled(
+    page: ExplorePage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ticks = list[Callable[[], None]]()
+    monkeypatch.setattr(page.document, "add_next_tick_callback", ticks.append)
+    monkeypatch.setattr(searching, "_EVERY_S", -1.0)
+    searcher = begun(page).searcher
+    cancelled = searcher._cancelled
+    assert cancelled is not None
+    assert searcher.button.label == "Cancel the search (0 %)"
+    progress = searcher._progress(cancelled)
+    for more, label in ((0.25, "25 %"), (0.5, "75 %"), (0.5, "100 %")):
+        progress(more)
+        ticks[-1]()
+        assert searcher.button.label == f"Cancel the search ({label})"
+    searcher._clicked()
+    ticks[-1]()
+    assert searcher.button.label == "Cancelling …"
+    with pytest.raises(searching.SearchCancelledError):
+        progress(0.1)
+
+
 def test_why_nothing_is_found_is_reported(page: ExplorePage, monkeypatch: pytest.MonkeyPatch) -> None:
     def none(*_: object, **__: object) -> None:
         raise InfeasibleError("It misses <everything>.")
