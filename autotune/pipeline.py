@@ -286,8 +286,11 @@ def _identify_piece(
         if recording is None:
             recording = read_checked_recording(piece.files, cell, salvage=salvage, span=piece.span)
         report(_READING_SHARE)
+        reading, source = recording.findings, _source(recording, piece.files)
+        # Nobody but `identify_with_evidence` holds it then, which lets go of what it no longer needs.
+        held, recording = [recording], None
         found, evidence = identify_with_evidence(
-            recording, build_frames(cell), given, lambda share: report((1.0 - _READING_SHARE) * share), piece.known
+            held.pop(), build_frames(cell), given, lambda share: report((1.0 - _READING_SHARE) * share), piece.known
         )
     except OutsideSpanError as error:
         if not is_one_of_many or not (piece.span.has_stamps or piece.window):
@@ -299,16 +302,14 @@ def _identify_piece(
         if not is_one_of_many or name in str(error):
             raise
         raise type(error)(f"{name}: {error}") from error
-    read = _without_withdrawn(recording.findings, found.findings)
+    read = _without_withdrawn(reading, found.findings)
     found = replace(found, findings=(*read, *found.findings))
     kept = (
-        None
-        if evidence is None or piece.window or not with_evidence
-        else replace(evidence, log=name, reading=recording.findings)
+        None if evidence is None or piece.window or not with_evidence else replace(evidence, log=name, reading=reading)
     )
     share = 0.0 if evidence is None else evidence.gain_error_share
     named = NamedResult(name=name, result=found, gain_error_share=share)
-    run = PieceRun(named=named, source=_source(recording, piece.files), evidence=kept)
+    run = PieceRun(named=named, source=source, evidence=kept)
     if evidence is None or evidence.payload is None:
         return run
     if piece.known:

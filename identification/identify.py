@@ -1,7 +1,7 @@
 """Identification of plant parameters from one recording: the driver over all estimators."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -36,6 +36,7 @@ from .result import (
     Identified,
     InertiaEstimate,
     PayloadEstimate,
+    SensorEstimate,
     Status,
     WrenchFilterEstimate,
 )
@@ -43,7 +44,7 @@ from .robot.admittance_estimates import AdmittanceRobots, identify_admittance_ro
 from .robot.admittance_motion import with_compensated_force
 from .sensor import at_rest_only, describe_sensor, identify_from_rows
 from .signals.aligned import AlignedLog, align, check_regular, find_gaps, restore_commands
-from .signals.recording import Frames, PoseSignal, Recording
+from .signals.recording import Frames, PoseSignal, Recording, unmeasured
 from .signals.segments import MotionSpans, find_motion
 from .signals.spikes import without_spikes
 from .turn_estimate import identify_turn, unidentified_turn
@@ -82,7 +83,7 @@ def identify_cell(
         The channels do not fit together.
 
     """
-    return _identify(recording, frames, given or {}, no_progress)[0]
+    return identify_with_evidence(recording, frames, given)[0]
 
 
 def identify_with_evidence(
@@ -110,36 +111,39 @@ def identify_with_evidence(
         With `known`: the force at rest agrees with a payload up to some rest, or from it on.
 
     """
-    report = progress if progress is not None else no_progress
-    found, cell, results, payload = _identify(recording, frames, given or {}, report, known)
-    if cell is None or cell.gravity is None:
-        return found, _wrench_as_logged(recording) if found.timelines else None
-    return found, replace(_evidence(cell, cell.gravity, results), payload=payload)
-
-
-def _identify(
-    recording: Recording,
-    frames: Frames | None,
-    given: Mapping[str, Given],
-    report: Callable[[float], None],
-    known: Sequence[KnownPayload] = (),
-) -> tuple[Identified, CellSignals | None, Mapping[str, AxisResult], KnownPayload | None]:
+    report, given = progress if progress is not None else no_progress, given or {}
     partial = _identify_incomplete(recording, frames, given)
     if partial is not None:
         report(1.0)
-        return settle_cell(partial, given), None, {}, None
-    if recording.command is not None:
-        recording = replace(recording, command=restore_commands(recording.command))
-    recording, about_spikes = without_spikes(recording)
-    read, payload = _weighed(recording, frames, known)
-    log, motion, gravity = read.log, read.motion, payload.gravity
-    report(_WEIGHING_SHARE / 2.0)
-    inertia = identify_inertia(log, motion, read.poses, gravity)
-    report(_WEIGHING_SHARE / 2.0)
+        found = settle_cell(partial, given)
+        return found, _wrench_as_logged(recording) if found.timelines else None
+    weighed = _weighed(recording, frames, known, report)
+    # Of a long log the wrench as it was logged, and what was restored of it, are a tenth of what is in memory.
+    del recording
+    return _identify(weighed, given, report)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Weighed:
+    """A log as its weight reads it, with what it says of payload and sensor; the logged wrench is left out of it."""
+
+    read: ReadLog
+    payload: KnownPayload
+    inertia: InertiaFit
+    sensor: SensorEstimate
+    about_spikes: tuple[Finding, ...]
+    about_payload: tuple[Finding, ...]
+    about_sensor: tuple[Finding, ...]
+
+
+def _identify(
+    weighed: _Weighed, given: Mapping[str, Given], report: Callable[[float], None]
+) -> tuple[Identified, Evidence]:
+    read, payload, inertia = weighed.read, weighed.payload, weighed.inertia
+    log, gravity = read.log, payload.gravity
     cell, about_robots = _signals(read, gravity, inertia, given)
     results, about_axes = _identify_axes(cell, inertia, lambda share: report(_AXES_SHARE * share))
     accounted, timeline = with_unfitted_touches(cell, results, *account_for_log(cell, results, gravity.mass_kg))
-    sensor, about_sensor = describe_sensor(read, gravity, frames)
     late, about_late = _late_wrench(results, read.recording, log.period_s)
     report(1.0 - _WEIGHING_SHARE - _AXES_SHARE)
     found = Identified(
@@ -148,22 +152,22 @@ def _identify(
             mass_kg=mass_estimate(gravity), com_m=com_estimate(gravity), inertia_kg_m2=_inertia(inertia)
         ),
         axes={name: with_surfaces(axis.estimate, accounted.surfaces[name]) for name, axis in results.items()},
-        sensor=replace(sensor, wrench_filter=late),
+        sensor=replace(weighed.sensor, wrench_filter=late),
         findings=(
-            *about_spikes,
+            *weighed.about_spikes,
             *read.findings,
             *about_robots,
             *without_surface(about_axes, accounted),
             *accounted.findings,
             *hand_findings(timeline),
-            *((payload.finding(),) if known else gravity_findings(gravity)),
-            *about_sensor,
+            *weighed.about_payload,
+            *weighed.about_sensor,
             *about_late,
             *inertia.findings,
         ),
         timelines=(timeline,),
     )
-    return settle_cell(found, cell.given), cell, results, payload
+    return settle_cell(found, cell.given), replace(_evidence(cell, gravity, results), payload=payload)
 
 
 def _signals(
@@ -191,15 +195,34 @@ def _signals(
 
 
 def _weighed(
-    recording: Recording, frames: Frames | None, known: Sequence[KnownPayload]
-) -> tuple[ReadLog, KnownPayload]:
+    recording: Recording, frames: Frames | None, known: Sequence[KnownPayload], report: Callable[[float], None]
+) -> _Weighed:
     """Return the log as its weight reads it, with the payload that its rests show, else a known one."""
+    if recording.command is not None:
+        recording = replace(recording, command=restore_commands(recording.command))
+    recording, about_spikes = without_spikes(recording)
     log = align(recording)
     motion = find_motion(log)
     if known:
-        return read_with_known(recording, log, motion, frames, known)
-    read = read_by_weight(recording, log, motion, frames)
-    return read, known_payload(read, identify_gravity(read.poses))
+        read, payload = read_with_known(recording, log, motion, frames, known)
+    else:
+        read = read_by_weight(recording, log, motion, frames)
+        payload = known_payload(read, identify_gravity(read.poses))
+    report(_WEIGHING_SHARE / 2.0)
+    inertia = identify_inertia(read.log, read.motion, read.poses, payload.gravity)
+    sensor, about_sensor = describe_sensor(read, payload.gravity, frames)
+    report(_WEIGHING_SHARE / 2.0)
+    left = unmeasured(len(read.recording.wrench.stamp_ns))
+    wrench = replace(read.recording.wrench, force_n=left, torque_n_m=left)
+    return _Weighed(
+        read=replace(read, recording=replace(read.recording, wrench=wrench)),
+        payload=payload,
+        inertia=inertia,
+        sensor=sensor,
+        about_spikes=about_spikes,
+        about_payload=(payload.finding(),) if known else tuple(gravity_findings(payload.gravity)),
+        about_sensor=about_sensor,
+    )
 
 
 def _late_wrench(

@@ -230,13 +230,11 @@ def _few_of_each_place(holds: Sequence[Span], axis: AxisMotion) -> tuple[Span, .
 
 def _without_holes(values: FloatArray, holes: Sequence[Span]) -> FloatArray:
     """Return values (n,) with straight lines across the holes, which no span that is used comes near."""
-    if not holes:
-        return values
-    inside = np.zeros(len(values), dtype=bool)
+    filled = np.array(values) if holes else values
     for hole in holes:
-        inside[hole.slice] = True
-    known = np.flatnonzero(~inside)
-    return np.asarray(np.interp(np.arange(len(values)), known, values[known]))
+        edges = [i for i in (hole.start - 1, hole.stop) if 0 <= i < len(values)]
+        filled[hole.slice] = np.interp(np.arange(hole.start, hole.stop), edges, values[edges])
+    return filled
 
 
 def _off_holes(spans: Sequence[Span], holes: Sequence[Span], period_s: float) -> tuple[Span, ...]:

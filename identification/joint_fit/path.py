@@ -21,6 +21,8 @@ _DIED_AWAY, _LONGEST_S = 6.0, 0.1
 # Coefficients of 1 to s³ of Lagrange's cubic through samples at s = 2, 1, 0 and −1.
 _CUBIC = np.array([[0.0, -1.0, 0.0, 1.0], [0.0, 6.0, 3.0, -3.0], [6.0, -3.0, -6.0, 3.0], [0.0, -2.0, 3.0, -1.0]]) / 6.0
 _TERMS = 20
+# What a cubic spline does 128 samples away is 0.268¹²⁸ of it, less than any rounding.
+_PART, _SPLINE_REACH = 2**15, 128
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -310,9 +312,15 @@ def given_way(values: FloatArray, force_n: FloatArray, period_s: float) -> Float
     omega = float(values[0])
     poles = [1.0, omega] if len(values) == 2 else [1.0, 2.0 * float(values[1]) * omega, omega**2]
     b, a, _ = cont2discrete(([poles[-1]], poles), period_s, method="foh")
-    way = make_interp_spline(np.arange(len(force_n)), lfilter(np.ravel(b), a, force_n - force_n[0]), k=3)
-    ticks = np.arange(len(force_n))
-    return np.column_stack([way(ticks, nu=k) / math.factorial(k) for k in range(4)])
+    place, out = lfilter(np.ravel(b), a, force_n - force_n[0]), np.empty((len(force_n), 4))
+    # By parts: the equations of a long log's spline would be the most that is ever in memory.
+    for first in range(0, len(place), _PART):
+        ticks = np.arange(first, min(first + _PART, len(place)))
+        near = np.arange(max(first - _SPLINE_REACH, 0), min(first + _PART + _SPLINE_REACH, len(place)))
+        way = make_interp_spline(near, place[near], k=3)
+        for k in range(4):
+            out[ticks, k] = way(ticks, nu=k) / math.factorial(k)
+    return out
 
 
 def _taylor(c: FloatArray) -> FloatArray:

@@ -1,5 +1,6 @@
 """How far the robot gives way to the payload's force and to dry friction of its joints, beside its answer r(s)."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -33,39 +34,55 @@ def with_yielding_robot(problem: Problem, point: Point) -> tuple[Problem, Point]
     micrometres, of which a filter for the pose's noise keeps a part only, and which K_s turns into a force. Poles and
     these moves change each other: they are fitted in turns.
     """
-    amounts = _amounts(problem, point, _ways(problem, point, np.full(2, _FIRST_M)))
-    shown = np.flatnonzero(amounts.values > _CLEAR_STDS * amounts.stds)
+    amounts = _amounts(problem, point, _ways(problem, point, np.full(2, _FIRST_M), (0, 1), terms=1))
+    shown = np.flatnonzero(amounts.values > _CLEAR_STDS * amounts.stds).tolist()
     total = amounts.values.copy()
-    for step in range(_ROUNDS if shown.size else 0):
-        ways = _ways(problem, point, total)[shown]
-        problem = _yielding(problem, ways, total[shown] if step else np.zeros(len(shown)), np.zeros(len(shown)))
-        more = _amounts(problem, point, ways)
-        total[shown] = np.maximum((total[shown] if step else 0.0) + more.values, 0.0)
-        stds = np.hypot(more.stds, (_LAW_KNOWN * total)[shown])
-        problem = _yielding(problem, _ways(problem, point, total)[shown], total[shown], stds)
+    for step in range(_ROUNDS if shown else 0):
+        known = total[shown] if step else np.zeros(len(shown))
+        more = _more(problem, point, total, shown, known)
+        total[shown] = np.maximum(known + more.values, 0.0)
+        # What the deviations move is asked for at the end only.
+        stds = np.hypot(more.stds, (_LAW_KNOWN * total)[shown]) if step == _ROUNDS - 1 else None
+        problem = _yielding(problem, _ways(problem, point, total, shown), total[shown], stds)
         point, _ = minimise(problem, point, _STEPS)
     return problem, point
 
 
-def _yielding(problem: Problem, ways: FloatArray, amounts: FloatArray, stds: FloatArray) -> Problem:
-    signals = replace(
-        problem.signals,
-        yielded=np.tensordot(amounts, ways, axes=1),
-        yielded_stds=tuple(std * way for std, way in zip(stds, ways, strict=True)),
-    )
-    return replace(problem, signals=signals)
+def _more(problem: Problem, point: Point, total: FloatArray, shown: Sequence[int], known: FloatArray) -> _Amounts:
+    """Return what the poses show of the ways beyond what is known of them."""
+    ways = _ways(problem, point, total, shown)
+    return _amounts(_yielding(problem, ways, known), point, ways)
 
 
-def _ways(problem: Problem, point: Point, amounts: FloatArray) -> FloatArray:
-    """Return where forces move the robot, per 1/k [m/N] and per f/k [m], about these amounts (2,): (2, n, 4)."""
+def _yielding(problem: Problem, ways: FloatArray, amounts: FloatArray, stds: FloatArray | None = None) -> Problem:
+    """Return the problem with so much of the ways (w, n, 4), which become what their deviations move where given."""
+    yielded = np.tensordot(amounts, ways, axes=1)
+    if stds is not None:
+        ways *= stds[:, None, None]
+    moved = () if stds is None else tuple(ways)
+    return replace(problem, signals=replace(problem.signals, yielded=yielded, yielded_stds=moved))
+
+
+def _ways(problem: Problem, point: Point, amounts: FloatArray, shown: Sequence[int], terms: int = 4) -> FloatArray:
+    """Return where forces move the robot, per 1/k [m/N] (0) and per f/k [m] (1), about these amounts (2,).
+
+    (w, n, terms) are the first columns of `given_way` for those that are `shown`.
+    """
     signals, robot = problem.signals, point.values[problem.layout.robot]
-    path = problem.path(point.values)
+    ways = np.empty((len(shown), len(signals.force_n), terms))
+    for way, k in zip(ways, shown, strict=True):
+        force = _friction(problem, point, float(amounts[1])) if k else signals.force_n
+        way[:] = given_way(robot, force, signals.period_s)[:, :terms]
+    return ways
+
+
+def _friction(problem: Problem, point: Point, held_back_m: float) -> FloatArray:
+    """Return the dry friction (n,) per f, where it holds the robot back by so much."""
+    path, held_back_m = problem.path(point.values), max(held_back_m, _LEAST_M)
     if path.run is None:
         raise ValueError("A path without a command has no robot that gives way.")
-    speed = np.gradient(path.run.states(0, len(signals.position_m))[:, 0])
-    held_back_m = max(float(amounts[1]), _LEAST_M)
-    friction = rubbing_of(robot, speed, held_back_m, signals.period_s) / held_back_m
-    return np.stack([given_way(robot, force, signals.period_s) for force in (signals.force_n, friction)])
+    speed = np.gradient(path.run.states(0, len(problem.signals.position_m))[:, 0])
+    return rubbing_of(point.values[problem.layout.robot], speed, held_back_m, problem.signals.period_s) / held_back_m
 
 
 def rubbing_of(robot: FloatArray, speed: FloatArray, held_back_m: float, period_s: float) -> FloatArray:

@@ -20,6 +20,7 @@ from ..signals.recording import (
     Recording,
     StampArray,
     WrenchSignal,
+    unmeasured,
 )
 
 _SHORTEST_S, _SHORTEST_TRACE_S = 3.0, 1.0
@@ -286,7 +287,7 @@ def with_compensated_force(recording: Recording, log: AlignedLog, force_S_n: Flo
         recording.wrench,
         stamp_ns=stamps[valid],
         force_n=force_S_n[valid],
-        torque_n_m=np.full((int(np.count_nonzero(valid)), 3), np.nan),
+        torque_n_m=unmeasured(int(np.count_nonzero(valid))),
         gravity_compensated=True,
         measured_axes=("x", "y", "z"),
     )

@@ -96,7 +96,8 @@ def slerp(time_s: FloatArray, quaternion_xyzw: FloatArray, at_s: FloatArray) -> 
 def _frozen_array(values: NDArray[np.generic], dtype: type, width: int | None, name: str) -> NDArray[np.generic]:
     array: NDArray[Any] = np.asarray(values)
     # What is read-only and owns its memory was frozen before: a changed signal shares the columns that it keeps.
-    is_frozen = array.dtype == dtype and array.flags.c_contiguous and array.base is None and not array.flags.writeable
+    is_mine = array.flags.c_contiguous and array.base is None
+    is_frozen = array.dtype == dtype and not array.flags.writeable and (is_mine or not any(array.strides))
     if not is_frozen:
         array = np.array(values, dtype=dtype, order="C")
     expected = 1 if width is None else 2
@@ -156,9 +157,14 @@ class WrenchSignal:
         return {*AXES[3:]} <= {*self.measured_axes}
 
 
+def unmeasured(count: int) -> FloatArray:
+    """Return (count, 3) that are NaN throughout, and take no memory."""
+    return np.broadcast_to(np.nan, (count, 3))
+
+
 def no_wrench(pose: "PoseSignal") -> WrenchSignal:
     """Return what replaces the wrench of a log without one: nothing measured, at the pose's stamps."""
-    nothing = np.full((len(pose.stamp_ns), 3), np.nan)
+    nothing = unmeasured(len(pose.stamp_ns))
     return WrenchSignal(
         topic="",
         frame_id="",

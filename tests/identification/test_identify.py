@@ -1,6 +1,7 @@
 """What the driver says of logs that lack something: a sentence that helps, and never a made-up number."""
 
 import dataclasses
+import weakref
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -12,7 +13,7 @@ from autotune.simulation.simulate import simulate_cell
 from autotune.simulation.truth import SimulatedCell
 from identification.advice import advise
 from identification.errors import EstimateError, LogError
-from identification.identify import identify_cell
+from identification.identify import identify_cell, identify_with_evidence
 from identification.result import Estimate, Finding, Identified, Status, TouchCause, VectorEstimate
 from identification.signals.recording import PoseSignal, Recording, WrenchSignal
 from problems.arrays import BoolArray, ComplexArray, FloatArray
@@ -337,3 +338,17 @@ def test_the_time_line_names_the_surface_of_each_contact(complete: Identified) -
         cell = SimulatedCell()
         speed = PROGRAM.contact_force_n / (cell.controller.damping_n_s_per_m + cell.drag_n_s_per_m)
         assert touch.approach_speed == pytest.approx(speed, rel=0.05)
+
+
+def test_the_logged_wrench_is_let_go_of_before_the_axes_are_fitted(
+    demo_recording: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    held = [dataclasses.replace(demo_recording)]
+    logged = weakref.ref(held[0])
+
+    def fitted(weighed: Any, *_: object) -> tuple[str, None]:
+        assert np.isnan(weighed.read.recording.wrench.force_n).all()
+        return "gone" if logged() is None else "held", None
+
+    monkeypatch.setattr("identification.identify._identify", fitted)
+    assert identify_with_evidence(held.pop())[0] == "gone"

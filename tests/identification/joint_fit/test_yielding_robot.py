@@ -7,6 +7,7 @@ import pytest
 
 from identification.joint_fit.data import HeldCommand, JointData, usual_coupling
 from identification.joint_fit.free_motion import fit_robot
+from identification.joint_fit.path import given_way
 from identification.joint_fit.yielding_robot import rubbing_of
 from identification.signals.segments import Span
 from problems.arrays import FloatArray
@@ -78,6 +79,13 @@ def test_a_robot_without_friction_is_left_as_it_is() -> None:
     problem, start = fit_robot(logged(0.0))
     assert problem.signals.yielded is None
     assert start[problem.layout.robot][-1] == pytest.approx(DELAY_S, abs=1e-5)
+
+
+def test_a_long_log_gives_way_as_one_spline_through_all_of_it_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    robot, force = np.array([OMEGA, ZETA, DELAY_S]), np.random.default_rng(3).standard_normal(5000)
+    whole = given_way(robot, force, PERIOD_S)
+    monkeypatch.setattr("identification.joint_fit.path._PART", 700)
+    assert given_way(robot, force, PERIOD_S).tobytes() == whole.tobytes()
 
 
 @pytest.mark.parametrize("robot", [np.array([25.0, DELAY_S]), np.array([OMEGA, ZETA, DELAY_S])])

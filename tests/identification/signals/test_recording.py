@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from identification.errors import EstimateError, LogError
-from identification.signals.recording import GainsSignal, PoseSignal, Recording, TwistSignal, WrenchSignal
+from identification.signals.recording import GainsSignal, PoseSignal, Recording, TwistSignal, WrenchSignal, unmeasured
 
 STAMPS = np.array([0, 10, 20])
 
@@ -34,6 +34,15 @@ def test_arrays_are_copied_and_read_only() -> None:
         signal.force_n[0, 0] = 2.0
     with pytest.raises(dataclasses.FrozenInstanceError):
         signal.topic = "/other"  # type: ignore[misc]  # frozen
+
+
+def test_axes_that_are_not_measured_take_no_memory_and_rows_that_are_repeated_are_copied() -> None:
+    signal = wrench(torque_n_m=unmeasured(3))
+    assert (signal.torque_n_m.strides, np.isnan(signal.torque_n_m).all()) == ((0, 0), True)
+    mine = np.ones(3)
+    signal = wrench(torque_n_m=np.broadcast_to(mine, (3, 3)))
+    mine[0] = 7.0
+    assert signal.torque_n_m.tolist() == [[1.0] * 3] * 3
 
 
 @pytest.mark.parametrize("wrong", [np.ones((3, 2)), np.ones(3), np.ones((3, 3, 1))])
