@@ -351,4 +351,5 @@ def test_the_logged_wrench_is_let_go_of_before_the_axes_are_fitted(
         return "gone" if logged() is None else "held", None
 
     monkeypatch.setattr("identification.identify._identify", fitted)
-    assert identify_with_evidence(held.pop())[0] == "gone"
+    said: Any = identify_with_evidence(held.pop())[0]
+    assert said == "gone"
