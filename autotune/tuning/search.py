@@ -38,7 +38,7 @@ _PATIENT = 2
 _POLISH_STARTS, _OTHER_VALLEYS = 3, 6
 # Eight numbers take a longer way, begun anew halfway: the curvature that was learnt far off misleads at its end. One
 # that ends a little outside of what is asked goes on.
-_WITH_BIQUAD, _LEGS, _MOST_LEGS = 20, 2, 5
+_WITH_BIQUAD, _LEGS, _MOST_LEGS = 15, 2, 5
 _SAME, _NEAR, _FAR = 1e-3, 0.1, 0.45
 # Steps along a kink end a little outside: further legs keep more in hand.
 _IN_HAND = 5e-4

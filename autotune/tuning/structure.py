@@ -267,7 +267,10 @@ def solve_limited(
     asked = held.requirements.asked().get(_HELD)
     if not isinstance(asked, HeldByHand):
         return found
-    return found if _least_held(found, asked) >= asked.min_modulus else _solved(held, [*starts, found.design], seed)
+    if _least_held(found, asked) >= asked.min_modulus:
+        return found
+    # Descents from these know the way.
+    return _solved(held, [*starts, found.design], seed, explores=False)
 
 
 def limited_problem(
