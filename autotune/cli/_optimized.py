@@ -94,6 +94,7 @@ def _objective_lines(report: "OptimalityReport", problem: "DesignProblem", units
 
 def _active_line(entry: "ActiveConstraint", problem: "DesignProblem", units: "AxisKind") -> str:
     from autotune.text import bound_text
+    from problems.design.problem import BIQUAD_VARIABLES
 
     decimals = _DECIMALS[units.force]
     saved, is_nothing = f"{entry.price:.{decimals}f} {units.force}", entry.price < 0.5 * 10.0**-decimals
@@ -102,7 +103,8 @@ def _active_line(entry: "ActiveConstraint", problem: "DesignProblem", units: "Ax
         bound = f"the {bound_text(entry.name, problem.bounds, units)}"
         if is_nothing or (side == "lower" and problem.bounds[variable][0] == 0.0):
             return f"{bound}, is active, and widening it saves nothing"
-        return f"{bound}, is active: 1 % wider saves {saved}; {_WIDEN}"
+        saves = f"{bound}, is active: 1 % wider saves {saved}"
+        return saves if variable in BIQUAD_VARIABLES else f"{saves}; {_WIDEN}"
     if is_nothing:
         return f"{entry.name} is active, easing it alone saves nothing"
     if entry.soft:
@@ -138,10 +140,11 @@ def _optimality_lines(report: "OptimalityReport", unit: str, digits: tuple[str, 
         f"conditions of an optimum: {optimality.relative_residual:.1e} of the gradient is left over (KKT residual), "
         f"unused slack is worth {slack:{digits[1]}} {unit}".rstrip()
     )
-    yield (
-        f"gap {100.0 * report.gap:.3f} % to a reference: {best:{digits[0]}}{what} is the {word} "
-        f"that was found {_where_it_was_looked(report.reference)}"
-    )
+    least = f"{best:{digits[0]}}{what} is the {word} that was found {_where_it_was_looked(report.reference)}"
+    if math.isfinite(report.reference.elsewhere):
+        yield f"gap {100.0 * report.gap:.3f} % to a reference: {least}"
+    else:
+        yield f"no other design to compare with; {least}"
 
 
 def _where_it_was_looked(reference: "Reference") -> str:

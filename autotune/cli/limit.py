@@ -45,7 +45,7 @@ Examples:
     default=1.0,
     show_default=True,
     metavar="FACTOR",
-    help="How often the design's command noise the others may have, where the problem does not limit it.",
+    help="How often the command noise that the problem allows, or the design makes, the others may have.",
 )
 @click.option(
     "--plot", type=click.Path(path_type=Path, dir_okay=False), metavar="F.svg", help="Also draw it, .svg or .png."

@@ -373,8 +373,9 @@ def print_optimized(
         for line in law_lines(found, name):
             print_message(line)
         approach = controller.certificate.domain[name].approach
-        drive = f"with F^d = {approach.force_n:g} {units.force}"
-        if approach.speed_m_s is not None:
+        if approach.speed_m_s is None:
+            drive = f"with F^d = {approach.force_n:g} {units.force}"
+        else:
             drive = f"at {speed_text(approach.speed_m_s, units.force)}"
         print_message(f"  predicted contacts, approached {drive}:")
         _print_peaks(controller.predicted[name].scenarios, units)

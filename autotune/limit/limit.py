@@ -99,7 +99,8 @@ class LimitResult:
         said = f"{self.design.peak_force_n:.4g} {unit}; "
         if self.two_gains is not None:
             said += (
-                f"no other B_a and K_l beside its M_a and B_fb get below {self.two_gains.force_n:.4g} {unit}, proved; "
+                f"no other B_a and K_l in their bounds beside its M_a and B_fb get below {self.two_gains.force_n:.4g} "
+                f"{unit}, proved; "
             )
         noise = (
             "of this noise"
@@ -211,7 +212,7 @@ def find_limit(
     """Return how near `law` is to the limit over `scenarios`, the hardest contact first.
 
     All controllers approach with the speed of the law, meet the modulus and the free-space admittance of the problem,
-    and have at most `noise_factor` times the noise of the law, or what the problem allows where it limits the noise.
+    and have at most `noise_factor` times the noise of the law, or of what the problem allows where it limits the noise.
     Raises InfeasibleError where the law itself is unstable on one of the plants.
     """
     report = progress or no_progress
@@ -231,9 +232,10 @@ def find_limit(
         design = judge(law)
     except UnstableLoopError as error:
         raise InfeasibleError(f"The design is unstable on a plant of the set ({error}), so it has no peak.") from error
-    noise, allowed = design.noise_m_s_per_n * noise_factor, problem.requirements.command_noise
+    noise, allowed = design.noise_m_s_per_n, problem.requirements.command_noise
     if allowed is not None and allowed.force_noise_rms_n:
         noise = allowed.max_speed_rms_m_s / allowed.force_noise_rms_n
+    noise *= noise_factor
     asked = EqualDemands(
         modulus=requirements.modulus_margin or design.modulus,
         min_m_s_per_n=None if target is None else target.min_m_s_per_n,
@@ -252,7 +254,7 @@ def find_limit(
         place="contact" if at_contact else "sensor",
         approach_speed_m_s=design.trace.contact_speed_m_s,
         asked=asked,
-        noise_factor=noise / design.noise_m_s_per_n if allowed is not None else noise_factor,
+        noise_factor=noise / design.noise_m_s_per_n,
         design=design,
         attained=attained if better else None,
         controller=controller if better else None,

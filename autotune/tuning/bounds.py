@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from problems.arrays import FloatArray
-from problems.design.problem import FURTHER_VARIABLES, DesignProblem
+from problems.design.problem import BIQUAD_VARIABLES, FURTHER_VARIABLES, DesignProblem
 from problems.model.controller import SMALLEST_FEEDBACK_DAMPING_S
 
 LINEAR_VARIABLES = frozenset({"lead_s", "feedback_damping_s", "compensation_mass_kg"})
@@ -40,6 +40,9 @@ def wider_bounds(problem: DesignProblem, names: Iterable[str], *, turning: bool)
     tree: dict[str, Any] = {}
     for name in names:
         side, _, variable = name.partition(" bound of ")
+        if variable in BIQUAD_VARIABLES:
+            # They follow from h and the band of the admittance, and problem.yaml has no place for them.
+            continue
         low, high = problem.bounds[variable]
         ends = (low / _WIDER, high) if side == "lower" else (low, high * _WIDER)
         if variable in _OF_LEAD:

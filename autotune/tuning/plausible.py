@@ -120,10 +120,11 @@ def left_out_contacts(problem: DesignProblem, identified: Identified, name: str)
         value = surface.stiffness_n_per_m.value
         if value is None or low <= value <= high:
             continue
+        most = max(surface.peak_force_n, default=0.0)
+        touched = f", touched with up to {most:.1f} {units.force} in the log," if most > 0.0 else ""
         yield (
-            f"axis {name}: surface {surface.name}, touched with up to {max(surface.peak_force_n, default=0.0):.1f} "
-            f"{units.force} in the log, has K_e = {scale * value:.4g} {unit}, and the controller is certified for "
-            f"{certified} only: keep it off that surface."
+            f"axis {name}: surface {surface.name}{touched} has K_e = {scale * value:.4g} {unit}, and the controller "
+            f"is certified for {certified} only: keep it off that surface."
         )
     for finding in unexplained_contacts(identified, name):
         yield (f"{finding.message} Whether {certified}, the range that was said, holds it is not known from the log.")

@@ -19,8 +19,8 @@ from problems.design.problem import BIQUAD_VARIABLES, DesignProblem, NoiseLimit,
 from problems.design.requirements import AdmittancePeak, HeldByHand
 from problems.design.requirements.held_by_hand import HeldByHandRequirement
 from problems.model.plant import FREE_SPACE
-from problems.model.sampled import build_sampled_plant
-from problems.stability.noise import command_speed_gain
+from problems.model.sampled import build_loop, build_sampled_plant, position_input
+from problems.stability.noise import command_speed_gain, speed_rms
 
 from .bounds import loosened_bounds
 from .noise_limit import find_position_noise, find_sensor_noise, jitter_source, jitter_speed
@@ -62,7 +62,8 @@ class StructureChoice:
     All make the commanded speed's noise at most `noise_m_s_per_n` per newton of the force's: what `is_asked` in
     problem.yaml, else that of four gains in their bounds, or the robot's own jitter at rest where the log shows it and
     it is larger (`measured`, by which `jitter_m_s_per_n` is that; None where it is not known). It `counts_pose` where
-    the pose's noise is part of that. `bounds` are those of the four gains, `approach_m_s` their speed of approach.
+    the pose's noise is part of that. `bounds` are those of the four gains, `approach_m_s` their speed of approach,
+    `total_m_s_per_n` their noise with the pose's.
     """
 
     costs: Mapping[Structure, float | None]
@@ -71,6 +72,7 @@ class StructureChoice:
     is_asked: bool = False
     counts_pose: bool = False
     gains_m_s_per_n: float = math.nan
+    total_m_s_per_n: float = math.nan
     jitter_m_s_per_n: float | None = None
     approach_m_s: float = math.inf
     measured: NoiseOf = UNKNOWN
@@ -101,12 +103,16 @@ class StructureChoice:
             "noise": "the four gains at that noise",
             "biquad": "the biquad",
         }
+        best = min(cost for cost in self.costs.values() if cost is not None)
         kept = f", since more saves less than {100.0 * PRICE:g} %"
+        if best == self.costs[self.taken]:
+            # Structures ask what keeps a hand and a start from rest as calm, which four gains alone are not asked.
+            kept = ", since more saves nothing"
         if all(cost is None for name, cost in self.costs.items() if name != self.taken):
             kept = ", the only design"
         elif self.taken == list(self.costs)[-1]:
             kept = ""
-        limited = self._limited(name, problem.sample_time_s)
+        limited = self._limited(name, problem.sample_time_s) + self._beside_approach(name)
         held = problem.requirements.asked().get(_HELD)
         alike = f" (|1 + L| ≥ {held.min_modulus:g} while one holds the payload)" if isinstance(held, HeldByHand) else ""
         return (
@@ -123,28 +129,39 @@ class StructureChoice:
         if self.jitter_m_s_per_n is None or "noise" not in self.costs:
             return ""
         rms, units = self.measured.force or 1.0, axis_units(name)
-        of_gains, of_robot = (
-            f"{1e3 * rms * each:.3g} m{units.speed}" for each in (self.gains_m_s_per_n, self.jitter_m_s_per_n)
+        of_gains, of_robot, both = (
+            f"{1e3 * rms * each:.3g} m{units.speed}"
+            for each in (self.gains_m_s_per_n, self.jitter_m_s_per_n, self.total_m_s_per_n)
         )
+        whose = f"that the four gains in their bounds make of the sensor's noise ({both} with the pose's)"
         jitter = jitter_source(self.measured.position or 0.0, name, sample_time_s)
         if self._is_of_jitter:
-            said = (
-                f" The noise of the command is limited to {of_robot} RMS, the robot's jitter at rest ({jitter}), which "
-                f"is more than the {of_gains} of the four gains in their bounds."
-            )
-            share = rms * self.noise_m_s_per_n / self.approach_m_s
-            if share < _MUCH:
-                return said
-            key = "max_speed_rms_m_s" if units.force == "N" else "max_speed_rms_rad_s"
-            less = f"{{command_noise: {{{key}: {rms * self.gains_m_s_per_n:.3g}}}}}"
-            less = f"requirements: {less}" if units.force == "N" else f"rotational: {{requirements: {less}}}"
             return (
-                f"{said} That is {100.0 * share:.0f} % of the {1e3 * self.approach_m_s:.3g} m{units.speed} of the "
-                f"approach, and the pose's noise may be no motion at all; for as little as those make say {less}."
+                f" The noise of the command is limited to {of_robot} RMS, the robot's jitter at rest ({jitter}), which "
+                f"is more than the {of_gains} {whose}."
             )
         return (
-            f" The noise of the command is limited to {of_gains} RMS, that of the four gains in their bounds, which is "
-            f"more than the {of_robot} of the robot's jitter at rest ({jitter})."
+            f" The noise of the command is limited to the {of_gains} RMS {whose}, which is more than the {of_robot} of "
+            f"the robot's jitter at rest ({jitter})."
+        )
+
+    def _beside_approach(self, name: str) -> str:
+        """Return a sentence where the noise that is limited is much beside the speed of the approach, unless asked."""
+        rms, units = self.measured.force, axis_units(name)
+        share = (rms or 0.0) * self.noise_m_s_per_n / self.approach_m_s
+        if rms is None or share < _MUCH or self.is_asked or "noise" not in self.costs:
+            return ""
+        speed = f"{1e3 * self.approach_m_s:.3g} m{units.speed}"
+        if not self._is_of_jitter:
+            return (
+                f" That noise is {100.0 * share:.0f} % of the {speed} of the approach: a calmer sensor would help most."
+            )
+        key = "max_speed_rms_m_s" if units.force == "N" else "max_speed_rms_rad_s"
+        less = f"requirements: {{command_noise: {{{key}: {rms * self.gains_m_s_per_n:.3g}}}}}"
+        less = less if units.force == "N" else f"rotational: {{{less}}}"
+        return (
+            f" That noise is {100.0 * share:.0f} % of the {speed} of the approach, and the pose's may be no motion at "
+            f"all; for as little as the four gains make of the sensor's say {less}."
         )
 
 
@@ -238,6 +255,7 @@ def choose_structure(
         is_asked=asked is not None,
         counts_pose=counts_pose,
         gains_m_s_per_n=gains,
+        total_m_s_per_n=math.nan if jitter is None else _total_noise(plain, measured),
         jitter_m_s_per_n=jitter,
         approach_m_s=_approach_speed(plain),
         measured=measured,
@@ -351,6 +369,20 @@ def equal_noise(found: SearchResult) -> float:
     plants += [each.in_contact_with(FREE_SPACE) for each in plants]
     most = max(command_speed_gain(build_sampled_plant(each, problem.sample_time_s), law) for each in plants)
     return float(f"{most * (1.0 + _ROUNDED):.6g}")
+
+
+def _total_noise(found: SearchResult, measured: NoiseOf) -> float:
+    """Return the largest noise [m/s per N of the sensor's] of a design, that of the pose counted too."""
+    problem, law = found.problem, found.problem.controller(found.design)
+    force, position = measured.force or 1.0, measured.position or 0.0
+    plants = [problem.plant(each) for each in found.active.scenarios]
+    most = 0.0
+    for plant in (*plants, *(each.in_contact_with(FREE_SPACE) for each in plants)):
+        sampled = build_sampled_plant(plant, problem.sample_time_s)
+        loop = build_loop(sampled, law)
+        noises = [(loop.b, loop.d_command, force), (*position_input(sampled, law), position)]
+        most = max(most, speed_rms(loop, noises) / force)
+    return most
 
 
 def _approach_speed(found: SearchResult) -> float:

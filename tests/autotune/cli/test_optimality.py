@@ -67,6 +67,8 @@ def test_all_bounds_to_widen_are_one_part_of_a_problem_file_that_says_where_it_b
     assert dict(read_problem(path).bounds) == {"lead_s": (0.01, 0.06), "mass": (3.0, 6.0)}
     tree = wider_bounds(found.searches["x"].problem, named[:1], turning=True)
     assert tree == {"rotational": {"bounds": {"lead_s": [0.01, 0.06]}}}
+    # A biquad's follow from the tick and the band; problem.yaml has no place for them.
+    assert wider_bounds(found.searches["x"].problem, ["lower bound of biquad_pole_s"], turning=False) == {}
     # No further than a controller file may hold.
     longest = replace(problem := found.searches["x"].problem, bounds={**problem.bounds, "lead_s": (0.0, 0.6)})
     assert wider_bounds(longest, named[:1], turning=False) == {"bounds": {"lead_s": [0.0, 1.0]}}
@@ -87,4 +89,5 @@ def test_nothing_active_and_nothing_found_elsewhere() -> None:
     alone = replace(standing.reference, elsewhere=float("inf"), arrived=0)
     lines = active_lines(replace(found, optimality_reports={"x": replace(standing, reference=alone)}), "x")
     assert lines[0] == "no requirement is active: the peak is the approach force itself"
+    assert lines[-1].startswith("no other design to compare with; ")
     assert lines[-1].endswith("other designs, none of which met the requirements")

@@ -161,6 +161,16 @@ def test_a_straight_and_a_turning_axis_come_from_one_call(run_cli: RunCli, tmp_p
     assert run_cli("export", "controller.yaml", "--target", "json", "-o", "controller.json").returncode == 0
 
 
+def test_an_approach_at_a_speed_is_said_as_one(run_cli: RunCli, tmp_path: Path) -> None:
+    prepare(tmp_path)
+    with (tmp_path / "problem.yaml").open("a", encoding="utf-8") as file:
+        file.write("approach: {speed_m_s: 0.012}\n")
+    done = run_cli("optimize", "identified.yaml", "--problem", "problem.yaml", "--proof-budget", "0")
+    assert done.returncode == 0, done.stderr
+    assert "predicted contacts, approached at 12 mm/s:" in done.stdout
+    assert "written: controller.yaml" in done.stdout
+
+
 def test_quiet_and_the_ranges_of_the_command_line(run_cli: RunCli, tmp_path: Path) -> None:
     prepare(tmp_path)
     ranges = ["--payload-mass", "16.1", "--environment-stiffness", "9e4:1.0e5", "--seed", "3", "--slack", "3"]

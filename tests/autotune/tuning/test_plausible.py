@@ -128,6 +128,10 @@ def test_a_contact_that_a_said_range_leaves_out_is_stated() -> None:
     narrow = touching(design_problem(), (2e4, 5e4))
     (line,) = left_out_contacts(narrow, plant, "x")
     assert line.startswith("axis x: surface x2, touched with up to 75.7 N in the log, has K_e = 200 N/mm")
+    # Of a plant that somebody wrote there is no log.
+    written = with_axis(replace(axis, environments=(replace(stiff, peak_force_n=()),)))
+    (line,) = left_out_contacts(narrow, written, "x")
+    assert line.startswith("axis x: surface x2 has K_e = 200 N/mm")
     wide = touching(narrow, (2e4, 5e5))
     assert list(left_out_contacts(wide, plant, "x")) == []
 

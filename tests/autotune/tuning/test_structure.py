@@ -219,13 +219,19 @@ def test_the_limit_is_the_larger_of_the_four_gains_noise_and_the_robots_jitter(
     message = choice.message("x", plain().problem)
     assert (asked[0].bounds["mass"] == DEFAULT_BOUNDS["mass"]) == bool(said)
     jitter, gains = f"{1e3 * of_robot:.3g} mm/s", f"{1e3 * of_gains:.3g} mm/s"
+    plants = [plain().problem.plant(each) for each in plain().active.scenarios]
+    plants += [each.in_contact_with(FREE_SPACE) for each in plants]
+    both = np.hypot(
+        0.05 * speed_rms(plants, law_of(plain()), H), position * speed_rms(plants, law_of(plain()), H, on_position=True)
+    )
+    total = f"{1e3 * float(np.max(both)):.3g} mm/s"
     if is_of_jitter:
         assert f"limited to {jitter} RMS, the robot's jitter at rest (√2 · 2 µm of pose noise per tick" in message
-        assert f"which is more than the {gains} of the four gains" in message
+        assert f"which is more than the {gains} that the four gains in their bounds make of the sensor's" in message
     else:
         assert (
-            f"limited to {gains} RMS, that of the four gains in their bounds, which is more than the {jitter}"
-            in message
+            f"limited to the {gains} RMS that the four gains in their bounds make of the sensor's noise ({total} with "
+            f"the pose's), which is more than the {jitter} of the" in message
         )
 
 
@@ -238,8 +244,10 @@ def test_a_jitter_beside_which_the_approach_is_slow_is_doubted(monkeypatch: pyte
         measured = NoiseOf(force=0.05, position=position)
         message = choose_structure(plain(), "noise", HAND, seed=0, measured=measured)[1].message("x", plain().problem)
         asked = f"requirements: {{command_noise: {{max_speed_rms_m_s: {0.05 * equal_noise(plain()):.3g}}}}}"
-        assert message.endswith(f"for as little as those make say {asked}.") == (share is not None)
-        assert share is None or f"That is {100.0 * share:.0f} % of the {1e3 * speed:.3g} mm/s of the" in message
+        assert message.endswith(f"for as little as the four gains make of the sensor's say {asked}.") == (
+            share is not None
+        )
+        assert share is None or f"That noise is {100.0 * share:.0f} % of the {1e3 * speed:.3g} mm/s of the" in message
 
 
 @pytest.mark.parametrize(("least", "asked"), [(0.9, 0.45), (0.4, 0.36)])

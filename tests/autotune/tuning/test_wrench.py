@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -20,6 +21,7 @@ from problems.model.sampled import build_sampled_plant
 from problems.stability.margins import find_margins
 from tests.autotune.tuning.cases import absent, identified_plant, known
 from tests.autotune.tuning.turning import SQUARE, two_axes
+from tests.conftest import RunCli
 from tests.problems.axes import admittance
 
 CORNER = WrenchFilterEstimate(corner_hz=known(50.0, 0.5))
@@ -229,3 +231,23 @@ def test_margins_of_the_search_and_of_validation_hold_the_slowest_filter() -> No
     assert swept.values["modulus"] == pytest.approx(by_lag[slow], rel=2e-2)
     plain = replace(domain.plants.nominal, wrench_filter=WrenchFilter())
     assert find_margins(build_sampled_plant(plain, problem.sample_time_s), law).modulus > 1.1 * by_lag[slow]
+
+
+def test_a_law_beside_a_late_wrench_is_validated_in_a_hand_and_by_its_admittance_s_peak(
+    run_cli: RunCli, tmp_path: Path
+) -> None:
+    """Such a law has no B_fb: what validation looks at must not ask for the usual bounds of it."""
+    (tmp_path / "plant.yaml").write_text(
+        "format: autotune/plant\nversion: 1\nmass: 16\ncoupling_stiffness: 3e5\ndrag: 630\n"
+        "robot: {bandwidth: 3.2, delay: 2.4e-3}\nenvironment_stiffness: [1e5, 1.2e5]\nsample_time: 8e-4\n"
+        "wrench_delay: 0.004\nforce_noise: 0.5\n",
+        encoding="utf-8",
+    )
+    (tmp_path / "problem.yaml").write_text(
+        "structure: gains\nrequirements: {held_by_hand: {min_modulus: 0.2}, admittance_peak: 1.2}\n", encoding="utf-8"
+    )
+    done = run_cli("optimize", "plant.yaml", "--problem", "problem.yaml", "--proof-budget", "0")
+    assert done.returncode == 0, done.stderr
+    assert "B_fb 0 ms" in done.stdout
+    assert "ok     modulus held by a hand: found " in done.stdout
+    assert "ok     admittance peak: found " in done.stdout
