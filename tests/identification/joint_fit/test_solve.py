@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from identification.joint_fit.covariance import bounded_intervals, count_misfits, widened
+from identification.joint_fit.extended_fit import _eased
 from identification.joint_fit.model import ParameterLayout
 from identification.joint_fit.noise import Smoother, Whitener
 from identification.joint_fit.segments import Segment, group_contacts, predict_force
@@ -158,3 +159,13 @@ def test_contacts_that_felt_alike_are_one_surface() -> None:
     assert group_contacts(starts, 1.12) == [2, 1, 2, 0, 1]
     # What is known badly is no surface of its own.
     assert group_contacts([(1, 4.0e4, 50.0), (1, 5.0e4, 3.0e3)], 1.12) == [0, 0]
+
+
+def test_an_eased_step_is_shorter_the_more_it_is_eased_and_the_whole_one_without() -> None:
+    rng = np.random.default_rng(6)
+    rows, y = rng.normal(size=(8, 4)), rng.normal(size=8)
+    whole = np.linalg.lstsq(rows, y, rcond=None)[0]
+    assert _eased(rows, 0.0) @ y == pytest.approx(whole, rel=1e-9)
+    lengths = [float(np.linalg.norm(rows @ (_eased(rows, easing) @ y))) for easing in (0.0, 0.1, 1.0, 10.0)]
+    assert lengths == sorted(lengths, reverse=True)
+    assert lengths[-1] < 0.2 * lengths[0]
