@@ -67,8 +67,8 @@ def presentable(problem: DesignProblem, design: FloatArray) -> FloatArray:
 def loosened_bounds(problem: DesignProblem, said: Collection[str] = ()) -> dict[str, tuple[float, float]]:
     """Return the bounds with a lighter mass, more lead and feedback damping, for where the noise is limited.
 
-    M_a goes down to h B_a at the least B_a: what a lighter one adds is over within a tick. What is fixed stays, and
-    what somebody `said`.
+    M_a goes down to h B_a at the least B_a (the search holds it to its own). What is fixed stays, and what somebody
+    `said`.
     """
     bounds = dict(problem.bounds)
     lightest = problem.sample_time_s * bounds["damping"][0]

@@ -49,6 +49,8 @@ _KEPT_IN_A_HAND = 0.9
 _SLOWEST_HZ = 2.0
 # Corners [rad/s] at which a biquad that does nothing begins, and its damping.
 _CORNERS, _DAMPING = (25.0, 60.0, 120.0, 250.0, 600.0), 0.4
+# M_a is held this much above h B_a, since B_a moves with it, and so often where that was too little.
+_ABOVE_A_TICK, _ROUNDS = 1.01, 4
 # From this share of the speed of approach on the robot's jitter is a doubtful limit.
 _MUCH = 0.5
 # What the noise of the plain law is rounded up by, so that six digits of it are not in the way.
@@ -270,8 +272,27 @@ def solve_limited(
 
     All keep nine tenths of the plain law's modulus in a hand, which is asked for where four gains have much less, and
     of a biquad at once. None lets the admittance rise above what it is at rest by more than the plain law does, or by
-    a twentieth.
+    a twentieth. Where the bounds of M_a became wider, M_a/B_a is a tick h at least: what is faster no robot follows.
     """
+    found = _solve_limited(plain, problem, hand, known, seed)
+    is_said = problem.bounds["mass"][0] >= plain.problem.bounds["mass"][0]
+    for _ in range(_ROUNDS):
+        if found is None or is_said:
+            break
+        law = found.problem.controller(found.design)
+        tick = problem.sample_time_s * law.damping_n_s_per_m
+        if law.mass_kg >= tick:
+            break
+        # Held there the best may lie in another valley.
+        lightest = float(f"{_ABOVE_A_TICK * tick:.3g}")
+        problem = replace(problem, bounds={**problem.bounds, "mass": (lightest, problem.bounds["mass"][1])})
+        found = _solve_limited(plain, problem, hand, known, seed)
+    return found
+
+
+def _solve_limited(
+    plain: SearchResult, problem: DesignProblem, hand: HandImpedance, known: Sequence[SearchResult], seed: int
+) -> SearchResult | None:
     problem = without_rise(plain, problem)
     starts = [each.design for each in known]
     if BIQUAD_VARIABLES[0] in problem.variables:

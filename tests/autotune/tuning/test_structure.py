@@ -261,6 +261,20 @@ def test_of_four_gains_held_firmly_no_more_is_kept_in_a_hand_than_elsewhere(
     assert held.min_modulus == asked
 
 
+@pytest.mark.parametrize("is_said", [False, True])
+def test_a_law_of_wider_bounds_is_slower_than_a_tick(is_said: bool) -> None:
+    """With much noise allowed the lightest M_a is the best: it ends above h B_a, unless somebody said its bounds."""
+    problem = paper_cell((1e5, 1e5), (16.0, 16.0))
+    first = solve_design(replace(problem, bounds={"mass": (0.2, 100.0)}) if is_said else problem)
+    limited = limited_problem(first.problem, 20.0 * equal_noise(solve_design(problem)), has_biquad=False, said=["mass"])
+    if not is_said:
+        limited = limited_problem(problem, 20.0 * equal_noise(first), has_biquad=False)
+    found = structure_module.solve_limited(first, limited, HAND, [first], seed=0)
+    assert found is not None
+    share = law_of(found).mass_kg / (problem.sample_time_s * law_of(found).damping_n_s_per_m)
+    assert (share < 0.5) if is_said else (1.0 <= share < 1.2)
+
+
 @pytest.mark.parametrize("force", [None, 0.0])
 def test_noise_of_the_pose_alone_loosens_no_bound(force: float | None) -> None:
     """Without the sensor's noise nothing says how much of the pose's B_fb may bring into the command."""
@@ -322,7 +336,8 @@ def test_what_saves_less_than_its_price_is_not_taken(monkeypatch: pytest.MonkeyP
     asked = SimpleNamespace(asked=lambda: {"held_by_hand": None})
     hardly = SimpleNamespace(
         evaluation=SimpleNamespace(cost=plain().evaluation.cost * (1.0 - 0.5 * PRICE)),
-        problem=SimpleNamespace(requirements=asked),
+        problem=SimpleNamespace(requirements=asked, controller=plain().problem.controller),
+        design=plain().design,
     )
     monkeypatch.setattr(structure_module, "solve_design", lambda *_args, **_options: hardly)
     found, choice = choose_structure(plain(), "noise", HAND, seed=0)
