@@ -1,6 +1,6 @@
 """`autotune limit`: how far a design is from what any linear controller could reach."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +13,9 @@ from ._options import SETTINGS, FilePath, FiniteRange, GroupedCommand
 from ._terminal import print_message, print_table
 
 if TYPE_CHECKING:
+    from autotune.formats.controller_record import Controller
     from autotune.limit.limit import LimitResult
+    from problems.design.uncertainty import Scenario
 
 _EPILOG = """\b
 Examples:
@@ -130,12 +132,26 @@ def _found(
                 raise UsageError(f"Axis {name} is not in {controller}; it holds {', '.join(given.axes)}.")
             law = start.problem.controller(start.design) if given is None else admittance_controller(given, name)
             portion = ProgressSlice(advance, (1.0 - share) / len(names))
-            found[name] = find_limit(
-                start.problem, law, hardest(start.problem, law, start.scenarios, plants, units=axis_units(name)),
-                noise_factor=noise, progress=portion,
-            )  # fmt: skip
+            worst = hardest(start.problem, law, start.scenarios, plants, units=axis_units(name))
+            if given is not None:
+                _note_uncertified(output, given, name, worst)
+            found[name] = find_limit(start.problem, law, worst, noise_factor=noise, progress=portion)
             portion.finish()
     return found
+
+
+def _note_uncertified(output: Output, given: "Controller", name: str, scenarios: "Sequence[Scenario]") -> None:
+    """Say which contacts a controller is looked at over lie outside of what it is certified for."""
+    from autotune.formats.units import axis_units
+    from autotune.text import scenario_text
+
+    domain = given.certificate.domain[name]
+    (lightest, heaviest), (softest, stiffest) = domain.payload_mass_kg, domain.environment_stiffness_n_per_m
+    for each in scenarios:
+        mass, stiffness = each.payload_mass_kg, each.environment_stiffness_n_per_m
+        if not (lightest <= mass <= heaviest and softest <= stiffness <= stiffest):
+            contact = scenario_text(each, axis_units(name))
+            output.note(f"Axis {name}: the controller is not certified for the contact looked at, {contact}.")
 
 
 def _print_limit(found: "LimitResult", axis: str) -> None:

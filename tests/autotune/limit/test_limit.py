@@ -261,6 +261,21 @@ def test_no_controller_gets_below_the_force_that_presses_on_at_rest(run_cli: Run
     assert f"neglected by the force that none gets below: {NEGLECTED_AT_REST}" in done.stdout
 
 
+def test_a_controller_beside_a_plant_that_it_is_not_certified_for_is_looked_at_and_said(
+    run_cli: RunCli, tmp_path: Path
+) -> None:
+    soft = _PLANT.replace("[5e5, 5e5]", "[3e3, 3e3]")
+    for name, text in (("a.yaml", soft), ("b.yaml", soft.replace("mass: 16", "mass: 12"))):
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    assert run_cli("optimize", "a.yaml", "--structure", "gains", "--proof-budget", "0").returncode == 0
+    said = "the controller is not certified for the contact looked at, "
+    for name, where in (("a.yaml", ""), ("b.yaml", f"Axis x: {said}K_e 3 N/mm, M_p 12 kg.")):
+        done = run_cli("limit", name, "--controller", "controller.yaml")
+        assert done.returncode == 0, done.stderr
+        assert where in done.stderr
+        assert (said in done.stderr) == bool(where)
+
+
 @pytest.mark.parametrize("delay_s", [2.4e-3, 0.0])
 def test_every_linear_law_ends_at_the_force_of_the_bound(delay_s: float) -> None:
     """A law that approaches under F^d integrates, so that it stops at that force alone, whatever its order."""
