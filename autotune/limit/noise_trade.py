@@ -3,10 +3,9 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from autotune.errors import InfeasibleError
 from autotune.tuning.bounds import loosened_bounds
-from autotune.tuning.search import SearchResult, solve_design
-from autotune.tuning.structure import equal_noise, without_rise
+from autotune.tuning.search import SearchResult
+from autotune.tuning.structure import equal_noise, search_above_a_tick, solve_or_none, without_rise
 from problems.arrays import FloatArray
 from problems.design.problem import NoiseLimit
 from problems.model.controller import AdmittanceController
@@ -73,12 +72,10 @@ def trade_noise(
         limit = NoiseLimit(max_speed_rms_m_s=factor * present, force_noise_rms_n=1.0, position_noise_rms_m=of_pose)
         requirements = replace(gains.requirements, command_noise=limit)
         asked = replace(gains, bounds=loosened_bounds(gains), requirements=requirements)
-        try:
-            # A law that is quiet enough for less noise is one for more.
-            best = solve_design(asked, others=known)
-        except InfeasibleError:
-            peak, law = None, None
-        else:
+        # A law that is quiet enough for less noise is one for more.
+        best = search_above_a_tick(lambda each: solve_or_none(each, known, 0), asked, gains.bounds["mass"][0])
+        peak, law = (None, None) if not points else (points[-1].peak_force_n, points[-1].law)
+        if best is not None and (peak is None or best.evaluation.objective_cost < peak):
             peak, law = best.evaluation.objective_cost, asked.controller(best.design)
             known.append(best.design)
         points.append(NoisePoint(factor=factor, noise_m_s_per_n=limit.max_speed_rms_m_s, peak_force_n=peak, law=law))

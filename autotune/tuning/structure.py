@@ -1,7 +1,7 @@
 """Search laws freer than four gains in their bounds, at the noise of the command that the robot has anyway."""
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -49,8 +49,8 @@ _KEPT_IN_A_HAND = 0.9
 _SLOWEST_HZ = 2.0
 # Corners [rad/s] at which a biquad that does nothing begins, and its damping.
 _CORNERS, _DAMPING = (25.0, 60.0, 120.0, 250.0, 600.0), 0.4
-# M_a is held this much above h B_a, since B_a moves with it, and so often where that was too little.
-_ABOVE_A_TICK, _ROUNDS = 1.01, 4
+# M_a is held this much above h B_a, which moves with it: more where that was too little.
+_ABOVE_A_TICK = (1.01, 1.01, 1.05, 1.1, 1.25, 1.5)
 # From this share of the speed of approach on the robot's jitter is a doubtful limit.
 _MUCH = 0.5
 # What the noise of the plain law is rounded up by, so that six digits of it are not in the way.
@@ -274,20 +274,31 @@ def solve_limited(
     of a biquad at once. None lets the admittance rise above what it is at rest by more than the plain law does, or by
     a twentieth. Where the bounds of M_a became wider, M_a/B_a is a tick h at least: what is faster no robot follows.
     """
-    found = _solve_limited(plain, problem, hand, known, seed)
-    is_said = problem.bounds["mass"][0] >= plain.problem.bounds["mass"][0]
-    for _ in range(_ROUNDS):
-        if found is None or is_said:
+    usual = plain.problem.bounds["mass"][0]
+    return search_above_a_tick(lambda asked: _solve_limited(plain, asked, hand, known, seed), problem, usual)
+
+
+def search_above_a_tick(
+    search: Callable[[DesignProblem], SearchResult | None], problem: DesignProblem, usual_kg: float
+) -> SearchResult | None:
+    """Return what a search finds with M_a/B_a a tick at least, unless M_a is bounded from `usual_kg` on as usual.
+
+    None where it finds nothing, or B_a grows with M_a each time.
+    """
+    if problem.bounds["mass"][0] >= usual_kg:
+        return search(problem)
+    for share in _ABOVE_A_TICK:
+        # Held above h B_a the best may lie in another valley: each time it is looked for anew.
+        found = search(problem)
+        if found is None:
             break
         law = found.problem.controller(found.design)
         tick = problem.sample_time_s * law.damping_n_s_per_m
         if law.mass_kg >= tick:
-            break
-        # Held there the best may lie in another valley.
-        lightest = float(f"{_ABOVE_A_TICK * tick:.3g}")
+            return found
+        lightest = float(f"{share * tick:.3g}")
         problem = replace(problem, bounds={**problem.bounds, "mass": (lightest, problem.bounds["mass"][1])})
-        found = _solve_limited(plain, problem, hand, known, seed)
-    return found
+    return None
 
 
 def _solve_limited(
@@ -298,8 +309,8 @@ def _solve_limited(
     if BIQUAD_VARIABLES[0] in problem.variables:
         starts = [_neutral(problem, each, corner) for each in starts for corner in _CORNERS]
         # From biquads that do nothing descents lead farther than a population does, and sooner.
-        return _solved(_held(plain, problem, hand), starts, seed, explores=False)
-    found = _solved(problem, starts, seed)
+        return solve_or_none(_held(plain, problem, hand), starts, seed, explores=False)
+    found = solve_or_none(problem, starts, seed)
     if found is None or _HELD in found.problem.requirements.asked():
         return found
     held = _held(plain, problem, hand)
@@ -309,7 +320,7 @@ def _solve_limited(
     if _least_held(found, asked) >= asked.min_modulus:
         return found
     # Descents from these know the way.
-    return _solved(held, [*starts, found.design], seed, explores=False)
+    return solve_or_none(held, [*starts, found.design], seed, explores=False)
 
 
 def limited_problem(
@@ -340,9 +351,10 @@ def limited_problem(
     return replace(plain, bounds={**loosened_bounds(plain, said), **biquad}, requirements=asked)
 
 
-def _solved(
+def solve_or_none(
     problem: DesignProblem, starts: Sequence[FloatArray], seed: int, *, explores: bool = True
 ) -> SearchResult | None:
+    """Search a problem from `starts` too; None where no design is found."""
     try:
         return solve_design(problem, seed=seed, others=starts, explores=explores)
     except InfeasibleError:

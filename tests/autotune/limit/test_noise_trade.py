@@ -51,4 +51,5 @@ def test_more_noise_softens_and_no_law_runs_ahead_of_its_approach(problem: Desig
     assert peaks[1] <= found.evaluation.cost * 1.001
     prepared = build_scenarios(problem, found.active.scenarios)
     for law in (each.law for each in points):
+        assert law is None or law.mass_kg >= min(5.0, problem.sample_time_s * law.damping_n_s_per_m)
         assert law is None or AdmittancePeak().achieved(1.0, prepared.stable(law), 0) <= 1.0501

@@ -160,7 +160,7 @@ def test_of_a_law_that_no_hand_may_hold_no_modulus_in_a_hand_is_asked(monkeypatc
         asked.append(problem)
         return plain()
 
-    monkeypatch.setattr(structure_module, "_solved", solved)
+    monkeypatch.setattr(structure_module, "solve_or_none", solved)
     _, choice = choose_structure(plain(), "biquad", HAND, seed=0)
     assert choice.taken == "gains"
     assert [structure_module._HELD in each.requirements.asked() for each in asked] == [False, False]
