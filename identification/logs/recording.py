@@ -281,7 +281,7 @@ def build_frames(cell: Cell) -> Frames:
 def interpret_pose(series: Series, source: PoseSource, frames: Frames, *, is_displacement: bool) -> PoseSignal:
     """Return the pose in metres, its orientation that of the sensor frame in the gravity-aligned base."""
     length = LENGTH_M[source.units.position]
-    position = series.values[:, :3] * length * np.array(source.signs)
+    position = series.values[:, :3] * (length * np.array(source.signs))
     turns = series.values[:, 3:]
     turned: tuple[str, ...] = ()
     if turns.shape[1] and all(series.has[3:]):
@@ -318,7 +318,7 @@ def interpret_wrench(
     Raises LogError when it is given in base axes and the pose lacks the orientation of the sensor.
     """
     scale = np.repeat([FORCE_N[source.units.force], TORQUE_N_M[source.units.torque]], 3) * np.array(source.signs)
-    values = series.values * scale * (-1.0 if source.exerted_by is ExertedBy.SENSOR else 1.0)
+    values = series.values * (scale * (-1.0 if source.exerted_by is ExertedBy.SENSOR else 1.0))
     stamps, has = series.times_ns, series.has
     if expressed_in is Frame.FLANGE:
         values = _both_turned(series, frames.R_FS.inv(), values)

@@ -12,6 +12,7 @@ from ..errors import LogError
 from ..signals.aligned import AlignedLog
 from ..signals.recording import Recording
 from ..signals.segments import Span
+from ..signals.sweeps import batch_means
 
 GRAVITY_B_M_S2 = np.array([0.0, 0.0, -9.80665])
 
@@ -110,7 +111,7 @@ def rows_as_poses(recording: Recording) -> tuple[StaticPose, ...]:
 
 def _mean_std(values: FloatArray) -> float:
     """Return the deviation of the mean of (n, 3) from that of batch means: slow noise averages out less than white."""
-    batches = np.array([batch.mean(axis=0) for batch in np.array_split(values, _BATCHES)])
+    batches = batch_means(values, _BATCHES)
     return float(np.sqrt(np.mean(np.var(batches, axis=0, ddof=1)) / _BATCHES))
 
 

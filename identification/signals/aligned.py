@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -12,7 +13,7 @@ from problems.arrays import BoolArray, FloatArray, IntArray
 
 from ..errors import LogError
 from .medians import median
-from .recording import PoseSignal, Recording, StampArray, slerp, stamped_between
+from .recording import PoseSignal, Recording, StampArray, slerp, stamped_between, turned_rad
 
 _FAST_PERIOD_S = 1.5e-3
 _SHORTEST_OVERLAP_S = 2.0
@@ -24,6 +25,7 @@ _REGULAR_SHARE = 0.05
 _MOSTLY = 0.99
 _LOST = 1.5
 _PART = 2**16
+_LAG_S = 0.02
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,6 +86,17 @@ class AlignedLog:
         """The spans between the holes."""
         edges = [0, *(edge for hole in self.holes for edge in (hole.start, hole.stop)), len(self)]
         return tuple(Span(start=a, stop=b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b > a)
+
+    @cached_property
+    def turned_rad(self) -> FloatArray:
+        """How far (n − lag,) [rad] each sample is turned `lag` later, against the noise of encoders."""
+        quaternions = self.orientation_BS.as_quat()
+        return turned_rad(quaternions[: -self.lag], quaternions[self.lag :])
+
+    @property
+    def lag(self) -> int:
+        """Count the samples in 20 ms."""
+        return max(1, round(_LAG_S / self.period_s))
 
     def in_sensor_frame(self, vector_B: FloatArray) -> FloatArray:
         """Return in S (n, 3) a vector (3,) of B, or that of each sample (n, 3)."""

@@ -8,6 +8,7 @@ import numpy as np
 from problems.arrays import BoolArray, FloatArray, IntArray
 
 from .aligned import edges_of
+from .sweeps import repeats
 
 _BLOCK = 100
 _NOISY_RATIO = 0.5
@@ -158,7 +159,7 @@ def repeated_share(values: FloatArray) -> float:
     """
     if all(quantum(column) > 0.0 or bool(np.all(column == column[0])) for column in values.T):
         return 0.0
-    same = np.all(values[1:] == values[:-1], axis=1)
+    same = repeats(values)
     count = len(same) // _BLOCK
     if not count:
         return 0.0

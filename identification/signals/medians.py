@@ -5,6 +5,8 @@ from numpy.typing import NDArray
 
 from problems.arrays import FloatArray
 
+from .sweeps import keep_between
+
 _LEAST, _SAMPLE = 50_000, 4096
 _ASIDE = 200
 """How far from its own middle a sample ends that holds the middle of all: six deviations of that (√n/2 each)."""
@@ -20,16 +22,19 @@ def median(values: NDArray[np.float64] | NDArray[np.int64]) -> float:
         return float(np.median(values))
     sample = np.sort(values[:: len(values) // _SAMPLE])
     low, high = sample[len(sample) // 2 - _ASIDE], sample[len(sample) // 2 + _ASIDE]
-    below, above = int(np.count_nonzero(values < low)), int(np.count_nonzero(values > high))
-    between, first, second = len(values) - below - above, (len(values) - 1) // 2 - below, len(values) // 2 - below
-    among = values == low if low == high else (values >= low) & (values <= high)
-    # NaN is in neither count.
-    if first < 0 or second >= between or int(np.count_nonzero(among)) != between:
+    near, counts = np.empty_like(values), np.empty(3, dtype=np.int64)
+    keep_between(values, low, high, near, counts)
+    below, between, above = counts.tolist()
+    # NaN is in no count.
+    if below + between + above < len(values):
+        return float("nan")
+    first, second = (len(values) - 1) // 2 - below, len(values) // 2 - below
+    if first < 0 or second >= between:
         return float(np.median(values))
     if low == high:
         return float(low)
-    near = np.partition(values[among], (first, second))
-    return float(np.mean(near[[first, second]]))
+    middle = np.partition(near[:between], (first, second))
+    return float(np.mean(middle[[first, second]]))
 
 
 def column_medians(values: FloatArray) -> FloatArray:
@@ -37,5 +42,8 @@ def column_medians(values: FloatArray) -> FloatArray:
     found = np.empty(values.shape[1])
     for k, column in enumerate(np.ascontiguousarray(values.T)):
         middle = median(column)
-        found[k] = np.nanmedian(column) if np.isnan(middle) else middle
+        if np.isnan(middle):
+            known = column[~np.isnan(column)]
+            middle = median(known) if known.size else float(np.nanmedian(column))
+        found[k] = middle
     return found

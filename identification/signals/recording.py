@@ -13,6 +13,7 @@ from problems.frozen import freeze
 
 from ..errors import EstimateError, LogError
 from ..result import Finding
+from .sweeps import turn_between
 
 StampArray = NDArray[np.int64]
 
@@ -42,6 +43,9 @@ class Frames:
 
 def turned_rad(before: FloatArray, after: FloatArray) -> FloatArray:
     """Return the angle [rad], 0 to π, between orientations (n, 4) or one (4,): 2 atan2(|v|, |w|) of before⁻¹ after."""
+    if before.ndim == after.ndim == 2:
+        cosine, sine = turn_between(before, after)
+        return np.asarray(2.0 * np.arctan2(sine, cosine))
     same, across = _between(before, after)
     return np.asarray(2.0 * np.arctan2(_length(across), np.abs(same)))
 

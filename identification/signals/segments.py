@@ -12,7 +12,7 @@ from problems.arrays import BoolArray, FloatArray, IntArray
 
 from .aligned import AlignedLog, Span, edges_of, spans_of
 from .medians import column_medians
-from .recording import turned_rad
+from .sweeps import finite_rows, second_differences
 
 __all__ = ["MotionSpans", "Span", "find_motion", "low_pass", "without_pauses", "without_short"]
 
@@ -45,7 +45,7 @@ class MotionSpans:
 def low_pass(values: FloatArray, period_s: float, cutoff_hz: float) -> FloatArray:
     """Filter (n, …) along the first axis forwards and backwards: no phase shift, each stretch without NaN alone."""
     sections = _sections(min(cutoff_hz, 0.45 / period_s), 1.0 / period_s)
-    known = np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
+    known = finite_rows(values.reshape(len(values), -1))
     if bool(np.all(known)):
         return np.asarray(sosfiltfilt(sections, values, axis=0))
     smooth = np.full(values.shape, np.nan)
@@ -107,8 +107,8 @@ def _quiet_band_hz(log: AlignedLog) -> float:
 
     Noise σ per coordinate, sampled every h, makes a speed of σ √(2 h (2π)² f³/3) below f.
     """
-    second = np.diff(log.position_B_m[np.isfinite(log.position_B_m).all(axis=1)], n=2, axis=0)
-    variance = float(np.sum(column_medians(np.abs(second)) ** 2)) * _TO_VARIANCE if len(second) else 0.0
+    second = second_differences(log.position_B_m[finite_rows(log.position_B_m)])
+    variance = float(np.sum(column_medians(second.T) ** 2)) * _TO_VARIANCE if second.size else 0.0
     speed = variance * 2.0 * log.period_s * (2.0 * np.pi) ** 2 / 3.0
     quiet = ((_STILL_SPEED_M_S / 3.0) ** 2 / max(speed, 1e-30)) ** (1.0 / 3.0)
     return float(min(_MOTION_BAND_HZ, max(_SLOWEST_BAND_HZ, quiet)))
@@ -150,8 +150,6 @@ def _quiet_force(log: AlignedLog) -> BoolArray:
 
 def _turn_rate(log: AlignedLog) -> FloatArray:
     """Return the turning speed [rad/s], differenced over a few samples against encoder noise."""
-    lag = max(1, round(0.02 / log.period_s))
-    quaternions = log.orientation_BS.as_quat()
-    rate = turned_rad(quaternions[:-lag], quaternions[lag:]) / (lag * log.period_s)
-    half = lag // 2
+    lag, half = log.lag, log.lag // 2
+    rate = log.turned_rad / (lag * log.period_s)
     return np.concatenate([np.full(half, rate[0]), rate, np.full(lag - half, rate[-1])])

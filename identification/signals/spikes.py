@@ -9,6 +9,7 @@ from problems.arrays import BoolArray, FloatArray
 from ..result import Finding
 from .medians import column_medians, median
 from .recording import PoseSignal, Recording, WrenchSignal
+from .sweeps import goes_and_returns
 
 _NOISES, _OTHERS = 12.0, 6.0
 _AROUND, _FEWEST, _LONGEST_PERIOD_S = 8, 20, 2.5e-3
@@ -82,13 +83,13 @@ def _spikes(values: FloatArray, least: float | None = None) -> BoolArray:
     than the neighbours' own steps is none: dry friction that turns makes a corner at a peak of the force.
     """
     found = np.zeros(values.shape, dtype=np.bool_)
+    if least is not None and not goes_and_returns(values, least):
+        return found
     known = np.flatnonzero(np.any(np.isfinite(values), axis=0))
     if not known.size:
         return found
     before, after = (values[1:-1, known] - values[shifted, known] for shifted in (slice(None, -2), slice(2, None)))
     smaller = np.minimum(np.abs(before), np.abs(after))
-    if least is not None and not bool(np.any(smaller > least)):
-        return found
     noise = _TO_STD * column_medians(np.abs(before + after))
     limit = np.where(noise > 0.0, _NOISES * noise, np.inf) if least is None else np.maximum(_NOISES * noise, least)
     # Away and back: both steps are large, of one sign, and alike.

@@ -17,8 +17,9 @@ from ...result import Finding
 from ...signals.aligned import AlignedLog, align
 from ...signals.constant_runs import find_runs
 from ...signals.medians import column_medians
-from ...signals.recording import AXES, Recording, turned_rad
+from ...signals.recording import AXES, Recording
 from ...signals.segments import find_motion, low_pass
+from ...signals.sweeps import second_differences, steps
 
 _STILL_M_S = 1.5e-3
 _STILL_RAD_S = 0.02
@@ -77,13 +78,9 @@ def find_tare_jumps(log: AlignedLog) -> tuple[TareJump, ...]:
     side, width = max(_FEWEST, round(_SIDE_S / log.period_s)), max(1, round(_STEP_S / log.period_s))
     if len(wrench) < 2 * side + width + 2:
         return ()
-    columns = np.ascontiguousarray(wrench.T)
-    noise = column_medians(np.abs(np.diff(columns, n=2)).T) / (0.6745 * np.sqrt(6.0))
+    noise = column_medians(second_differences(wrench).T) / (0.6745 * np.sqrt(6.0))
     least = np.maximum(_NOISE_FACTOR * noise, _SMALLEST)
-    is_steep = np.zeros(len(wrench) - width, dtype=np.bool_)
-    for axis, limit in zip(columns, least, strict=True):
-        is_steep |= np.abs(axis[width:] - axis[:-width]) > limit
-    steep = find_runs(is_steep)
+    steep = find_runs(steps(wrench, width, least))
     moving = np.concatenate([[0], np.cumsum(~_still(log))])
     found = []
     for start, stop in zip(steep.starts.tolist(), steep.stops.tolist(), strict=True):
@@ -101,10 +98,8 @@ def find_tare_jumps(log: AlignedLog) -> tuple[TareJump, ...]:
 def _still(log: AlignedLog) -> BoolArray:
     """Return where the pose alone shows no motion."""
     velocity = np.gradient(low_pass(log.position_B_m, log.period_s, _POSE_BAND_HZ), log.period_s, axis=0)
-    lag = max(1, round(0.02 / log.period_s))
-    quaternion = log.orientation_BS.as_quat()
-    turned = turned_rad(quaternion[:-lag], quaternion[lag:])
-    turning = maximum_filter1d(np.concatenate([turned, np.zeros(lag)]), 2 * lag + 1) / (lag * log.period_s)
+    lag = log.lag
+    turning = maximum_filter1d(np.concatenate([log.turned_rad, np.zeros(lag)]), 2 * lag + 1) / (lag * log.period_s)
     return np.asarray((np.linalg.norm(velocity, axis=1) < _STILL_M_S) & (turning < _STILL_RAD_S))
 
 

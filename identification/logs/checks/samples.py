@@ -12,6 +12,7 @@ from problems.arrays import FloatArray
 from ...result import Finding
 from ...signals.constant_runs import Runs, find_deadband, quantum, repeated_share, saturated_samples, stuck_runs
 from ...signals.recording import AXES, StampArray
+from ...signals.sweeps import are_unit, finite_rows, steps
 from ..messages.decode import Series
 from ..roles.cell import PoseSource, Source, WrenchSource
 from ..roles.orientation import COLUMN_MAJOR, ROW_MAJOR, is_rotation, orientation_quaternion
@@ -61,10 +62,8 @@ def wrench_faults(
     if bool(np.any(bad)):
         values, since_start_s = values[~bad], since_start_s[~bad]
     columns = np.ascontiguousarray(values.T)
-    resting = np.ones(len(values), dtype=np.bool_)
-    resting[0] = False
-    for column in columns:
-        resting[1:] &= np.abs(np.diff(column)) <= _RESTING_SHARE * np.ptp(column)
+    resting = np.zeros(len(values), dtype=np.bool_)
+    resting[1:] = ~steps(values, 1, _RESTING_SHARE * np.ptp(columns, axis=1))
     stuck = [axis for axis, column in enumerate(columns) if bool(np.all(column == column[0]))]
     if stuck:
         yield _stuck_axes(topic, stuck, columns)
@@ -99,18 +98,20 @@ def pose_faults(topic: str, values: FloatArray, since_start_s: FloatArray) -> It
     """Yield faults of a pose (n, 7), position and quaternion xyzw: NaN, wrong norm, stuck, repeated, in millimetres."""
     bad = _not_finite(values)
     yield from _finite_faults(topic, bad, since_start_s)
-    with np.errstate(invalid="ignore", over="ignore"):
-        norm = np.sqrt(np.einsum("ij,ij->i", values[:, 3:], values[:, 3:]))
-        off = np.abs(norm - 1.0) > QUATERNION_NORM_TOLERANCE
-    if bool(np.any(off)):
-        first = int(np.flatnonzero(off)[0])
-        yield Finding.error(
-            "quaternion-norm",
-            f"{np.count_nonzero(off)} orientations of topic {topic} are no unit quaternions, the first "
-            f"{since_start_s[first]:.3f} s after the start of the log (norm {norm[first]:.6g}).",
-            "Publish orientations as unit quaternions (x, y, z, w) and record again.",
-        )
-    good = ~(bad | off)
+    good = ~bad
+    if not are_unit(values, QUATERNION_NORM_TOLERANCE):
+        with np.errstate(invalid="ignore", over="ignore"):
+            norm = np.sqrt(np.einsum("ij,ij->i", values[:, 3:], values[:, 3:]))
+            off = np.abs(norm - 1.0) > QUATERNION_NORM_TOLERANCE
+        if bool(np.any(off)):
+            first = int(np.flatnonzero(off)[0])
+            yield Finding.error(
+                "quaternion-norm",
+                f"{np.count_nonzero(off)} orientations of topic {topic} are no unit quaternions, the first "
+                f"{since_start_s[first]:.3f} s after the start of the log (norm {norm[first]:.6g}).",
+                "Publish orientations as unit quaternions (x, y, z, w) and record again.",
+            )
+        good &= ~off
     if np.count_nonzero(good) < 2:
         return
     if not bool(np.all(good)):
@@ -232,10 +233,7 @@ def _length_faults(topic: str, position: FloatArray) -> Iterator[Finding]:
 
 def _not_finite(values: FloatArray) -> NDArray[np.bool_]:
     """Return which rows of (n, k) hold a number that is not finite."""
-    bad = np.zeros(len(values), dtype=np.bool_)
-    for column in values.T:
-        bad |= ~np.isfinite(column)
-    return bad
+    return np.asarray(~finite_rows(values))
 
 
 def _finite_faults(topic: str, bad: NDArray[np.bool_], since_start_s: FloatArray) -> Iterator[Finding]:
@@ -366,9 +364,12 @@ def _wrench_faults(topic: str, values: FloatArray, source: WrenchSource, when: F
 
 def _pose_faults(topic: str, values: FloatArray, source: PoseSource, when: FloatArray) -> Iterator[Finding]:
     """Yield the faults of a pose."""
-    turns, kind = values[:, 3:], source.orientation_as
+    turns, kind, length = values[:, 3:], source.orientation_as, LENGTH_M[source.units.position]
+    if kind == "quaternion_xyzw" and turns.shape[1] == 4 and length == 1.0:
+        yield from pose_faults(topic, values, when)
+        return
     seven = np.zeros((len(values), 7))
-    seven[:, :3] = _scaled(values[:, :3], LENGTH_M[source.units.position], 1.0)
+    seven[:, :3] = _scaled(values[:, :3], length, 1.0)
     if turns.shape[1] == 4:
         seven[:, 3:] = turns[:, [1, 2, 3, 0]] if kind == "quaternion_wxyz" else turns
     else:

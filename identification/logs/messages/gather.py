@@ -19,6 +19,8 @@ from .transforms import FIELDS, Pair, build_transform_decoder
 _GROWTH = 1.5
 _LEAST_ROOM = 1024
 _SPARE = 1.02
+_FILLED = 0.9
+"""Room that is filled by less is not kept."""
 Number = TypeVar("Number", np.int64, np.float64)
 
 
@@ -54,10 +56,12 @@ class _Gathering:
 
     def finish(self, channel: Channel) -> Series:
         """Return the numbers in order of recording; what was recorded at once stays in file order."""
-        if self._rows < self._log_ns.size:
+        if self._rows < _FILLED * self._log_ns.size:
             self._log_ns = self._log_ns[: self._rows].copy()
             self._values = self._values[: self._rows].copy()
             self._stamp_ns = None if self._stamp_ns is None else self._stamp_ns[: self._rows].copy()
+        self._log_ns, self._values = self._log_ns[: self._rows], self._values[: self._rows]
+        self._stamp_ns = None if self._stamp_ns is None else self._stamp_ns[: self._rows]
         if bool(np.any(self._log_ns[1:] < self._log_ns[:-1])):
             order = np.argsort(self._log_ns, kind="stable")
             self._log_ns = self._log_ns[order]

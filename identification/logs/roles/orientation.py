@@ -10,6 +10,8 @@ from scipy.spatial.transform import Rotation
 from problems.arrays import FloatArray
 from problems.errors import ParameterError
 
+from ...signals.sweeps import continuous, normalised
+
 ROW_MAJOR, COLUMN_MAJOR = "matrix_row_major", "matrix_column_major"
 NORM_TOLERANCE = 1e-3
 _FAR_WORSE = 3.0
@@ -71,7 +73,7 @@ def orientation_quaternion(kind: str, numbers: FloatArray, rad_per_unit: float =
         quaternion = Rotation.from_matrix(matrix if kind == ROW_MAJOR else matrix.transpose(0, 2, 1)).as_quat()
     else:
         quaternion = Rotation.from_euler(kind.removeprefix("euler_"), numbers * rad_per_unit).as_quat()
-    return canonical(quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True))
+    return normalised(quaternion)
 
 
 def make_continuous(quaternion: FloatArray) -> FloatArray:
@@ -80,9 +82,7 @@ def make_continuous(quaternion: FloatArray) -> FloatArray:
     A quaternion and its negative are one orientation, as are a rotation vector and the one that is a turn shorter:
     what flips its sign near half a turn is continuous so.
     """
-    turns = np.sum(quaternion[1:] * quaternion[:-1], axis=1) < 0.0
-    signs = np.concatenate([[1.0], np.where(np.cumsum(turns) % 2 == 1, -1.0, 1.0)])
-    return np.asarray(quaternion * signs[: len(quaternion), None])
+    return continuous(quaternion)
 
 
 def canonical(quaternion: FloatArray) -> FloatArray:
