@@ -73,7 +73,7 @@ def trade_noise(
         requirements = replace(gains.requirements, command_noise=limit)
         asked = replace(gains, bounds=loosened_bounds(gains), requirements=requirements)
         # A law that is quiet enough for less noise is one for more.
-        best = search_above_a_tick(lambda each: solve_or_none(each, known, 0), asked, gains.bounds["mass"][0])
+        best = search_above_a_tick(lambda each: solve_or_none(each, known, 0), asked, found)
         peak, law = (None, None) if not points else (points[-1].peak_force_n, points[-1].law)
         if best is not None and (peak is None or best.evaluation.objective_cost < peak):
             peak, law = best.evaluation.objective_cost, asked.controller(best.design)

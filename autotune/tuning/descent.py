@@ -28,6 +28,7 @@ _FINE_STEP = 1e-5
 SHORT_WAY = 12
 _TOLERANCE = 1e-8
 _WALL = 1e3
+_HIGHEST = 300.0
 # A logarithm of a share that no cost falls to, and whose exponential is still above 0.
 _LEAST_LOG = -500.0
 # Of the exact polish: the move, and how near to its limit a row counts, as shares.
@@ -302,6 +303,8 @@ def _log_of_sum(levels: FloatArray, shares: FloatArray, count: int) -> tuple[flo
 
     That is t where there are no shares.
     """
+    # Levels that a step far outside of what is linear asks for.
+    levels = np.minimum(levels, _HIGHEST)
     cost, missed = np.exp(levels[0]), np.exp(levels[1:])
     total = cost + shares @ (missed - 1.0)
     return float(np.log(total)), np.concatenate([np.zeros(count), [cost / total], shares * missed / total])

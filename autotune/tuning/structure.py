@@ -49,7 +49,9 @@ _KEPT_IN_A_HAND = 0.9
 _SLOWEST_HZ = 2.0
 # Corners [rad/s] at which a biquad that does nothing begins, and its damping.
 _CORNERS, _DAMPING = (25.0, 60.0, 120.0, 250.0, 600.0), 0.4
-# M_a is held this much above h B_a, which moves with it: more where that was too little.
+# M_a is held this much above h B_a of the usual law at first, then above that of the law found, which moves with it:
+# more where that was too little.
+_USUAL_ABOVE, _NEAR_A_TICK = 1.06, 1.03
 _ABOVE_A_TICK = (1.01, 1.01, 1.05, 1.1, 1.25, 1.5)
 # From this share of the speed of approach on the robot's jitter is a doubtful limit.
 _MUCH = 0.5
@@ -274,31 +276,41 @@ def solve_limited(
     of a biquad at once. None lets the admittance rise above what it is at rest by more than the plain law does, or by
     a twentieth. Where the bounds of M_a became wider, M_a/B_a is a tick h at least: what is faster no robot follows.
     """
-    usual = plain.problem.bounds["mass"][0]
-    return search_above_a_tick(lambda asked: _solve_limited(plain, asked, hand, known, seed), problem, usual)
+    return search_above_a_tick(lambda asked: _solve_limited(plain, asked, hand, known, seed), problem, plain)
 
 
 def search_above_a_tick(
-    search: Callable[[DesignProblem], SearchResult | None], problem: DesignProblem, usual_kg: float
+    search: Callable[[DesignProblem], SearchResult | None], problem: DesignProblem, usual: SearchResult
 ) -> SearchResult | None:
-    """Return what a search finds with M_a/B_a a tick at least, unless M_a is bounded from `usual_kg` on as usual.
+    """Return what a search finds with M_a/B_a a tick at least, unless M_a is bounded as in the `usual` search.
 
     None where it finds nothing, or B_a grows with M_a each time.
     """
-    if problem.bounds["mass"][0] >= usual_kg:
+    (loosest, high), h = problem.bounds["mass"], problem.sample_time_s
+    if loosest >= usual.problem.bounds["mass"][0]:
         return search(problem)
+    best = None
+    guess, bound = 0.0, loosest
+    if BIQUAD_VARIABLES[0] not in problem.variables:
+        # Most often that is enough, and saves a search.
+        damping = usual.problem.controller(usual.design).damping_n_s_per_m
+        guess = bound = max(loosest, _USUAL_ABOVE * h * damping)
     for share in _ABOVE_A_TICK:
         # Held above h B_a the best may lie in another valley: each time it is looked for anew.
-        found = search(problem)
+        bound = float(f"{bound:.3g}")
+        found = search(replace(problem, bounds={**problem.bounds, "mass": (bound, high)}))
         if found is None:
             break
         law = found.problem.controller(found.design)
-        tick = problem.sample_time_s * law.damping_n_s_per_m
-        if law.mass_kg >= tick:
-            return found
-        lightest = float(f"{share * tick:.3g}")
-        problem = replace(problem, bounds={**problem.bounds, "mass": (lightest, problem.bounds["mass"][1])})
-    return None
+        tick = h * law.damping_n_s_per_m
+        if law.mass_kg < tick:
+            guess, bound = 0.0, share * tick
+        elif guess > _NEAR_A_TICK * tick:
+            # B_a is less than the usual law's, so that the guess kept out lighter masses that are slow enough.
+            best, guess, bound = found, 0.0, loosest
+        else:
+            return found if best is None or found.evaluation.cost <= best.evaluation.cost else best
+    return best
 
 
 def _solve_limited(
