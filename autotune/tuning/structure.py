@@ -51,7 +51,7 @@ _SLOWEST_HZ = 2.0
 _CORNERS, _DAMPING = (25.0, 60.0, 120.0, 250.0, 600.0), 0.4
 # M_a is held this much above h B_a of the usual law at first, then above that of the law found, which moves with it:
 # more where that was too little.
-_USUAL_ABOVE, _NEAR_A_TICK = 1.06, 1.03
+_USUAL_ABOVE, _NEAR_A_TICK = 1.06, 1.08
 _ABOVE_A_TICK = (1.01, 1.01, 1.05, 1.1, 1.25, 1.5)
 # From this share of the speed of approach on the robot's jitter is a doubtful limit.
 _MUCH = 0.5
