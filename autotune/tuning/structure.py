@@ -282,12 +282,13 @@ def solve_limited(
 def search_above_a_tick(
     search: Callable[[DesignProblem], SearchResult | None], problem: DesignProblem, usual: SearchResult
 ) -> SearchResult | None:
-    """Return what a search finds with M_a/B_a a tick at least, unless M_a is bounded as in the `usual` search.
+    """Return what a search finds with M_a/B_a a tick at least, or M_a at its bound in the `usual` search or above.
 
     None where it finds nothing, or B_a grows with M_a each time.
     """
     (loosest, high), h = problem.bounds["mass"], problem.sample_time_s
-    if loosest >= usual.problem.bounds["mass"][0]:
+    most = usual.problem.bounds["mass"][0]
+    if loosest >= most:
         return search(problem)
     best = None
     guess, bound = 0.0, loosest
@@ -297,13 +298,16 @@ def search_above_a_tick(
         guess = bound = max(loosest, _USUAL_ABOVE * h * damping)
     for share in _ABOVE_A_TICK:
         # Held above h B_a the best may lie in another valley: each time it is looked for anew.
-        bound = float(f"{bound:.3g}")
+        bound = min(float(f"{bound:.3g}"), most)
         found = search(replace(problem, bounds={**problem.bounds, "mass": (bound, high)}))
         if found is None:
-            break
+            if guess == 0.0:
+                break
+            guess, bound = 0.0, loosest
+            continue
         law = found.problem.controller(found.design)
         tick = h * law.damping_n_s_per_m
-        if law.mass_kg < tick:
+        if law.mass_kg < min(tick, most):
             guess, bound = 0.0, share * tick
         elif guess > _NEAR_A_TICK * tick:
             # B_a is less than the usual law's, so that the guess kept out lighter masses that are slow enough.

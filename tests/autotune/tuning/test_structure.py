@@ -275,6 +275,26 @@ def test_a_law_of_wider_bounds_is_slower_than_a_tick(is_said: bool) -> None:
     assert (share < 0.5) if is_said else (1.0 <= share < 1.2)
 
 
+@pytest.mark.parametrize(("needed_kg", "bounds"), [(0.2, [0.877, 0.08, 0.835, 0.877]), (1e3, [0.877])])
+def test_a_guess_that_leaves_no_law_is_dropped(needed_kg: float, bounds: list[float]) -> None:
+    """Where only lighter masses hold, the loosest bound is tried too; nothing slow enough is then nothing."""
+    seen: list[float] = []
+
+    def search(problem: DesignProblem) -> SearchResult | None:
+        seen.append(problem.bounds["mass"][0])
+        if seen[-1] > needed_kg:
+            return None
+        mass = 0.1 if needed_kg < 1.0 else 5.0
+        return cast(
+            "SearchResult", SimpleNamespace(problem=plain().problem, design=np.array([mass, *plain().design[1:]]))
+        )
+
+    limited = limited_problem(papers_cell(), 3e-3, has_biquad=False)
+    found = structure_module.search_above_a_tick(search, limited, plain())
+    assert (found is None) == (needed_kg < 1.0)
+    assert seen[: len(bounds)] == pytest.approx(bounds[: len(seen)], rel=0.02)
+
+
 @pytest.mark.parametrize("force", [None, 0.0])
 def test_noise_of_the_pose_alone_loosens_no_bound(force: float | None) -> None:
     """Without the sensor's noise nothing says how much of the pose's B_fb may bring into the command."""
