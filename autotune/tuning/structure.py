@@ -20,7 +20,7 @@ from problems.design.requirements import AdmittancePeak, HeldByHand
 from problems.design.requirements.held_by_hand import HeldByHandRequirement
 from problems.model.plant import FREE_SPACE
 from problems.model.sampled import build_loop, build_sampled_plant, position_input
-from problems.stability.noise import command_speed_gain, speed_rms
+from problems.stability.noise import speed_rms
 
 from .bounds import loosened_bounds
 from .noise_limit import find_position_noise, find_sensor_noise, jitter_source, jitter_speed
@@ -259,7 +259,7 @@ def choose_structure(
         is_asked=asked is not None,
         counts_pose=counts_pose,
         gains_m_s_per_n=gains,
-        total_m_s_per_n=math.nan if jitter is None else _total_noise(plain, measured),
+        total_m_s_per_n=_largest_noise(plain, (measured.position or 0.0) / (measured.force or math.inf)),
         jitter_m_s_per_n=jitter,
         approach_m_s=_approach_speed(plain),
         measured=measured,
@@ -413,24 +413,21 @@ def _least_held(found: SearchResult, hand: HeldByHand) -> float:
 
 def equal_noise(found: SearchResult) -> float:
     """Return the largest noise [m/s per N] of a design over its plants, in contact and free, rounded up by a hair."""
-    problem, law = found.problem, found.problem.controller(found.design)
-    plants = [problem.plant(each) for each in found.active.scenarios]
-    plants += [each.in_contact_with(FREE_SPACE) for each in plants]
-    most = max(command_speed_gain(build_sampled_plant(each, problem.sample_time_s), law) for each in plants)
-    return float(f"{most * (1.0 + _ROUNDED):.6g}")
+    return float(f"{_largest_noise(found) * (1.0 + _ROUNDED):.6g}")
 
 
-def _total_noise(found: SearchResult, measured: NoiseOf) -> float:
-    """Return the largest noise [m/s per N of the sensor's] of a design, that of the pose counted too."""
+def _largest_noise(found: SearchResult, position_per_force: float = 0.0) -> float:
+    """Return it [m/s per N], where the pose's noise is so much [m/N] of the sensor's."""
     problem, law = found.problem, found.problem.controller(found.design)
-    force, position = measured.force or 1.0, measured.position or 0.0
     plants = [problem.plant(each) for each in found.active.scenarios]
     most = 0.0
     for plant in (*plants, *(each.in_contact_with(FREE_SPACE) for each in plants)):
         sampled = build_sampled_plant(plant, problem.sample_time_s)
         loop = build_loop(sampled, law)
-        noises = [(loop.b, loop.d_command, force), (*position_input(sampled, law), position)]
-        most = max(most, speed_rms(loop, noises) / force)
+        noises = [(loop.b, loop.d_command, 1.0)]
+        if position_per_force:
+            noises.append((*position_input(sampled, law), position_per_force))
+        most = max(most, speed_rms(loop, noises))
     return most
 
 
