@@ -37,7 +37,8 @@ from .search import SearchResult, solve_design
 from .settle import Settled, prove_search, settle_all
 from .soft_payload import SoftPayload
 from .strategies import StrategySettings, choose_strategies, strategy_settings
-from .structure import StructureChoice, StructureSearch
+from .structure import StructureSearch
+from .structure_choice import StructureChoice
 
 # Of the time of a usual run, measured, for the progress bar alone. The second is a share of what comes
 # after the search.
