@@ -1,14 +1,17 @@
 """Fixtures that every part of the tests may use."""
 
 import contextlib
+import fcntl
 import gc
+import hashlib
 import importlib
 import io
 import os
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -77,6 +80,37 @@ def shared_data() -> Path:
     if not path.is_dir():
         pytest.skip("needs the recorded logs in ../shared/data")
     return path
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _kernels_compiled_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Let the processes of a clean checkout wait for a kernel that another one compiles, and read it from the cache.
+
+    Who waits holds the kernels that call it and nobody the other way round, so that no two wait for each other.
+    """
+    if "PYTEST_XDIST_WORKER" not in os.environ:
+        yield
+        return
+    from numba.core.compiler_lock import global_compiler_lock
+    from numba.core.dispatcher import Dispatcher
+
+    folder, honest, held = tmp_path_factory.getbasetemp().parent, Dispatcher.compile, set[str]()
+
+    def compile_once(self: Any, signature: Any) -> Any:
+        kernel = hashlib.sha256(f"{self.py_func.__module__}.{self.py_func.__qualname__}".encode()).hexdigest()
+        if kernel in held:
+            return honest(self, signature)
+        with global_compiler_lock, (folder / f"{kernel}.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            held.add(kernel)
+            try:
+                return honest(self, signature)
+            finally:
+                held.remove(kernel)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Dispatcher, "compile", compile_once)
+        yield
 
 
 @pytest.fixture
