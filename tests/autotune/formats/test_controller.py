@@ -23,7 +23,7 @@ def sealed(tree: dict[str, Any]) -> str:
     return dump_yaml(tree | {"checksum": checksum(tree)})
 
 
-@settings(deadline=None)
+@settings(deadline=None, max_examples=40)
 @given(controllers())
 def test_what_is_written_is_read_back_to_the_last_bit(controller: Controller) -> None:
     tree = controller_tree(controller)

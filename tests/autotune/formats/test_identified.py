@@ -15,7 +15,7 @@ from problems.errors import ParameterError
 from tests.autotune.formats.samples import TREES, identified_results, make_identified
 
 
-@settings(deadline=None)
+@settings(deadline=None, max_examples=40)
 @given(identified_results(), TREES)
 def test_what_is_written_is_read_back_to_the_last_bit(result: Identified, provenance: dict[str, object]) -> None:
     with TemporaryDirectory() as folder:

@@ -78,17 +78,17 @@ def test_noise_of_the_pose_is_that_of_a_loop_that_is_simulated_with_it() -> None
     for each in (plant, plant.in_contact_with(FREE_SPACE)):
         sampled = build_sampled_plant(each, H)
         cut = build_cut_loop(sampled, law)
-        m, n, noise = cut.matrix, cut.state_count, 1e-6 * np.random.default_rng(3).standard_normal(400_000)
+        # A hundred loops side by side, of 2000 ticks until they have forgotten their start and 4000 that count.
+        m, n, noise = cut.matrix, cut.state_count, 1e-6 * np.random.default_rng(3).standard_normal((6_000, 100))
         matrix, r = controller_matrix(law, H), len(controller_matrix(law, H)) - 1
-        states, command, commands = np.zeros(n), 0.0, np.empty(len(noise))
+        states, commands = np.zeros((n, 100)), np.empty_like(noise)
         for k, off in enumerate(noise):
             # Behind a delay F hangs on the states alone; the command follows from it and from what is read.
-            force = float(m[cut.force, :n] @ states)
-            command = float(m[cut.command, :n] @ states + m[cut.command, n] * force + matrix[r, r + 1] * off)
-            commands[k] = command
-            states = m[:n, :n] @ states + m[:n, n] * force + m[:n, n + 1] * command
-            states[n - r :] += matrix[:r, r + 1] * off
-        measured = float(np.std(np.diff(commands[2_000:]))) / H
+            force = m[cut.force, :n] @ states
+            commands[k] = m[cut.command, :n] @ states + m[cut.command, n] * force + matrix[r, r + 1] * off
+            states = m[:n, :n] @ states + np.outer(m[:n, n], force) + np.outer(m[:n, n + 1], commands[k])
+            states[n - r :] += np.outer(matrix[:r, r + 1], off)
+        measured = float(np.std(np.diff(commands[2_000:], axis=0))) / H
         assert measured == pytest.approx(1e-6 * of_position_noise(sampled, law), rel=0.01)
 
 
