@@ -9,7 +9,14 @@ from scipy.linalg import expm
 from scipy.signal import chirp
 
 from identification.measured_response import FrequencyResponse, MeasuredResponse
-from identification.robot.frequency_response import GRID_HZ, MotionRecord, measure_responses
+from identification.robot.frequency_response import (
+    GRID_HZ,
+    MotionRecord,
+    _at,
+    _described,
+    _Local,
+    measure_responses,
+)
 from problems.arrays import ComplexArray, FloatArray
 
 _H = 2e-3
@@ -189,3 +196,85 @@ def test_rest_shows_nothing() -> None:
 def test_the_grid_is_that_of_every_log() -> None:
     assert len(GRID_HZ) == 60
     assert set(_all(measured(Cell(), 1))[0].frequency_hz) <= {float(f"{f:.6g}") for f in GRID_HZ}
+
+
+def test_no_circle_reaches_half_way_to_zero_and_none_is_narrower_than_a_thousandth() -> None:
+    loud = measured(Cell(), 4, noise=(2e-4, 40.0))
+    for each in _all(loud):
+        shares = each.radius_95 / np.abs(each.values)
+        # The circles grow with frequency, so that the widest of those that are left is near the limit.
+        assert 0.3 < np.max(shares) < 0.5
+        assert np.all(np.isin(each.frequency_hz, _all(measured(Cell(), 4))[0].frequency_hz))
+    for each in _all(measured(Cell(), 0, noise=(0.0, 0.0))):
+        shares = each.radius_95 / np.abs(each.values)
+        assert np.min(shares) == pytest.approx(1e-3, rel=0.05)
+
+
+def test_the_lowest_frequency_has_seven_bins_of_the_longest_record_below_it() -> None:
+    ((command, position, force),) = _clean(Cell(), (1.0,))
+    found = measured(Cell(), 0, noise=(0.0, 0.0)).command_to_pose
+    assert found is not None
+    # The bin of no frequency at all is none of them.
+    length_s = (len(command) - 1) * _H
+    asked = GRID_HZ[GRID_HZ * length_s >= 8.0]
+    assert found.frequency_hz[0] == pytest.approx(asked[0], rel=1e-5)
+    record = MotionRecord(position=position, force=force, command=command)
+    lower = measure_responses([record], _H, 10.0)
+    assert lower is not None
+    assert lower.command_to_pose is not None
+    assert lower.command_to_pose.frequency_hz[-1] == pytest.approx(10.0, rel=1e-5)
+
+
+def test_what_is_shorter_than_two_seconds_is_passed_over() -> None:
+    ((command, position, force),) = _clean(Cell(), (1.0,))
+    records = {
+        count: MotionRecord(position=position[:count], force=force[:count], command=command[:count])
+        for count in (round(1.9 / _H), round(2.0 / _H), len(command))
+    }
+    short, enough, whole = records.values()
+    assert measure_responses([short], _H, 0.4 / _H) is None
+    assert measure_responses([enough], _H, 0.4 / _H) is not None
+    assert measure_responses([short, whole], _H, 0.4 / _H) == measure_responses([whole], _H, 0.4 / _H)
+
+
+def test_a_window_has_seven_bins_of_the_longest_record_each_way_or_two_percent_of_the_frequency() -> None:
+    """What is left of the bins when six complex numbers are taken from them is the freedom of the noise."""
+    rng = np.random.default_rng(0)
+
+    def spectrum(bins: int) -> tuple[ComplexArray, ComplexArray]:
+        both = rng.standard_normal((2, bins, 3)) @ np.array([1.0, 1j, 0.0])
+        return both[0], both[1][:, None]
+
+    whole = spectrum(5000)
+    for frequency, inside in ((1.0, 15), (3.0, 15), (10.0, 41), (30.0, 121)):
+        found = _at(frequency, [whole], [100.0])
+        assert found is not None
+        assert (found.freedom, found.records) == (inside - 6, 1)
+    # A record with fewer than eight bins there takes no part: 7 of one of 48 s, 9 of one of 60 s.
+    for length_s, records in ((48.0, 1), (60.0, 2)):
+        found = _at(1.0, [whole, spectrum(3000)], [100.0, length_s])
+        assert found is not None
+        assert found.records == records
+    assert _at(1.0, [(np.zeros(500, dtype=complex), np.ones((500, 1), dtype=complex))], [100.0]) is None
+
+
+def test_what_records_differ_by_is_a_mean_over_five_frequencies() -> None:
+    noise = np.eye(1, dtype=complex)
+    points = [
+        _Local(
+            value=np.array([1e3 + 0j]),
+            noise=noise,
+            between=(11.0 if i in (0, 5) else 0.5) * noise,
+            freedom=9,
+            records=2,
+        )
+        for i in range(9)
+    ]
+    frequency, once = np.arange(1.0, 10.0), np.array([1.0 + 0j])
+    found = _described(frequency, points, once)
+    assert found is not None
+    # F(2, 18) has an upper 5 % point of 9 (20^(1/9) - 1), and nothing is better known than to a thousandth.
+    alone = np.hypot(np.sqrt(9.0 * (20.0 ** (1.0 / 9.0) - 1.0)), 1.0)
+    excess = np.array([12.0 / 3.0, 12.5 / 4.0, *[13.0 / 5.0] * 5, 12.5 / 4.0, 1.0])
+    assert found.noise_radius_95 == pytest.approx(np.full(9, alone), rel=1e-5)
+    assert found.radius_95 == pytest.approx(alone * np.sqrt(excess), rel=1e-5)

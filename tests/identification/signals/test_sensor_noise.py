@@ -1,17 +1,28 @@
 """Sensor noise: white, coloured and quantised signals of known size."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.signal import butter, sosfilt
+from scipy.signal import butter, detrend, sosfilt
 from scipy.spatial.transform import Rotation
 
 from identification.result import Status
 from identification.signals.aligned import AlignedLog
 from identification.signals.recording import WrenchSignal
 from identification.signals.segments import Span
-from identification.signals.sensor_noise import SensorNoise, find_resolution, identify_sensor_noise
+from identification.signals.sensor_noise import (
+    SensorNoise,
+    SpectralLine,
+    _line_findings,
+    _lines,
+    _quiet,
+    _spectrum,
+    find_resolution,
+    identify_sensor_noise,
+)
 from problems.arrays import FloatArray
 
 RATE_HZ = 1000.0
@@ -181,3 +192,108 @@ def test_the_spectrum_that_is_reported_keeps_the_power() -> None:
     assert dull.force_n2_per_hz[-1] < 1e-2 * max(dull.force_n2_per_hz)
     stepped = described(np.round(white(6) / 0.05) * 0.05).spectrum()
     assert stepped.resolution[0] == pytest.approx(0.05, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("lengths", "length"), [((10000, 4500), 4096), ((1000, 1300, 900), 1000), ((50, 60, 64), 64), ((40, 50, 45), 50)]
+)
+def test_the_density_is_the_mean_of_segments_that_overlap_by_half(lengths: tuple[int, ...], length: int) -> None:
+    """Of no more than 4096 samples, of no fewer than 64 where a rest is that long, and of what most rests hold."""
+    rng = np.random.default_rng(11)
+    pieces = [rng.standard_normal((count, 6)) + np.linspace(0.0, 3.0, count)[:, None] for count in lengths]
+    frequency, density, segments = _spectrum(pieces, RATE_HZ)
+    assert frequency[1] == pytest.approx(RATE_HZ / length)
+    window = np.sin(np.pi * np.arange(length) / length) ** 2
+    periodograms = []
+    for piece in pieces:
+        for begin in range(0, len(piece) - length + 1, length // 2):
+            values = detrend(piece[begin : begin + length], axis=0)
+            power = np.abs(np.fft.rfft(window[:, None] * values, axis=0)) ** 2 / (RATE_HZ * np.sum(window**2))
+            power[1 : (length + 1) // 2] *= 2.0
+            periodograms.append(power)
+    assert segments == len(periodograms)
+    # Rounding, at no frequency of what the detrending left none of.
+    np.testing.assert_allclose(density, np.mean(periodograms, axis=0), rtol=1e-9, atol=1e-15)
+
+
+@pytest.mark.parametrize(("samples", "more"), [(20000, 0.15), (512, 0.25), (128, 0.5)])
+def test_a_rest_may_shake_more_by_15_percent_or_four_deviations_of_chance(samples: int, more: float) -> None:
+    """Of the variance of n samples the deviation is √(2/n) of it."""
+    shape = np.random.default_rng(12).standard_normal((samples, 6))
+    quiet, loud = (np.sqrt(1.0 + share * more) * shape for share in (0.98, 1.02))
+    assert [each is not loud for each in _quiet([shape, shape, shape, quiet])] == [True] * 4
+    assert len(_quiet([shape, shape, shape, loud])) == 3
+    # Where each shakes on an axis of its own, none is quieter than the others.
+    apart = [np.where(np.arange(6) == axis, 3.0, 1.0) * shape for axis in (0, 1)]
+    assert len(_quiet(apart)) == 2
+
+
+def test_lines_are_five_at_most_the_strongest_first_and_have_the_power_above_their_neighbours() -> None:
+    frequency = 0.5 * np.arange(1000)
+    density = np.full((1000, 6), 2e-3)
+    for i, size in zip((100, 200, 300, 400, 500, 600, 700), (0.3, 0.9, 0.5, 0.058, 0.7, 0.4, 0.8), strict=True):
+        density[i - 1 : i + 2, 2] += size * np.array([0.5, 1.0, 0.5])
+    lines = _lines(frequency, density, 8)
+    assert [line.frequency_hz for line in lines] == [100.0, 350.0, 250.0, 150.0, 300.0]
+    assert lines[0].rms == pytest.approx([0.0, 0.0, np.sqrt(0.9 * 2.0 * 0.5), 0.0, 0.0, 0.0])
+    # 30 times the neighbours, of four segments and more; with one alone chance reaches twice as far.
+    for height, segments, count in ((29.0, 4, 0), (31.0, 4, 1), (59.0, 1, 0), (61.0, 1, 1), (61.0, 99, 1)):
+        alone = np.full((1000, 6), 2e-3)
+        alone[321, 4] *= height
+        assert len(_lines(frequency, alone, segments)) == count
+    # Fewer bins than twice the neighbours say no median.
+    assert _lines(frequency[:61], density[80:141], 8) == ()
+    assert len(_lines(frequency[:62], density[80:142], 8)) == 1
+
+
+def test_the_deviation_of_the_mean_of_three_forces() -> None:
+    three = replace(described(white(13)), rms=np.array([2.0, 2.0, 2.0, 9.0, 9.0, 9.0]), rms_std=np.full(6, 0.3))
+    assert three.force_rms().value == pytest.approx(2.0)
+    # Three that are as well known each.
+    assert three.force_rms().std == pytest.approx(0.3 / np.sqrt(3.0))
+    one = replace(three, rms=np.array([5.0, 0.0, 0.0, 1.0, 1.0, 1.0]))
+    assert one.force_rms().value == pytest.approx(5.0 / np.sqrt(3.0))
+    assert one.force_rms().std == pytest.approx(0.3 / np.sqrt(3.0))
+
+
+def test_a_rest_counts_from_64_samples_on_between_the_edges() -> None:
+    """Of 0.12 s at each end nothing is used."""
+    log, wrench = log_of(white(14))
+    assert identify_sensor_noise(log, [Span(start=1000, stop=1304)], wrench) is None
+    found = identify_sensor_noise(log, [Span(start=1000, stop=1305)], wrench)
+    assert found is not None
+    assert found.rest_s == pytest.approx(0.065)
+    # A line takes two degrees of freedom of its 65 samples.
+    values, time = np.hstack([log.force_S_n, log.torque_S_n_m])[1120:1185], np.arange(65)
+    left = values - np.polynomial.polynomial.polyval(time, np.polynomial.polynomial.polyfit(time, values, 1)).T
+    assert found.rms == pytest.approx(np.sqrt(np.sum(left**2, axis=0) / 63.0))
+
+
+def test_of_one_rest_of_white_noise_the_deviation_is_that_of_as_many_samples() -> None:
+    log, wrench = log_of(white(15, 30))
+    found = identify_sensor_noise(log, [Span(start=0, stop=60000)], wrench)
+    assert found is not None
+    # 28 segments show how broad it is, to some per cent.
+    assert found.rms_std == pytest.approx(found.rms / np.sqrt(2.0 * 59760.0), rel=0.1)
+    ratios = np.array(found.spectrum().frequency_hz)
+    # 24 bands of equal ratio from the first bin to the last.
+    assert ratios[-1] / ratios[-2] == pytest.approx(2048.0 ** (1.0 / 24.0), rel=0.01)
+    assert len(ratios) <= 24
+
+
+def test_a_line_is_told_from_a_tenth_of_the_power_on_with_the_unit_of_its_axis() -> None:
+    for axis, unit in ((2, "N"), (3, "N·m")):
+        of_line = np.where(np.arange(6) == axis, 1.0, 0.0)
+        line = SpectralLine(frequency_hz=49.96, rms=np.sqrt(0.11) * of_line)
+        (said,) = _line_findings((line,), np.ones(6))
+        assert said.message == (
+            f"The noise of axis {('x', 'y', 'z', 'rx', 'ry', 'rz')[axis]} has a line at 50.0 Hz of 0.332 {unit} rms, "
+            "11 % of its power."
+        )
+        assert _line_findings((SpectralLine(frequency_hz=50.0, rms=np.sqrt(0.09) * of_line),), np.ones(6)) == ()
+
+
+def test_200_steps_say_a_resolution() -> None:
+    stairs = 0.5 * (np.arange(201) % 7)
+    assert find_resolution(stairs) == pytest.approx(0.5)
+    assert find_resolution(stairs[:-1]) is None
