@@ -1,5 +1,6 @@
 """Programs whose law is mass, damping and spring: what is written is what was certified, and what is theirs is told."""
 
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import replace
@@ -11,7 +12,8 @@ from autotune.errors import UsageError
 from autotune.export.cartesian_vic import CARTESIAN_VIC
 from autotune.export.crisp import CRISP
 from autotune.export.export import export_controller
-from autotune.export.lbr_fri_ros2 import LBR_FRI_ROS2
+from autotune.export.lbr_fri_ros2 import LBR_FRI_ROS2, _check
+from autotune.export.mdk import MdkOptions
 from autotune.export.target import ExportTarget
 from autotune.export.urscript import STEP_TIME_S, URSCRIPT
 from autotune.formats.controller import write_controller
@@ -162,6 +164,24 @@ def test_the_lbr_s_turned_wrench_holds_in_half_turns_only(
     options = {} if orientation is None else {"orientation": orientation}
     with pytest.raises(UsageError, match=message):
         exported(tmp_path, LBR_FRI_ROS2, peer_controller({"x": PLAIN}, SLOW), **options)
+
+
+@pytest.mark.parametrize("half_turns", [0.0, 180.0])
+@pytest.mark.parametrize("axis", range(3))
+def test_the_lbr_s_tip_may_be_turned_by_half_a_degree_beside_a_half_turn(axis: int, half_turns: float) -> None:
+    """R - Rᵀ of a turn by an angle has ±2 sin of it beside its diagonal, of which 0.02 are let through."""
+
+    def check(degrees: float) -> None:
+        half = math.radians(degrees) / 2.0
+        turned = [math.sin(half) if i == axis else 0.0 for i in range(3)]
+        options = MdkOptions(orientation=(turned[0], turned[1], turned[2], math.cos(half)))
+        _check({"x": PLAIN}, options)
+
+    for degrees in (half_turns, half_turns + 0.57, half_turns - 0.57):
+        check(degrees)
+    for degrees in (half_turns + 0.58, half_turns - 0.58, half_turns + 90.0, half_turns - 90.0):
+        with pytest.raises(UsageError, match=r"only where the two are the same.* The orientation .* is neither;"):
+            check(degrees)
 
 
 def test_the_lbr_s_turning_axes_are_refused(tmp_path: Path) -> None:
