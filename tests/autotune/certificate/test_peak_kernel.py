@@ -58,7 +58,7 @@ def _member(cell: CellLoop, rng: np.random.Generator) -> _Member:
     place = rng.choice([-1.0, 1.0], 2)
 
     def end(values: FloatArray) -> FloatArray:
-        return values * rng.choice([-1.0, 1.0], values.shape)
+        return np.asarray(values * rng.choice([-1.0, 1.0], values.shape))
 
     change = cell.change + place[0] * cell.derivatives[0] + end(cell.spread)
     row = cell.row + place[0] * cell.row_derivatives[0] + end(cell.row_spread)
@@ -123,7 +123,7 @@ def test_what_never_decays_reaches_the_bound_of_what_is_to_come() -> None:
 
 def test_a_walk_ends_where_the_limit_is_passed_and_where_all_that_is_to_come_is_below_it() -> None:
     drawn = _cell(np.random.default_rng(0))
-    cell = drawn._replace(place=0.5 * drawn.weights * np.sign(drawn.row))
+    cell = drawn._replace(place=_complex(0.5 * drawn.weights * np.sign(drawn.row.real)))
     whole = walk(cell, 1e6, _TICKS, 4)
     assert whole.is_bounded
     assert whole.largest > _DESIRED

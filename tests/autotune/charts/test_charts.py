@@ -12,7 +12,7 @@ from matplotlib.contour import ContourSet
 from matplotlib.figure import Figure
 
 from autotune.charts import bokeh_renderer, matplotlib_renderer
-from autotune.charts.bokeh_renderer import draw_live
+from autotune.charts.bokeh_renderer import _cells, draw_live
 from autotune.charts.chart import (
     Band,
     Bars,
@@ -276,3 +276,13 @@ def test_lines_of_equal_value_lie_where_the_values_are_theirs(spacing: Any) -> N
     drawn = np.asarray(colours.get_array())
     assert (float(np.min(drawn)), float(np.max(drawn))) == (1.0, 8.0)
     assert not np.any(np.isnan(drawn))
+
+
+def test_cells_of_a_heat_map_touch_and_have_their_middles_inside() -> None:
+    for is_log, middles in ((False, np.array([1.0, 1.5, 2.0])), (True, np.array([1.0, 10.0, 100.0]))):
+        left, right = _cells(middles, is_log)
+        assert right[:-1] == pytest.approx(left[1:])
+        assert (np.sqrt(left * right) if is_log else 0.5 * (left + right)) == pytest.approx(middles)
+    # One cell alone is as wide as a step of one, on its axis.
+    assert np.concatenate(_cells(np.array([3.0]), False)) == pytest.approx([2.5, 3.5])
+    assert np.log(np.concatenate(_cells(np.array([3.0]), True))) == pytest.approx(np.log(3.0) + np.array([-0.5, 0.5]))

@@ -27,6 +27,7 @@ from identification.signals.segments import find_motion
 from problems.arrays import FloatArray
 from problems.model.plant import Environment
 from problems.model.robot import RobotModel
+from problems.progress import ProgressSlice
 
 SHORT = Program(pose_count=5, jogging_s=0.0, sweep_s=7.0, contact_count=2)
 SLOW = SimulatedCell(
@@ -220,7 +221,12 @@ def test_nothing_to_fit_is_refused_and_reported(demo_data: JointData) -> None:
 
 
 def test_a_log_without_contact_still_has_a_coupling(demo_data: JointData) -> None:
-    fit = identify_joint(dataclasses.replace(demo_data, holds=()))
+    shares: list[float] = []
+    fit = identify_joint(dataclasses.replace(demo_data, holds=()), ProgressSlice(shares.append))
+    # What is done is reported after each of four parts, none of which is more than half of it.
+    assert len(shares) == 4
+    assert max(shares) < 0.5
+    assert 0.7 < sum(shares) < 1.0
     assert fit.surfaces == ()
     assert fit.quality.contacts == 0
     assert np.max(np.abs(scores(fit, SimulatedCell()))) < 4.4

@@ -264,7 +264,7 @@ def test_what_records_differ_by_is_a_mean_over_five_frequencies() -> None:
         _Local(
             value=np.array([1e3 + 0j]),
             noise=noise,
-            between=(11.0 if i in (0, 5) else 0.5) * noise,
+            between=np.full((1, 1), 11.0 if i in (0, 5) else 0.5, dtype=np.complex128),
             freedom=9,
             records=2,
         )

@@ -229,7 +229,7 @@ def test_a_rest_may_shake_more_by_15_percent_or_four_deviations_of_chance(sample
 
 
 def test_lines_are_five_at_most_the_strongest_first_and_have_the_power_above_their_neighbours() -> None:
-    frequency = 0.5 * np.arange(1000)
+    frequency = 0.5 * np.arange(1000, dtype=np.float64)
     density = np.full((1000, 6), 2e-3)
     for i, size in zip((100, 200, 300, 400, 500, 600, 700), (0.3, 0.9, 0.5, 0.058, 0.7, 0.4, 0.8), strict=True):
         density[i - 1 : i + 2, 2] += size * np.array([0.5, 1.0, 0.5])
@@ -294,6 +294,6 @@ def test_a_line_is_told_from_a_tenth_of_the_power_on_with_the_unit_of_its_axis()
 
 
 def test_200_steps_say_a_resolution() -> None:
-    stairs = 0.5 * (np.arange(201) % 7)
+    stairs = 0.5 * (np.arange(201, dtype=np.float64) % 7.0)
     assert find_resolution(stairs) == pytest.approx(0.5)
     assert find_resolution(stairs[:-1]) is None
