@@ -35,9 +35,33 @@ from identification.result import Status
 from identification.signals.segments import Span
 from identification.verdicts import TWO_SIDED
 from problems.arrays import FloatArray
+from problems.compiled import compiled
 
 PERIOD_S, FINER = 1e-3, 40
 STIFFNESS, DAMPING, DRAG, MASS = 3e5, 140.0, 120.0, 14.0
+
+
+@compiled
+def _rubbed_and_swung(
+    x: FloatArray, v: FloatArray, dt: float, numbers: tuple[float, float, float, float, float]
+) -> FloatArray:
+    """Return the coupling's force (n,) for a flange at x with the speed v."""
+    heavy, light, k_2, b_2, friction = numbers
+    x_p = x_2 = x[0]
+    v_p = v_2 = 0.0
+    out = np.empty(len(x))
+    for i in range(len(x)):
+        slip = v_p - v[i]
+        elastic = STIFFNESS * (x_p - x[i]) + DAMPING * slip
+        pulled = k_2 * (x_2 - x_p) + b_2 * (v_2 - v_p)
+        # What would bring the coupling to rest in this step, and no more than friction can.
+        stop = heavy * slip / dt - elastic - DRAG * v_p + pulled
+        rubbed = min(max(stop, -friction), friction)
+        out[i] = elastic + rubbed
+        v_p += dt * (pulled - elastic - rubbed - DRAG * v_p) / heavy
+        v_2 -= dt * pulled / light if light > 0.0 else 0.0
+        x_p, x_2 = x_p + dt * v_p, x_2 + dt * v_2
+    return out
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,20 +80,7 @@ class Cell:
         light, heavy = self.share * MASS, (1.0 - self.share) * MASS
         k_2 = light * (2.0 * np.pi * self.part_hz) ** 2
         b_2 = 2.0 * self.ratio * 2.0 * np.pi * self.part_hz * light
-        x_p = x_2 = float(x[0])
-        v_p = v_2 = 0.0
-        out = np.empty(len(x))
-        for i, (at, speed) in enumerate(zip(x.tolist(), v.tolist(), strict=True)):
-            slip = v_p - speed
-            elastic = STIFFNESS * (x_p - at) + DAMPING * slip
-            pulled = k_2 * (x_2 - x_p) + b_2 * (v_2 - v_p)
-            # What would bring the coupling to rest in this step, and no more than friction can.
-            stop = heavy * slip / dt - elastic - DRAG * v_p + pulled
-            rubbed = min(max(stop, -self.friction_n), self.friction_n)
-            out[i] = elastic + rubbed
-            v_p += dt * (pulled - elastic - rubbed - DRAG * v_p) / heavy
-            v_2 -= dt * pulled / light if light else 0.0
-            x_p, x_2 = x_p + dt * v_p, x_2 + dt * v_2
+        out = _rubbed_and_swung(x, v, dt, (heavy, light, k_2, b_2, self.friction_n))
         if self.filter_hz is None:
             return out
         kept = float(np.exp(-2.0 * np.pi * self.filter_hz * dt))

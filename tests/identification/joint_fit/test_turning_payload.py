@@ -18,6 +18,7 @@ from identification.joint_fit.turning_payload import _as_path, _low_pass, _weigh
 from identification.payload.turning import turning_force
 from identification.signals.segments import Span
 from problems.arrays import FloatArray
+from problems.compiled import compiled
 from tests.identification.joint_fit.test_extension import FINER, PERIOD_S, sweep
 
 STIFFNESS, DAMPING, DRAG, MASS = 3e5, 600.0, 20.0, 16.0
@@ -33,18 +34,24 @@ def run(x: FloatArray, off_m: float, drag: float) -> tuple[FloatArray, FloatArra
     """
     dt, v = PERIOD_S / FINER, np.gradient(x, PERIOD_S / FINER)
     masses = np.array([[MASS, -MASS * off_m], [-MASS * off_m, INERTIA + MASS * off_m**2]])
-    inverse = np.linalg.inv(masses).tolist()
-    z, theta, v_z, v_t = float(x[0]), 0.0, 0.0, 0.0
+    force, torque = _turned(x, v, dt, np.linalg.inv(masses), drag)
+    return force, torque
+
+
+@compiled
+def _turned(x: FloatArray, v: FloatArray, dt: float, inverse: FloatArray, drag: float) -> FloatArray:
+    """Return force and torque (2, n) for a flange at x with the speed v."""
+    z, theta, v_z, v_t = x[0], 0.0, 0.0, 0.0
     out = np.empty((2, len(x)))
-    for i, (at, speed) in enumerate(zip(x.tolist(), v.tolist(), strict=True)):
-        force = STIFFNESS * (z - at) + DAMPING * (v_z - speed)
+    for i in range(len(x)):
+        force = STIFFNESS * (z - x[i]) + DAMPING * (v_z - v[i])
         torque = TURNING * theta + TURNING_DAMPING * v_t
-        out[:, i] = force, torque
+        out[0, i], out[1, i] = force, torque
         down, back = -force - drag * v_z, -torque
-        v_z += dt * (inverse[0][0] * down + inverse[0][1] * back)
-        v_t += dt * (inverse[1][0] * down + inverse[1][1] * back)
+        v_z += dt * (inverse[0, 0] * down + inverse[0, 1] * back)
+        v_t += dt * (inverse[1, 0] * down + inverse[1, 1] * back)
         z, theta = z + dt * v_z, theta + dt * v_t
-    return out[0], out[1]
+    return out
 
 
 def logged(off_m: float, *, shows_torque: bool = True, drag: float = DRAG) -> JointData:
