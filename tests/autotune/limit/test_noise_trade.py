@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from autotune.limit.noise_trade import NoisePoint, trade_noise, trade_text
+from autotune.limit.noise_trade import FACTORS, NoisePoint, trade_noise, trade_text
 from autotune.tuning.search import solve_design
 from benchmarks.tuning_problems import draw_problem, paper_cell
 from problems.design.evaluation import build_scenarios
@@ -36,16 +36,18 @@ def test_the_sentence_names_the_factors_that_nothing_meets() -> None:
 
 
 @pytest.mark.parametrize(
-    "problem",
+    ("problem", "factors"),
     [
-        pytest.param(paper_cell((5e5, 5e5), (16.0, 16.0)), id="paper's cell"),
-        pytest.param(draw_problem(17), id="drawn 17"),
+        pytest.param(paper_cell((5e5, 5e5), (16.0, 16.0)), FACTORS, id="paper's cell"),
+        pytest.param(draw_problem(17), (0.5, 1.0, 5.0), id="drawn 17"),
     ],
 )
-def test_more_noise_softens_and_no_law_runs_ahead_of_its_approach(problem: DesignProblem) -> None:
+def test_more_noise_softens_and_no_law_runs_ahead_of_its_approach(
+    problem: DesignProblem, factors: tuple[float, ...]
+) -> None:
     """A search from nowhere gave drawn 17 246.7 N at the noise of a design of 187 N; a free |G| rose to 1.55."""
     found = solve_design(problem)
-    points = trade_noise(found, problem.bounds)
+    points = trade_noise(found, problem.bounds, factors=factors)
     peaks = [math.inf if each.peak_force_n is None else each.peak_force_n for each in points]
     assert peaks == sorted(peaks, reverse=True)
     assert peaks[1] <= found.evaluation.cost * 1.001
