@@ -22,7 +22,6 @@ from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption,
 from autotune.charts.chart import Chart
 from autotune.formats.controller import read_controller, write_controller
 from autotune.report import page as report_page
-from autotune.simulation.phases import Program
 from autotune.simulation.simulate import simulate_cell
 from autotune.simulation.truth import SimulatedCell
 from autotune.simulation.write import write_mcap
@@ -30,11 +29,10 @@ from autotune.simulation.write_bags import write_ros1_bag
 from identification.signals.recording import Recording
 from problems.model.controller import AdmittanceController
 from tests.autotune.cli.test_help import examples_in
-from tests.autotune.simulation.runs import shorten_logs
+from tests.autotune.simulation.runs import SHORT_LOG, shorten_logs
 from tests.autotune.tuning.cases import share_results, shorten_checks, small_controller
 from tests.conftest import RunCli
 
-SHORT = Program(pose_count=6, pose_hold_s=0.7, pose_move_s=0.6, jogging_s=0.0, sweep_s=5.0, contact_count=3)
 # What runs for ever, or whole chains that have tests of their own (test_explore, test_demo, test_warm).
 ELSEWHERE = {"explore", "demo", "warm"}
 # The same options with less work.
@@ -122,7 +120,7 @@ def _commands(pages: dict[str, str]) -> Iterator[str]:
 
 def _make_logs(folder: Path) -> None:
     """Write the logs that the pages name, all of one recording, and the keys of a signature."""
-    recording = simulate_cell(SimulatedCell(), SHORT, seed=2).recording
+    recording = simulate_cell(SimulatedCell(), SHORT_LOG, seed=2).recording
     write_mcap(recording, folder / "run7.mcap")
     (folder / "logs" / "press").mkdir(parents=True)
     shutil.copy(folder / "run7.mcap", folder / "logs" / "press" / "run7.mcap")
@@ -158,7 +156,7 @@ def _record_with_the_controller(folder: Path) -> None:
         lead_s=gains.lead_s,
         feedback_damping_s=gains.feedback_damping_s,
     )
-    recording = simulate_cell(replace(SimulatedCell(), controller=controller), SHORT, seed=3).recording
+    recording = simulate_cell(replace(SimulatedCell(), controller=controller), SHORT_LOG, seed=3).recording
     write_mcap(recording, folder / "run8.mcap")
     shutil.copy(folder / "run8.mcap", folder / "first_contacts.mcap")
 

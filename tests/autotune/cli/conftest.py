@@ -1,21 +1,24 @@
 """Logs of simulated cells, good and unusable, each written once."""
 
+import contextlib
+import io
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from autotune.cli.main import main
 from autotune.simulation.phases import Program
 from autotune.simulation.simulate import simulate_cell
 from autotune.simulation.truth import SimulatedCell
 from autotune.simulation.write import write_mcap
 from identification.signals.recording import Recording
+from tests.autotune.simulation.runs import SHORT_LOG
 from tests.autotune.tuning.cases import PURE, share_results
 
-SHORT = Program(pose_count=6, pose_hold_s=0.7, pose_move_s=0.6, jogging_s=0.0, sweep_s=5.0, contact_count=2)
-NO_CONTACT = replace(SHORT, contact_count=0)
-ONE_POSE = replace(SHORT, pose_count=1, contact_count=1)
+NO_CONTACT = replace(SHORT_LOG, contact_count=0)
+ONE_POSE = replace(SHORT_LOG, pose_count=1, contact_count=1)
 
 
 def recorded(program: Program) -> Recording:
@@ -41,8 +44,19 @@ def _shared_results(monkeypatch: pytest.MonkeyPatch) -> None:
 def good_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A short log that holds all that `identify` needs."""
     path = tmp_path_factory.mktemp("good") / "cell.mcap"
-    write_mcap(recorded(SHORT), path)
+    write_mcap(recorded(SHORT_LOG), path)
     return path
+
+
+@pytest.fixture(scope="session")
+def identified_page(tmp_path_factory: pytest.TempPathFactory, good_log: Path) -> Path:
+    """The folder in which `identify --report page.html --json` of the good log left its files and `printed.json`."""
+    folder, printed = tmp_path_factory.mktemp("identified"), io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, contextlib.chdir(folder), contextlib.redirect_stdout(printed):
+        share_results(patch)
+        assert main(["identify", str(good_log), "--report", "page.html", "--json"]) == 0
+    (folder / "printed.json").write_text(printed.getvalue(), encoding="utf-8")
+    return folder
 
 
 @pytest.fixture(scope="session")

@@ -13,7 +13,7 @@ from rosbags.typesys import Stores, get_typestore
 from autotune.simulation.simulate import simulate_cell
 from autotune.simulation.truth import SimulatedCell
 from autotune.simulation.write import write_mcap
-from tests.autotune.cli.conftest import SHORT
+from tests.autotune.simulation.runs import SHORT_LOG
 from tests.conftest import RunCli
 
 WRENCH = "/ft_sensor/wrench"
@@ -63,7 +63,7 @@ def test_the_log_and_its_annotations_have_the_same_times_and_forces(
 
 
 def test_times_are_those_of_the_log_where_the_pose_begins_later(run_cli: RunCli, tmp_path: Path) -> None:
-    recording = simulate_cell(SimulatedCell(), SHORT, seed=2).recording
+    recording = simulate_cell(SimulatedCell(), SHORT_LOG, seed=2).recording
     late = 1000  # samples, 0.8 s
     pose = recording.pose
     later = replace(

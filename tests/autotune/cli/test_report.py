@@ -35,14 +35,14 @@ def refused(capsys: pytest.CaptureFixture[str], arguments: list[str], code: int)
 
 
 def test_the_page_of_identify_is_that_of_its_file_and_log(
-    folder: Path, good_log: Path, capsys: pytest.CaptureFixture[str]
+    folder: Path, good_log: Path, identified_page: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["identify", str(good_log), "--report", "first.html", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["report"] == "first.html"
+    assert json.loads((identified_page / "printed.json").read_text(encoding="utf-8"))["report"] == "page.html"
+    shutil.copy(identified_page / "identified.yaml", folder)
     assert main(["report", "identified.yaml", str(good_log), "-o", "again.html", "--json"]) == 0
     tree = json.loads(capsys.readouterr().out)
     assert tree == {"report": "again.html", "files": {"identified.yaml": "identified", str(good_log): "log"}}
-    text = (folder / "first.html").read_text(encoding="utf-8")
+    text = (identified_page / "page.html").read_text(encoding="utf-8")
     # The numbers of the file are read to the last bit, so the page is the same to the last byte.
     assert text == (folder / "again.html").read_text(encoding="utf-8")
     check_page(text)

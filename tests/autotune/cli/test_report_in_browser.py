@@ -47,15 +47,13 @@ def overlaps(texts: list[tuple[str, float, float, float, float]]) -> list[tuple[
 
 
 @pytest.fixture(scope="module")
-def pages(tmp_path_factory: pytest.TempPathFactory, good_log: Path) -> dict[str, Path]:
+def pages(tmp_path_factory: pytest.TempPathFactory, identified_page: Path) -> dict[str, Path]:
     """The page of a log and that of a controller, written by the commands."""
     folder = tmp_path_factory.mktemp("pages")
-    reported, controller = folder / "identified.yaml", folder / "controller.yaml"
+    controller, out = folder / "controller.yaml", folder / "report.html"
     write_controller(controller, small_controller())
-    out = {name: folder / f"{name}.html" for name in ("identify", "report")}
-    assert main(["identify", str(good_log), "-o", str(reported), "--report", str(out["identify"]), "--quiet"]) == 0
-    assert main(["report", str(controller), "--samples", "8", "-o", str(out["report"]), "--quiet"]) == 0
-    return out
+    assert main(["report", str(controller), "--samples", "8", "-o", str(out), "--quiet"]) == 0
+    return {"identify": identified_page / "page.html", "report": out}
 
 
 @pytest.mark.parametrize("name", ["identify", "report"])

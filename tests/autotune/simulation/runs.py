@@ -13,6 +13,8 @@ from problems.model.plant import Coupling, Environment
 from problems.model.robot import RobotModel
 
 SHORT = Program(pose_count=3, pose_hold_s=0.4, jogging_s=6.0, sweep_s=3.0, contact_count=2)
+SHORT_LOG = Program(pose_count=6, pose_hold_s=0.7, pose_move_s=0.6, jogging_s=0.0, sweep_s=5.0, contact_count=2)
+"""20 s: enough to identify all that the usual program shows."""
 TWO_POLES = RobotModel(numerator=np.array([900.0]), denominator=np.array([1.0, 42.0, 900.0]), delay_s=2.0e-3)
 
 
@@ -70,6 +72,5 @@ def silent_short_run(axis: str) -> CellRun:
 
 
 def shorten_logs(patch: pytest.MonkeyPatch) -> None:
-    """Leave the program of `simulate_log` 20 s: enough to identify all that the usual one shows."""
-    program = Program(pose_count=6, pose_hold_s=0.7, pose_move_s=0.6, jogging_s=0.0, sweep_s=5.0, contact_count=3)
-    patch.setattr("autotune.simulation.phases.Program", lambda: program)
+    """Leave the program of `simulate_log` its short form."""
+    patch.setattr("autotune.simulation.phases.Program", lambda: SHORT_LOG)
