@@ -19,7 +19,7 @@ from identification.payload.turning import turning_force
 from identification.signals.segments import Span
 from problems.arrays import FloatArray
 from problems.compiled import compiled
-from tests.identification.joint_fit.test_extension import FINER, PERIOD_S, sweep
+from tests.identification.joint_fit.fine_cell import FINER, PERIOD_S, sweep
 
 STIFFNESS, DAMPING, DRAG, MASS = 3e5, 600.0, 20.0, 16.0
 OFF_M, INERTIA, TURNING, TURNING_DAMPING = 0.02, 0.25, 2.2e4, 8.0
