@@ -24,6 +24,7 @@ from problems.model.controller import AdmittanceController
 from problems.model.plant import FREE_SPACE, Plant
 from problems.model.sampled import build_sampled_plant
 from problems.stability.margins import UnstableLoopError, find_margins, frequency_grid
+from problems.stability.noise_spectrum import RelativeSpectrum
 
 from .balls import Balls, DualBall, as_series, at, ball, derivative_of, enclose_complex, number, on_circle, precise
 from .contact_loop import contact_loop
@@ -49,12 +50,16 @@ Cell = tuple[float, float, float, float]
 
 @dataclass(frozen=True, kw_only=True)
 class Asked:
-    """What cells are dropped for: modulus, least |G| [m/s/N] at frequencies, and noise of the command [m/s per N]."""
+    """What cells are dropped for: modulus, least |G| [m/s/N] at frequencies, and noise of the command [m/s per N].
+
+    The noise of the force is white unless it has a spectrum.
+    """
 
     modulus: float | None = None
     min_m_s_per_n: float | None = None
     band_rad_per_s: FloatArray = field(default_factory=lambda: np.zeros(0))
     noise_m_s_per_n: float | None = None
+    noise_spectrum: RelativeSpectrum | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -287,7 +292,8 @@ class _Search:
     def _is_noisy(self, cell: Cell) -> bool:
         """Return whether all laws make too much noise in the ticks before the robot answers.
 
-        The command's speed answers a unit of force by (1 + q)/2 times (K_l s + 1)/(M_a s + B_a), q = 1/z.
+        The command's speed answers a unit of force by (1 + q)/2 times (K_l s + 1)/(M_a s + B_a), q = 1/z. Noise of a
+        spectrum is white noise behind a causal filter.
         """
         if self.asked.noise_m_s_per_n is None:
             return False
@@ -295,7 +301,7 @@ class _Search:
         heavy = 2.0 * self.law.mass_kg / self.h
         over = heavy + low, heavy + high
         before = (2.0 * short / self.h + 1.0) / over[1], (2.0 * long / self.h + 1.0) / over[0]
-        power, total = (1.0, 1.0), (0.5 * before[0]) ** 2
+        power, answers = (1.0, 1.0), [(0.5 * before[0], 0.5 * before[1])]
         kept = self.law.mass_kg - long * high, self.law.mass_kg - short * low
         poles = (heavy - high) / over[1], (heavy - low) / over[0]
         if poles[0] < 0.0:
@@ -303,10 +309,25 @@ class _Search:
         for _ in range(self.sampled[0].chain_length):
             ends = [4.0 / self.h * k / o**2 * p for k in kept for o in over for p in power]
             now = min(ends), max(ends)
-            least, most = 0.5 * (before[0] + now[0]), 0.5 * (before[1] + now[1])
-            total += max(least, -most, 0.0) ** 2
+            answers.append((0.5 * (before[0] + now[0]), 0.5 * (before[1] + now[1])))
             before, power = now, (power[0] * poles[0], power[1] * poles[1])
+        if self.asked.noise_spectrum is not None:
+            answers = _filtered(answers, self.asked.noise_spectrum.pulse(self.h, len(answers)))
+        total = sum(max(least, -most, 0.0) ** 2 for least, most in answers)
         return math.sqrt(total) > self.asked.noise_m_s_per_n * _OUT
+
+
+def _filtered(answers: Sequence[tuple[float, float]], pulse: FloatArray) -> list[tuple[float, float]]:
+    """Return between what answers (n, 2), tick by tick, lie behind a filter with this pulse (n,)."""
+    between = np.array(answers)
+    ends = np.array(
+        [
+            np.convolve(gain, each)[: len(pulse)]
+            for gain in (np.maximum(pulse, 0.0), np.minimum(pulse, 0.0))
+            for each in between.T
+        ]
+    )
+    return list(zip(ends[0] + ends[3], ends[1] + ends[2], strict=True))
 
 
 def _values(ends: FloatArray, along: int) -> dict[int, DualBall]:

@@ -57,17 +57,18 @@ def limits_of(output: Output, found: "Optimized", *, with_trade: bool = False) -
     with output.progress("looking for the limit", len(found.searches) * (2.0 if with_trade else 1.0)) as advance:
         for name, search in found.searches.items():
             problem, law = search.problem, admittance_controller(found.controller, name)
+            choice = found.structures.get(name)
+            spectrum = None if choice is None else choice.measured.spectrum
             scenarios = [each.scenario() for each in found.controller.predicted[name].scenarios]
             try:
                 worst = hardest(problem, law, scenarios, 1, units=axis_units(name))
-                limit = find_limit(problem, law, worst, progress=advance)
+                limit = find_limit(problem, law, worst, spectrum=spectrum, progress=advance)
             except NoSolutionError as error:
                 output.note(f"The limit of axis {name} was not found: {error}")
                 continue
             # The trade is that of four gains, whatever the structure of the design.
-            choice = found.structures.get(name)
             bounds = problem.bounds if choice is None else choice.bounds
-            trade = trade_noise(search, bounds, progress=advance) if with_trade else ()
+            trade = trade_noise(search, bounds, spectrum=spectrum, progress=advance) if with_trade else ()
             limits[name] = replace(limit, trade=trade)
     return limits
 

@@ -135,7 +135,9 @@ def _found(
             worst = hardest(start.problem, law, start.scenarios, plants, units=axis_units(name))
             if given is not None:
                 _note_uncertified(output, given, name, worst)
-            found[name] = find_limit(start.problem, law, worst, noise_factor=noise, progress=portion)
+            found[name] = find_limit(
+                start.problem, law, worst, noise_factor=noise, spectrum=start.noise_spectrum, progress=portion
+            )
             portion.finish()
     return found
 

@@ -20,6 +20,7 @@ from autotune.prediction.as_run_by import designed_for, own_law_notes
 from autotune.tuning.bounds import Box
 from autotune.tuning.compare import start_design
 from autotune.tuning.coupled import TogetherAsked
+from autotune.tuning.noise_limit import find_noise_spectrum
 from autotune.tuning.optimize import carried_payload
 from autotune.tuning.problems import build_problems, within_domain
 from autotune.tuning.provenance import make_provenance
@@ -44,6 +45,7 @@ from problems.design.uncertainty import Scenario
 from problems.frozen import freeze
 from problems.model.controller import AdmittanceController
 from problems.progress import Progress, no_progress
+from problems.stability.noise_spectrum import RelativeSpectrum
 
 _GRID = (3, 2)
 _MOST_TIGHT, _MOST_HARD = 3, 1
@@ -59,13 +61,15 @@ ASKED_BY_HAND = "asked_by_hand"
 class AxisStart:
     """One axis: its problem, the design (n,) to start from, and the plants that designs are judged on while exploring.
 
-    `note` says why the start is not the best design, where it is not.
+    `note` says why the start is not the best design, where it is not; `noise_spectrum` is that of the sensor's noise
+    where the log shows that it is not white.
     """
 
     problem: DesignProblem
     design: FloatArray
     scenarios: tuple[Scenario, ...]
     note: str = ""
+    noise_spectrum: RelativeSpectrum | None = None
 
     def __post_init__(self) -> None:
         design = np.array(self.design, dtype=np.float64)
@@ -121,7 +125,13 @@ def _from_identified(path: Path, problem_path: Path | None, progress: Progress) 
     provenance = make_provenance(identified, problems, spec, 0, problem_path, None, ProofOptions())
     return Exploration(
         path=path,
-        axes={name: _searched(each, lambda done: progress(done / len(problems))) for name, each in problems.items()},
+        axes={
+            name: replace(
+                _searched(each, lambda done: progress(done / len(problems))),
+                noise_spectrum=find_noise_spectrum(identified.result, name),
+            )
+            for name, each in problems.items()
+        },
         payload=payload,
         provenance=_by_hand(provenance),
         strategies=strategy_settings(identified.result, spec),

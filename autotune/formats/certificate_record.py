@@ -297,6 +297,10 @@ _Target = (
                 "max_speed_rms_m_s": _ABOVE_ZERO,
                 "force_noise_rms_n": Rule(minimum=0),
                 "position_noise_rms_m": Rule(minimum=0),
+                "noise_spectrum": Rule(
+                    description="How the force's noise is spread over frequency (one-sided density, any unit); white "
+                    "without it",
+                ),
             },
             required=["max_speed_rms_m_s", "force_noise_rms_n"],
         ),
@@ -310,12 +314,12 @@ Requirement = Annotated[
     float | bool | _Target,
     Rule(
         description="a number, true or false, {min_m_s_per_n, band_hz}, {max_speed_rms_m_s, force_noise_rms_n, "
-        "position_noise_rms_m}, {passive_below_hz}, {min_modulus, points}, {max_force_n, speed_m_s, hand} or "
-        "{min_modulus, mass_kg, damping_n_s_per_m, stiffness_n_per_m}",
+        "position_noise_rms_m, noise_spectrum}, {passive_below_hz}, {min_modulus, points}, {max_force_n, speed_m_s, "
+        "hand} or {min_modulus, mass_kg, damping_n_s_per_m, stiffness_n_per_m}",
         turning=Rule(
             description="a number, true or false, {min_rad_s_per_n_m, band_hz}, {max_speed_rms_rad_s, "
-            "torque_noise_rms_n_m, angle_noise_rms_rad}, {passive_below_hz}, {min_modulus, points}, {max_torque_n_m, "
-            "speed_rad_s, hand, hand_inertia_kg_m2} or "
+            "torque_noise_rms_n_m, angle_noise_rms_rad, noise_spectrum}, {passive_below_hz}, {min_modulus, points}, "
+            "{max_torque_n_m, speed_rad_s, hand, hand_inertia_kg_m2} or "
             "{min_modulus, inertia_kg_m2, damping_n_m_s_per_rad, stiffness_n_m_per_rad}"
         ),
     ),

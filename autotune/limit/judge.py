@@ -13,6 +13,7 @@ from problems.model.response import free_space_admittance, loop_response
 from problems.model.sampled import Controller, SampledPlant, build_loop, spectral_radius
 from problems.stability.margins import RawMargins, UnstableLoopError, frequency_grid, margins_on_grid
 from problems.stability.noise import command_speed_gain
+from problems.stability.noise_spectrum import RelativeSpectrum
 
 _GRID = 600
 
@@ -42,12 +43,16 @@ class ReachedPeak:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LoopJudge:
-    """Looks at a controller on the exact loops of all plants, with none of the convex program's numbers."""
+    """Looks at a controller on the exact loops of all plants, with none of the convex program's numbers.
+
+    The noise of the force is white unless it has a `spectrum`.
+    """
 
     pairs: tuple[SampledContact, ...]
     approach: Approach
     band_rad_per_s: FloatArray
     at_contact: bool
+    spectrum: RelativeSpectrum | None = None
 
     def __call__(self, law: Controller) -> ReachedPeak:
         """Return what it reaches; raises UnstableLoopError where a loop is unstable."""
@@ -61,7 +66,7 @@ class LoopJudge:
             gain_db=float(margins[1]),
             phase_deg=float(margins[2]),
             delay_s=float(margins[3]),
-            noise_m_s_per_n=max(command_speed_gain(plant, law) for plant in plants),
+            noise_m_s_per_n=max(command_speed_gain(plant, law, self.spectrum) for plant in plants),
             min_m_s_per_n=min(
                 float(np.min(np.abs(free_space_admittance(pair.free, law, self.band_rad_per_s)))) for pair in self.pairs
             ),

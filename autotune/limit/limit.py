@@ -30,6 +30,7 @@ from problems.model.linear_controllers import LinearController
 from problems.model.sampled import build_loop, build_sampled_plant
 from problems.progress import no_progress
 from problems.stability.margins import UnstableLoopError
+from problems.stability.noise_spectrum import RelativeSpectrum
 
 from .judge import LoopJudge, ReachedPeak
 from .noise_trade import NoisePoint
@@ -207,12 +208,14 @@ def find_limit(
     scenarios: Sequence[Scenario],
     *,
     noise_factor: float = 1.0,
+    spectrum: RelativeSpectrum | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> LimitResult:
     """Return how near `law` is to the limit over `scenarios`, the hardest contact first.
 
     All controllers approach with the speed of the law, meet the modulus and the free-space admittance of the problem,
     and have at most `noise_factor` times the noise of the law, or of what the problem allows where it limits the noise.
+    The force's noise is that of the limit; where nothing limits it, of a `spectrum`, or white.
     Raises InfeasibleError where the law itself is unstable on one of the plants.
     """
     report = progress or no_progress
@@ -221,18 +224,21 @@ def find_limit(
     )
     at_contact = not isinstance(problem.objective, PeakObjective) or problem.objective.place == "contact"
     requirements, target = problem.requirements, problem.requirements.free_space_admittance
+    if (allowed := requirements.command_noise) is not None:
+        spectrum = allowed.noise_spectrum
     band = np.zeros(0) if target is None else band_frequencies(pairs[0].contact.plant.robot, target.band_hz)
     judge = LoopJudge(
         pairs=pairs,
         approach=problem.approach,
         band_rad_per_s=band if len(band) else np.array([2.0 * math.pi]),
         at_contact=at_contact,
+        spectrum=spectrum,
     )
     try:
         design = judge(law)
     except UnstableLoopError as error:
         raise InfeasibleError(f"The design is unstable on a plant of the set ({error}), so it has no peak.") from error
-    noise, allowed = design.noise_m_s_per_n, problem.requirements.command_noise
+    noise = design.noise_m_s_per_n
     if allowed is not None and allowed.force_noise_rms_n:
         noise = allowed.max_speed_rms_m_s / allowed.force_noise_rms_n
     noise *= noise_factor
@@ -243,6 +249,7 @@ def find_limit(
         noise_m_s_per_n=noise,
         driving_force_n=design.trace.driving_force_n,
         at_contact=at_contact,
+        spectrum=spectrum,
     )
     attained, controller, bound = _solve(pairs, law, problem.approach, asked, judge, design.peak_force_n, report)
     two_gains = None
@@ -301,6 +308,7 @@ def _bound_two_gains(
         min_m_s_per_n=asked.min_m_s_per_n,
         band_rad_per_s=asked.band_rad_per_s,
         noise_m_s_per_n=asked.noise_m_s_per_n,
+        noise_spectrum=asked.spectrum,
     )
     bounds = problem.bounds["damping"], problem.bounds["lead_s"]
     try:

@@ -10,6 +10,7 @@ from problems.arrays import FloatArray
 from problems.design.problem import NoiseLimit
 from problems.model.controller import AdmittanceController
 from problems.progress import no_progress
+from problems.stability.noise_spectrum import RelativeSpectrum
 
 FACTORS = (0.5, 1.0, 2.0, 5.0)
 
@@ -53,23 +54,32 @@ def trade_noise(
     bounds: Mapping[str, tuple[float, float]],
     *,
     factors: Sequence[float] = FACTORS,
+    spectrum: RelativeSpectrum | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> tuple[NoisePoint, ...]:
     """Search four gains for each of `factors` times the noise that the design found makes.
 
     Everything else is asked as of that design, the admittance's peak too, and `bounds`, those of four gains, are
-    loosened as `optimize` does where the noise is limited. The pose's noise counts where it did.
+    loosened as `optimize` does where the noise is limited. The pose's noise counts where it did, and the
+    force's with the spectrum that the limit has, or with `spectrum` where nothing is limited.
     """
-    report, present = progress or no_progress, equal_noise(found)
+    known_noise = found.problem.requirements.command_noise
+    if known_noise is not None:
+        spectrum = known_noise.noise_spectrum
+    report, present = progress or no_progress, equal_noise(found, spectrum)
     gains = without_rise(found, replace(found.problem, bounds=bounds))
-    known_noise = gains.requirements.command_noise
     of_pose = None
     if known_noise is not None and known_noise.position_noise_rms_m and known_noise.force_noise_rms_n:
         of_pose = known_noise.position_noise_rms_m / known_noise.force_noise_rms_n
     known = [found.design] if gains.variables == found.problem.variables else list[FloatArray]()
     points = list[NoisePoint]()
     for factor in factors:
-        limit = NoiseLimit(max_speed_rms_m_s=factor * present, force_noise_rms_n=1.0, position_noise_rms_m=of_pose)
+        limit = NoiseLimit(
+            max_speed_rms_m_s=factor * present,
+            force_noise_rms_n=1.0,
+            position_noise_rms_m=of_pose,
+            noise_spectrum=spectrum,
+        )
         requirements = replace(gains.requirements, command_noise=limit)
         asked = replace(gains, bounds=loosened_bounds(gains), requirements=requirements)
         # A law that is quiet enough for less noise is one for more.

@@ -18,6 +18,7 @@ from scipy.linalg import null_space, toeplitz
 from problems.arrays import ComplexArray, FloatArray
 from problems.errors import AutotuneError
 from problems.model.response import plant_response
+from problems.stability.noise_spectrum import RelativeSpectrum
 
 from .signals import ContactSignals
 from .youla import YoulaBasis
@@ -45,8 +46,8 @@ class EqualDemands:
     """What the controllers that are compared have in common.
 
     The `modulus` of every loop; |G| ≥ `min_m_s_per_n` over `band_rad_per_s` (k,), None
-    where nothing is asked; the RMS of the commanded speed per RMS of force noise at most `noise_m_s_per_n`; F^d
-    `driving_force_n`.
+    where nothing is asked; the RMS of the commanded speed per RMS of force noise at most `noise_m_s_per_n`, white
+    noise unless it has a `spectrum`; F^d `driving_force_n`.
     """
 
     modulus: float
@@ -55,6 +56,7 @@ class EqualDemands:
     noise_m_s_per_n: float
     driving_force_n: float
     at_contact: bool
+    spectrum: RelativeSpectrum | None = None
 
 
 class ConvexStep:
@@ -175,7 +177,7 @@ class ConvexStep:
         """Return that the RMS of the commanded speed is within its limit in every loop, that of the first exactly."""
         limit, constraints = self.asked.noise_m_s_per_n / _RESERVE, []
         for j in range(2 * len(self.plants)):
-            rows, offset = noise_rows(self.basis, self.plants, theta, j, self.h)
+            rows, offset = noise_rows(self.basis, self.plants, theta, j, self.h, self.asked.spectrum)
             # A norm of many rows is that of their triangle.
             both = np.column_stack([rows @ self.directions, offset + rows @ theta])
             triangle = np.asarray(np.linalg.qr(both, mode="r"), dtype=np.float64) / limit
@@ -189,7 +191,12 @@ def _modulus(y: cp.Variable, at: ComplexArray, moves: ComplexArray) -> Any:
 
 
 def noise_rows(
-    basis: YoulaBasis, plants: tuple[ContactSignals, ...], theta: FloatArray, j: int, h: float
+    basis: YoulaBasis,
+    plants: tuple[ContactSignals, ...],
+    theta: FloatArray,
+    j: int,
+    h: float,
+    spectrum: RelativeSpectrum | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Return rows and offset whose norm at x is the RMS of the commanded speed per newton in loop `j`.
 
@@ -202,6 +209,8 @@ def noise_rows(
     other = plants[j % len(plants)].response(omega, free=j >= len(plants))
     f = 1.0 - (first - other) * (q @ theta)
     speed = (1.0 - 1.0 / z) / h / np.sqrt(_NOISE_POINTS)
+    if spectrum is not None:
+        speed = speed * np.sqrt(spectrum.beside_white(omega / (2.0 * np.pi), h))
     slope = (speed / f**2)[:, None] * q
     offset = speed * (q @ theta) / f - slope @ theta
     return np.vstack([slope.real, slope.imag]), np.concatenate([offset.real, offset.imag])
@@ -290,6 +299,9 @@ def lower_bound(plant: ContactSignals, asked: EqualDemands, ticks: int) -> Lower
     forces = _SCALE_M_PER_N * toeplitz(np.convolve(pulse, wall)[:ticks], zero)
     loop = _SCALE_M_PER_N * toeplitz(plant.force_pulse[:ticks], zero)
     speed = _SCALE_M_PER_N / h / asked.noise_m_s_per_n * (np.eye(ticks) - np.eye(ticks, k=-1))
+    if asked.spectrum is not None:
+        # Noise of a spectrum is white noise behind a causal filter: of its first ticks the first of both make it.
+        speed = toeplitz(asked.spectrum.pulse(h, ticks), zero) @ speed
     x, peak, inputs = cp.Variable(ticks), cp.Variable(), list[FloatArray]()
     best = 0.0
     for _ in range(_ROUNDS):

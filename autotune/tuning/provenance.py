@@ -21,8 +21,7 @@ from problems.design.uncertainty import MASS, STIFFNESS
 
 from .compliance import Compliance, compliance_tree
 from .defaults import DefaultAdmittance
-from .noise_limit import jitter_notes
-from .noise_spectrum import spectrum_notes
+from .noise_limit import jitter_notes, spectrum_notes
 from .optimality_report import optimality_tree
 from .plausible import doubtful_ranges, left_out_contacts, left_out_tree
 from .problems import has_no_weight, is_identified_mass, payload_word
@@ -67,7 +66,7 @@ def design_notes(
             "that is not late is not computed by this release."
         )
     yield from jitter_notes(problems, plant.result, spec)
-    yield from spectrum_notes(controller, problems, plant.result)
+    yield from spectrum_notes(controller, problems)
     yield from residual_notes(controller, problems)
     for name, problem in problems.items():
         yield from doubtful_ranges(problem, plant.result.axes[name], name)

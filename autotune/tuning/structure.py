@@ -15,17 +15,17 @@ from problems.contact.transient import build_sampled_contact, simulate_contact
 from problems.design.evaluation import build_scenarios
 from problems.design.hand import HandImpedance
 from problems.design.problem import BIQUAD_VARIABLES, DesignProblem, NoiseLimit, biquad_bounds
-from problems.design.requirements import AdmittancePeak, HeldByHand
+from problems.design.requirements import AdmittancePeak, HeldByHand, NoiseRequirement
 from problems.design.requirements.held_by_hand import HeldByHandRequirement
 from problems.model.plant import FREE_SPACE
-from problems.model.sampled import build_loop, build_sampled_plant, position_input
-from problems.stability.noise import speed_rms
+from problems.model.sampled import build_sampled_plant
+from problems.stability.noise_spectrum import RelativeSpectrum
 
 from .bounds import loosened_bounds
-from .noise_limit import find_position_noise, find_sensor_noise, jitter_speed
+from .noise_limit import UNKNOWN, NoiseOf, jitter_speed, measured_noise
 from .record import certified_hand
 from .search import SearchResult, solve_design
-from .structure_choice import PRICE, UNKNOWN, NoiseOf, StructureChoice
+from .structure_choice import PRICE, StructureChoice
 
 _ORDER: tuple[Structure, ...] = ("gains", "noise", "biquad")
 DEFAULT: Structure = "noise"
@@ -66,7 +66,7 @@ class StructureSearch:
         for name, each in plain.items():
             hand = certified_hand(name, each.problem)
             said = self._said_turning if name in ROTATIONAL_AXES else self._said
-            noise = NoiseOf(find_sensor_noise(self._identified, name), find_position_noise(self._identified, name))
+            noise = measured_noise(self._identified, name)
             if noise.position and not noise.force and each.problem.requirements.command_noise is None:
                 # B_fb brings the pose's noise into the command, and there is nothing to weigh it against.
                 found[name] = each
@@ -108,7 +108,7 @@ def choose_structure(
     taken.
     """
     asked, jitter = plain.problem.requirements.command_noise, None
-    gains = equal_noise(plain) if asked is None else math.nan
+    gains = equal_noise(plain, measured.spectrum) if asked is None else math.nan
     if asked is not None:
         noise = asked.max_speed_rms_m_s / (asked.force_noise_rms_n or math.nan)
     else:
@@ -136,7 +136,9 @@ def choose_structure(
         is_asked=asked is not None,
         counts_pose=counts_pose,
         gains_m_s_per_n=gains,
-        total_m_s_per_n=_largest_noise(plain, (measured.position or 0.0) / (measured.force or math.inf)),
+        total_m_s_per_n=_largest_noise(
+            plain, measured.spectrum, (measured.position or 0.0) / (measured.force or math.inf)
+        ),
         jitter_m_s_per_n=jitter,
         approach_m_s=_approach_speed(plain),
         measured=measured,
@@ -236,6 +238,7 @@ def limited_problem(
             max_speed_rms_m_s=float(f"{rms * noise_m_s_per_n:.6g}"),
             force_noise_rms_n=rms,
             position_noise_rms_m=measured.position if measured.force else None,
+            noise_spectrum=measured.spectrum if measured.force else None,
         )
         asked = replace(asked, command_noise=limit)
     target = asked.free_space_admittance
@@ -288,24 +291,27 @@ def _least_held(found: SearchResult, hand: HeldByHand) -> float:
     return min(kind.achieved(hand, design, row) for row in range(kind.count(prepared)))
 
 
-def equal_noise(found: SearchResult) -> float:
-    """Return the largest noise [m/s per N] of a design over its plants, in contact and free, rounded up by a hair."""
-    return float(f"{_largest_noise(found) * (1.0 + _ROUNDED):.6g}")
+def equal_noise(found: SearchResult, spectrum: RelativeSpectrum | None = None) -> float:
+    """Return the largest noise [m/s per N] of a design over its plants, in contact and free, rounded up by a hair.
+
+    That of the force is white unless it has a spectrum.
+    """
+    return float(f"{_largest_noise(found, spectrum) * (1.0 + _ROUNDED):.6g}")
 
 
-def _largest_noise(found: SearchResult, position_per_force: float = 0.0) -> float:
+def _largest_noise(found: SearchResult, spectrum: RelativeSpectrum | None, position_per_force: float = 0.0) -> float:
     """Return it [m/s per N], where the pose's noise is so much [m/N] of the sensor's."""
+    limit = NoiseLimit(
+        max_speed_rms_m_s=1.0,
+        force_noise_rms_n=1.0,
+        position_noise_rms_m=position_per_force,
+        noise_spectrum=spectrum,
+    )
     problem, law = found.problem, found.problem.controller(found.design)
     plants = [problem.plant(each) for each in found.active.scenarios]
-    most = 0.0
-    for plant in (*plants, *(each.in_contact_with(FREE_SPACE) for each in plants)):
-        sampled = build_sampled_plant(plant, problem.sample_time_s)
-        loop = build_loop(sampled, law)
-        noises = [(loop.b, loop.d_command, 1.0)]
-        if position_per_force:
-            noises.append((*position_input(sampled, law), position_per_force))
-        most = max(most, speed_rms(loop, noises))
-    return most
+    free = [each.in_contact_with(FREE_SPACE) for each in plants]
+    h = problem.sample_time_s
+    return max(NoiseRequirement().verified(limit, build_sampled_plant(each, h), law) for each in (*plants, *free))
 
 
 def _approach_speed(found: SearchResult) -> float:

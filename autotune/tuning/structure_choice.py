@@ -3,24 +3,14 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 from autotune.formats.problem import Structure
 from autotune.formats.units import axis_units
 from problems.design.problem import DesignProblem
 from problems.design.requirements import HeldByHand
 
-from .noise_limit import jitter_source
+from .noise_limit import UNKNOWN, NoiseOf, jitter_source
 
-
-class NoiseOf(NamedTuple):
-    """RMS of the measured noise of a sensor [N, N·m] and of the pose [m, rad], None where it is not known."""
-
-    force: float | None
-    position: float | None
-
-
-UNKNOWN = NoiseOf(None, None)
 PRICE = 0.01
 """The share of the objective that a structure must save beside the simpler one, or the simpler one is kept."""
 _HELD = "held_by_hand"

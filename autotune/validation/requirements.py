@@ -33,6 +33,7 @@ from problems.model.plant import FREE_SPACE, Plant, WrenchFilter, build_plant_ma
 from problems.model.robot import RobotModel
 from problems.model.sampled import Controller as LoopController
 from problems.model.sampled import build_sampled_plant
+from problems.stability.noise_spectrum import RelativeSpectrum
 
 from .certified_requirements import asked_of, certified_problem_requirements, describe_soft
 from .margins import SweptMargins
@@ -257,17 +258,29 @@ def worst_noise(asked: NoiseLimit, plants: Sequence[Plant], law: AdmittanceContr
     both = tuple(dict.fromkeys((*plants, *(plant.in_contact_with(FREE_SPACE) for plant in plants))))
     # What is not asked is not followed: a noise of zero.
     count = len(both) if asked.position_noise_rms_m else 0
-    found = speed_rms((*both, *both[:count]), law, sample_time_s, on_position=np.repeat([0.0, 1.0], [len(both), count]))
+    found = speed_rms(
+        (*both, *both[:count]),
+        law,
+        sample_time_s,
+        on_position=np.repeat([0.0, 1.0], [len(both), count]),
+        spectrum=asked.noise_spectrum,
+    )
     return float(np.max(asked.speed_rms_m_s(found[: len(both)], found[len(both) :] if count else 0.0)))
 
 
 def speed_rms(
-    plants: Sequence[Plant], law: AdmittanceController, sample_time_s: float, *, on_position: FloatArray | float = 0.0
+    plants: Sequence[Plant],
+    law: AdmittanceController,
+    sample_time_s: float,
+    *,
+    on_position: FloatArray | float = 0.0,
+    spectrum: RelativeSpectrum | None = None,
 ) -> FloatArray:
     """Return the RMS of the commanded speed (p,) per RMS of white noise on the force, or the position that is read.
 
     It is on the position where `on_position` (p,) is 1. The squares of the response to a single tick of it add up to
-    the variance under noise. Each plant touches all the time if it touches at all; the loops must be stable.
+    the variance under noise; where the force's has a `spectrum`, those of its transform do, weighed by that. Each
+    plant touches all the time if it touches at all; the loops must be stable.
     """
     h, of_force, of_position = sample_time_s, 1.0 - np.asarray(on_position), on_position
     plant = _Plants(plants, h)
@@ -276,6 +289,7 @@ def speed_rms(
     gains, step = equation_gains(law, h), cast(Any, difference_step)
     direct = gains.gain * gains.now_weight / gains.new * gains.b_0
     last = squares = np.zeros(len(plants))
+    moves = list[FloatArray]()
     for k in range(max(settling_samples(each, law, h, _SHORTEST_S) for each in dict.fromkeys(plants))):
         tick = 1.0 if k == 0 else 0.0
         force, position = plant.force() + of_force * tick, plant.position() + of_position * tick
@@ -283,9 +297,24 @@ def speed_rms(
             tried = step(gains, past, force, position, False).sent
             force = force + plant.direct * tried / (1.0 - direct * plant.direct)
         past = step(gains, past, force, position, False)
+        if spectrum is not None:
+            moves.append(past.sent - last)
         squares, last = squares + (past.sent - last) ** 2, past.sent
         plant.advance(past.sent)
+    if spectrum is not None:
+        squares = np.where(of_force > 0.0, _weighed_squares(np.array(moves), spectrum, h), squares)
     return np.sqrt(squares) / h
+
+
+def _weighed_squares(moves: FloatArray, spectrum: RelativeSpectrum, h: float) -> FloatArray:
+    """Return the variance (p,) of the responses (n, p) to a tick of noise under noise of a spectrum, by Parseval."""
+    # So long that what the noise remembers beyond it is nothing.
+    count = 2 ** math.ceil(math.log2(2.0 * len(moves)))
+    frequency = np.fft.rfftfreq(count, h).astype(np.float64)
+    power = np.abs(np.fft.rfft(moves, count, axis=0)) ** 2
+    # Each frequency but the first and the last stands for that below zero too.
+    power[1:-1] *= 2.0
+    return np.asarray(spectrum.beside_white(frequency, h) @ power / count)
 
 
 class _Plants:

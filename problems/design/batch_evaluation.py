@@ -16,7 +16,6 @@ from ..arrays import FloatArray, IntArray
 from ..contact.transient import Approach, SampledContact, longest_run
 from ..errors import ParameterError
 from ..model.controller import THETA, AdmittanceController
-from ..model.response import PlantResponse
 from ..model.sampled import SampledPlant, build_loop, spectral_radius
 from ..stability.margin_kernel import DELAY_S, GAIN_DB, MARGINS, MODULUS, PHASE_RAD
 from ..stability.margins import check_finite
@@ -36,6 +35,7 @@ from .batch_kernel import (
     Contacts,
     Loops,
     Plants,
+    Spectrum,
     evaluate_designs,
     find_contact_peaks,
     find_moduli,
@@ -44,9 +44,20 @@ from .batch_kernel import (
     stack_grids,
     stack_loops,
     stack_responses,
+    times_spectral_ratios,
 )
 from .batch_result import BatchEvaluation, Places
-from .batch_stacks import HELD, LED, hands_of, led_limit, stack_held, stack_judged, stack_led
+from .batch_stacks import (
+    HELD,
+    LED,
+    hands_of,
+    led_limit,
+    stack_band,
+    stack_held,
+    stack_judged,
+    stack_led,
+    stack_spectrum,
+)
 from .evaluation import Evaluation, PreparedScenarios
 from .nearby_kernel import evaluate_beside, find_moduli_beside
 from .objectives import admittance_target
@@ -93,7 +104,8 @@ class BatchEvaluator:
     """Prepared scenarios as the compiled loop takes them; `slow` are requirements that it does not know.
 
     `held` are all plants in all hands, one plant after the other, where a modulus with a hand is asked for; `led` the
-    contacts that are led by hand where their peak is limited, those without the hand's mass first.
+    contacts that are led by hand where their peak is limited, those without the hand's mass first; `spectrum` the
+    noise of the force that is limited where it is not white.
 
     With a `goal` that requirement is minimised in place of the objective, see `BatchEvaluation.towards`, and every
     design is evaluated in full; contacts are simulated only where a requirement asks for their peaks.
@@ -107,6 +119,7 @@ class BatchEvaluator:
     slow: tuple[str, ...]
     held: Plants | None = None
     led: tuple[Loops, Contacts] | None = None
+    spectrum: Spectrum | None = None
     goal: str | None = None
 
     def evaluate(
@@ -233,11 +246,16 @@ class BatchEvaluator:
         sampling: tuple[float, float, bool],
     ) -> None:
         """Write the command's noise of the designs that are looked at."""
-        asked = self.prepared.problem.requirements
-        loops, _, _ = self.plants
+        asked, (loops, _, _), numbers = self.prepared.problem.requirements, self.plants, numbers[looked_at]
         speeds = np.empty((len(looked_at), len(self.prepared.plants)))
-        noises = limit.force_noise_rms_n or 0.0, limit.position_noise_rms_m or 0.0
-        find_speed_noises(loops, numbers[looked_at], sampling, noises, speeds)
+        force, position = limit.force_noise_rms_n or 0.0, limit.position_noise_rms_m or 0.0
+        if self.spectrum is None:
+            find_speed_noises(loops, numbers, sampling, (force, position), speeds)
+        else:
+            find_speed_noises(loops, numbers, sampling, (force, 0.0), speeds)
+            times_spectral_ratios(self.spectrum, numbers, sampling, speeds)
+            find_speed_noises(loops, numbers, sampling, (0.0, position), of_position := np.empty_like(speeds))
+            np.hypot(speeds, of_position, out=speeds)
         rows = found.soft_rows if _NOISE in asked.soft_n else found.rows
         rows[_NOISE][looked_at] = speeds / limit.max_speed_rms_m_s
         for i in looked_at[np.isnan(speeds).any(axis=1)].tolist():
@@ -394,13 +412,14 @@ def build_batch_evaluator(prepared: PreparedScenarios) -> BatchEvaluator:
     wanted = None if "free_space_admittance" in asked.soft_n else asked.free_space_admittance
     crosses = any(getattr(asked, name) is not None for name in _CROSSOVERS)
     rise = asked.threshold(_RISE) if _RISE in asked.asked() else math.inf
+    responses = stack_responses(prepared.plants)
     return BatchEvaluator(
         prepared=prepared,
-        plants=(stack_loops(sampled), stack_responses(prepared.plants), stack_grids(prepared.plants)),
+        plants=(stack_loops(sampled), responses, stack_grids(prepared.plants)),
         contacts=stack_contacts(prepared.pairs),
         bands=(
-            _band([] if target is None else [target]),
-            _band(peak_responses(prepared) if _RISE in asked.asked() else []),
+            stack_band([] if target is None else [target]),
+            stack_band(peak_responses(prepared) if _RISE in asked.asked() else []),
         ),
         required=(
             margins,
@@ -411,6 +430,7 @@ def build_batch_evaluator(prepared: PreparedScenarios) -> BatchEvaluator:
         slow=tuple(name for name in asked.asked() if name not in _FAST),
         held=stack_held(prepared) if HELD in asked.asked() else None,
         led=stack_led(prepared) if LED in asked.asked() else None,
+        spectrum=stack_spectrum(asked.command_noise, responses, prepared.problem.sample_time_s),
     )
 
 
@@ -427,18 +447,3 @@ def batch_led_peaks(
     for j in np.flatnonzero(np.isnan(out).any(axis=0)).tolist():
         out[:, j] = led_peaks(contacts[j], law, approaches)
     return out
-
-
-def _band(responses: Sequence[PlantResponse]) -> Band:
-    """Return responses one after the other; of the wrench's filter |G| needs |F_m/F| alone."""
-    if not responses:
-        return np.zeros(0), np.zeros(0, dtype=np.complex128), np.zeros(0, dtype=np.complex128)
-    return (
-        np.concatenate([each.frequency_rad_per_s * _wrench_gain(each) for each in responses]),
-        np.concatenate([each.z for each in responses]),
-        np.concatenate([each.position for each in responses]),
-    )
-
-
-def _wrench_gain(target: PlantResponse) -> FloatArray | float:
-    return 1.0 if target.wrench is None else np.abs(target.wrench)

@@ -40,9 +40,10 @@ from ..stability.margin_kernel import (
     WITH_CROSSOVERS,
     PolynomialLoop,
     find_loop_margins,
+    plant_at,
 )
 from ..stability.margins import PreparedMargins, loop_polynomials
-from ..stability.polynomial_noise import command_speed_rms
+from ..stability.polynomial_noise import command_speed_rms, controller_at, spectral_ratio
 from ..stability.polynomials import (
     CONTROLLER_POWERS,
     DOUBTFUL,
@@ -67,6 +68,9 @@ Contacts = tuple[
 Plants = tuple[Loops, FloatArray, Grids]
 # ω, z and x/x^d over the band of the admittance, or over all frequencies, the lowest first.
 Band = tuple[FloatArray, ComplexArray, ComplexArray]
+# Of noise that is not white tan(ωh/2), its power and that of white noise (k,), both times the square of speed per
+# command, F/x^d and x/x^d (p, k).
+Spectrum = tuple[FloatArray, tuple[FloatArray, FloatArray], ComplexArray, ComplexArray]
 
 # Columns of a pair of controller and scenario, as `simulate_pair` writes them: the peaks, and the samples until each,
 # AT_REST for a force that only creeps up to its value at rest.
@@ -255,6 +259,32 @@ def find_speed_noises(
         for j in range(len(sizes)):
             plant = polynomials[j, :, : sizes[j]]
             out[i, j] = command_speed_rms(plant, first[j], controller, degree, (h, theta), noises)
+
+
+@compiled
+def responses_at(responses: FloatArray, tangent: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+    """Return F/x^d and x/x^d (p, k) of plants at w = j tan(ωh/2) (k,)."""
+    force = np.empty((len(responses), len(tangent)), dtype=np.complex128)
+    position = np.empty_like(force)
+    for j in range(len(responses)):
+        for k in range(len(tangent)):
+            force[j, k], position[j, k] = plant_at(responses[j], 1j * tangent[k])
+    return force, position
+
+
+@released
+def times_spectral_ratios(
+    spectrum: Spectrum, designs: FloatArray, sampling: tuple[float, float, bool], out: FloatArray
+) -> None:
+    """Multiply the commanded speed's RMS under white noise of the force (m, p) by what its spectrum makes of it."""
+    tangent, shares, forces, positions = spectrum
+    h, theta, ideal = sampling
+    controller = np.zeros((3, CONTROLLER_POWERS))
+    for i in range(len(designs)):
+        degree = controller_polynomials(designs[i], ideal, controller)
+        at = controller_at(controller, degree, tangent, h, theta)
+        for j in range(len(forces)):
+            out[i, j] *= spectral_ratio(at, forces[j], positions[j], shares)
 
 
 @released

@@ -1,11 +1,29 @@
-"""The plants and contacts beside those of the scenarios, stacked as the compiled loops take them: held, and led."""
+"""The plants and contacts beside those of the scenarios, stacked as the compiled loops take them: held, and led.
+
+And their responses over the admittance's band and where a noise that is not white has its power.
+"""
 
 from collections.abc import Sequence
 
+import numpy as np
+
+from ..arrays import FloatArray
 from ..contact.transient import SampledContact
-from .batch_kernel import Contacts, Loops, Plants, stack_contacts, stack_grids, stack_loops, stack_responses
+from ..model.response import PlantResponse
+from .batch_kernel import (
+    Band,
+    Contacts,
+    Loops,
+    Plants,
+    Spectrum,
+    responses_at,
+    stack_contacts,
+    stack_grids,
+    stack_loops,
+    stack_responses,
+)
 from .evaluation import PreparedScenarios
-from .requirements import ContactAtSpeed, HeldByHand, Requirements
+from .requirements import ContactAtSpeed, HeldByHand, NoiseLimit, Requirements
 from .requirements.contact_at_speed import led_contacts
 from .requirements.held_by_hand import held_plants
 
@@ -45,3 +63,32 @@ def stack_judged(contacts: Sequence[SampledContact]) -> tuple[Loops, Contacts]:
     """Return the loops of contacts, then those before they touch, and what is simulated of them."""
     sides = [each.contact for each in contacts] + [each.free for each in contacts]
     return stack_loops(sides), stack_contacts(contacts)
+
+
+def stack_spectrum(limit: NoiseLimit | None, responses: FloatArray, sample_time_s: float) -> Spectrum | None:
+    """Return a limited noise and the plants' responses, as `times_spectral_ratios` takes them, None where it is white.
+
+    The same where none is limited.
+    """
+    if limit is None or limit.noise_spectrum is None:
+        return None
+    omega, spectral, white = limit.noise_spectrum.nodes(sample_time_s)
+    tangent = np.tan(0.5 * sample_time_s * omega)
+    # |1 − 1/z| is 2 sin(ωh/2).
+    power = np.sin(0.5 * sample_time_s * omega) ** 2
+    return tangent, (spectral * power, white * power), *responses_at(responses, tangent)
+
+
+def stack_band(responses: Sequence[PlantResponse]) -> Band:
+    """Return responses one after the other; of the wrench's filter |G| needs |F_m/F| alone."""
+    if not responses:
+        return np.zeros(0), np.zeros(0, dtype=np.complex128), np.zeros(0, dtype=np.complex128)
+    return (
+        np.concatenate([each.frequency_rad_per_s * _wrench_gain(each) for each in responses]),
+        np.concatenate([each.z for each in responses]),
+        np.concatenate([each.position for each in responses]),
+    )
+
+
+def _wrench_gain(target: PlantResponse) -> FloatArray | float:
+    return 1.0 if target.wrench is None else np.abs(target.wrench)

@@ -5,15 +5,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import schur
 
 from ..arrays import FloatArray
 from ..compiled import compiled
 from ..model.sampled import Controller, SampledLoop, SampledPlant, build_loop, relative_loop
+from .noise_spectrum import RelativeSpectrum
 
 # 2^60 ticks: no stable loop in double precision is slower.
 _DOUBLINGS = 60
-# Frequencies at which a spectrum is summed: half a hertz apart at 1 kHz.
-_FREQUENCIES = 2048
 _NOTHING = 1e-30
 
 
@@ -21,10 +21,19 @@ Noise = tuple[FloatArray, float, float]
 """White noise that enters a loop: b (n,) and d of its input as `SampledLoop` has them of F^d, and its RMS."""
 
 
-def command_speed_gain(sampled: SampledPlant, controller: Controller) -> float:
-    """Return the RMS of the commanded speed per RMS of white noise on the force [m/s per N], see `speed_rms`."""
+def command_speed_gain(
+    sampled: SampledPlant, controller: Controller, spectrum: RelativeSpectrum | None = None
+) -> float:
+    """Return the RMS of the commanded speed per RMS of noise on the force [m/s per N], white unless a spectrum is said.
+
+    See `speed_rms`.
+    """
     loop = build_loop(sampled, controller)
-    return speed_rms(loop, [(loop.b, loop.d_command, 1.0)])
+    return (
+        spectral_speed_gain(loop, spectrum)
+        if spectrum is not None
+        else speed_rms(loop, [(loop.b, loop.d_command, 1.0)])
+    )
 
 
 def speed_rms(loop: SampledLoop, noises: Sequence[Noise]) -> float:
@@ -43,20 +52,21 @@ def speed_rms(loop: SampledLoop, noises: Sequence[Noise]) -> float:
     return math.sqrt(max(0.0, float(c @ covariance @ c)) + direct) / loop.sample_time_s
 
 
-def spectral_speed_rms(loop: SampledLoop, frequency_hz: FloatArray, density: FloatArray) -> float:
-    """Return the RMS of the commanded speed [m/s] under force noise of a spectrum, see `speed_rms`.
+def spectral_speed_gain(loop: SampledLoop, spectrum: RelativeSpectrum) -> float:
+    """Return the RMS of the commanded speed per RMS of force noise of a spectrum [m/s per N], see `speed_rms`.
 
-    `density` (k,) is one-sided [N²/Hz] at `frequency_hz` (k,), ascending; it is interpolated, and constant beyond its
-    ends up to half the sampling frequency. The sum ∫ |H|² S df is taken at the middles of equal bands, where the
-    response H of speed to force has no pole.
+    It is that under white noise times what a sum of |H|² over frequency says that the spectrum changes, so that a
+    resonance too narrow for the sum does no harm. The response H is found by the loop's complex Schur form.
     """
-    h = loop.sample_time_s
-    band = 0.5 / h / _FREQUENCIES
-    middles = band * (np.arange(_FREQUENCIES) + 0.5)
-    z = np.exp(2j * np.pi * h * middles)
-    states = np.linalg.solve(z[:, None, None] * np.eye(len(loop.a)) - loop.a, loop.b[:, None])[..., 0]
-    speed = (states @ loop.c_command + loop.d_command) * (1.0 - 1.0 / z) / h
-    return math.sqrt(band * float(np.sum(np.abs(speed) ** 2 * np.interp(middles, frequency_hz, density))))
+    omega, shares, white = spectrum.nodes(loop.sample_time_s)
+    z = np.exp(1j * omega * loop.sample_time_s)
+    triangle, basis = schur(loop.a, output="complex")
+    drive, row = basis.conj().T @ loop.b, loop.c_command @ basis
+    states = np.zeros((len(loop.a), len(z)), dtype=np.complex128)
+    for i in range(len(loop.a) - 1, -1, -1):
+        states[i] = (drive[i] + triangle[i, i + 1 :] @ states[i + 1 :]) / (z - triangle[i, i])
+    power = np.abs((row @ states + loop.d_command) * (1.0 - 1.0 / z)) ** 2
+    return speed_rms(loop, [(loop.b, loop.d_command, 1.0)]) * math.sqrt(float(shares @ power) / float(white @ power))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,5 +1,6 @@
-"""The noise of the velocity command: what white noise on force and position makes of it."""
+"""The noise of the velocity command: what noise on force and position makes of it."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -10,22 +11,25 @@ from ..._checks import non_negative, positive
 from ...arrays import FloatArray
 from ...errors import ParameterError
 from ...model.sampled import position_input
-from ...stability.noise import speed_rms
+from ...stability.noise import spectral_speed_gain, speed_rms
+from ...stability.noise_spectrum import RelativeSpectrum
 from ..stable_design import StableLoop
 from .base import LoopRequirement
 
 
 @dataclass(frozen=True, kw_only=True)
 class NoiseLimit:
-    """The commanded speed's RMS [m/s], at most `max_speed_rms_m_s` under white noise of `force_noise_rms_n`.
+    """The commanded speed's RMS [m/s], at most `max_speed_rms_m_s` under noise of `force_noise_rms_n`.
 
-    That noise is None until somebody knows the sensor; a problem needs the number. White noise of the position that
+    That noise is None until somebody knows the sensor; a problem needs the number. It is white unless its
+    `noise_spectrum` is known. White noise of the position that
     the controller reads, `position_noise_rms_m`, comes on top where it is known. (`problems.stability.noise`)
     """
 
     max_speed_rms_m_s: float
     force_noise_rms_n: float | None = None
     position_noise_rms_m: float | None = None
+    noise_spectrum: RelativeSpectrum | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "max_speed_rms_m_s", positive("max_speed_rms_m_s", self.max_speed_rms_m_s))
@@ -60,11 +64,14 @@ class NoiseRequirement(LoopRequirement[NoiseLimit]):
 
     def turned(self, asked: NoiseLimit, lever: float) -> NoiseLimit:
         """Return the limit about an axis; the torque's noise is the sensor's and still to be said, as the angle's."""
-        return replace(super().turned(asked, lever), force_noise_rms_n=None, position_noise_rms_m=None)
+        return replace(
+            super().turned(asked, lever), force_noise_rms_n=None, position_noise_rms_m=None, noise_spectrum=None
+        )
 
     def read(self, entry: Mapping[str, Any]) -> NoiseLimit:
         """Return what plain data asks."""
-        return NoiseLimit(**entry)
+        spectrum = entry.get("noise_spectrum")
+        return NoiseLimit(**{**entry, "noise_spectrum": None if spectrum is None else RelativeSpectrum(**spectrum)})
 
     def check_sampling(self, asked: NoiseLimit, sample_time_s: float) -> None:
         """Raise ParameterError while the sensor's noise is not known."""
@@ -80,11 +87,16 @@ class NoiseRequirement(LoopRequirement[NoiseLimit]):
         force, place = ("N·m", "µrad") if turning else ("N", "µm")
         position = asked.position_noise_rms_m
         also = f" and {1e6 * position:.3g} {place}" if position else ""
-        return f"{limit} under noise of {asked.force_noise_rms_n:g} {force}{also}"
+        spread = ", its spectrum as logged" if asked.noise_spectrum is not None else ""
+        return f"{limit} under noise of {asked.force_noise_rms_n:g} {force}{spread}{also}"
 
     def of_loop(self, asked: NoiseLimit, loop: StableLoop) -> float:
         """Return the speed RMS [m/s]."""
-        noises = [(loop.matrices.b, loop.matrices.d_command, asked.force_noise_rms_n or 0.0)]
+        force, noises, spectral = asked.force_noise_rms_n or 0.0, [], 0.0
+        if asked.noise_spectrum is None:
+            noises.append((loop.matrices.b, loop.matrices.d_command, force))
+        else:
+            spectral = force * spectral_speed_gain(loop.matrices, asked.noise_spectrum)
         if asked.position_noise_rms_m:
             noises.append((*position_input(loop.sampled, loop.controller), asked.position_noise_rms_m))
-        return speed_rms(loop.matrices, noises)
+        return math.hypot(spectral, speed_rms(loop.matrices, noises)) if noises else spectral

@@ -18,6 +18,7 @@ from problems.model.response import free_space_admittance
 from problems.model.sampled import build_sampled_plant
 from problems.stability.margins import UnstableLoopError, find_margins
 from problems.stability.noise import command_speed_gain
+from problems.stability.noise_spectrum import RelativeSpectrum
 
 PROBLEM = paper_cell((5e5, 5e5), (16.0, 16.0))
 PLANT = PROBLEM.plant(PROBLEM.scenarios(2, 2)[0])
@@ -29,6 +30,8 @@ BAND = band_frequencies(PLANT.robot, (0.1, 2.0))
 ASKED = Asked(modulus=0.5, min_m_s_per_n=7e-4, band_rad_per_s=BAND)
 CONTACT = paired(build_sampled_plant(PLANT, H))
 FREE = build_sampled_plant(PLANT.in_contact_with(FREE_SPACE), H)
+
+HIGH = RelativeSpectrum(frequency_hz=(20.0, 200.0, 500.0), relative_density=(0.3, 2.0, 5.0))
 
 
 def law_at(damping: float, lead: float) -> AdmittanceController:
@@ -52,7 +55,9 @@ def meets(law: AdmittanceController, asked: Asked) -> bool:
         if least < asked.min_m_s_per_n:
             return False
     noise = asked.noise_m_s_per_n
-    return noise is None or max(command_speed_gain(each, law) for each in (CONTACT.contact, FREE)) <= noise
+    return noise is None or noise >= max(
+        command_speed_gain(each, law, asked.noise_spectrum) for each in (CONTACT.contact, FREE)
+    )
 
 
 def cells(seed: int, count: int, width: float) -> list[tuple[float, float, float, float]]:
@@ -141,6 +146,7 @@ def test_of_a_single_law_the_bound_is_its_largest_force_at_a_tick(approach: Appr
         Asked(min_m_s_per_n=7e-4, band_rad_per_s=BAND),
         Asked(noise_m_s_per_n=2e-3),
         Asked(noise_m_s_per_n=3e-3),
+        Asked(noise_m_s_per_n=2e-3, noise_spectrum=HIGH),
     ],
 )
 def test_of_a_dropped_cell_no_law_meets_what_is_asked(asked: Asked) -> None:

@@ -18,6 +18,7 @@ from problems.model.response import free_space_admittance
 from problems.model.robot import RobotModel
 from problems.model.sampled import build_loop, build_sampled_plant, spectral_radius
 from problems.stability.noise import command_speed_gain
+from problems.stability.noise_spectrum import RelativeSpectrum
 from tests.conftest import RunCli
 
 pytest.importorskip("cvxpy", reason="needs the extra `limit`")
@@ -55,6 +56,11 @@ def _pair(delay_s: float = 2.4e-3, coupling_damping: float = 0.0) -> SampledCont
 
 _LAW = AdmittanceController(mass_kg=8.0, damping_n_s_per_m=1300.0, lead_s=0.018, feedback_damping_s=0.01)
 
+_SPECTRA = (
+    RelativeSpectrum(frequency_hz=(5.0, 40.0, 80.0, 400.0), relative_density=(1.0, 1.0, 0.1, 1e-3)),
+    RelativeSpectrum(frequency_hz=(20.0, 200.0, 500.0), relative_density=(0.3, 2.0, 5.0)),
+)
+
 
 def _signals(pair: SampledContact) -> ContactSignals:
     return contact_signals(pair, simulate_contact(pair, _LAW, _APPROACH).contact_speed_m_s, _TICKS)
@@ -64,8 +70,10 @@ def _basis(pair: SampledContact) -> YoulaBasis:
     return YoulaBasis(taps=40, decays=np.array([0.9, 0.99]), loop=build_loop(pair.contact, _LAW))
 
 
-def _asked(pair: SampledContact, noise_factor: float = 1.0, modulus: float = 0.3) -> EqualDemands:
-    noise = max(command_speed_gain(plant, _LAW) for plant in (pair.contact, pair.free))
+def _asked(
+    pair: SampledContact, noise_factor: float = 1.0, modulus: float = 0.3, spectrum: RelativeSpectrum | None = None
+) -> EqualDemands:
+    noise = max(command_speed_gain(plant, _LAW, spectrum) for plant in (pair.contact, pair.free))
     return EqualDemands(
         modulus=modulus,
         min_m_s_per_n=None,
@@ -73,6 +81,7 @@ def _asked(pair: SampledContact, noise_factor: float = 1.0, modulus: float = 0.3
         noise_m_s_per_n=noise_factor * noise,
         driving_force_n=30.0,
         at_contact=True,
+        spectrum=spectrum,
     )
 
 
@@ -115,14 +124,17 @@ def test_what_the_program_asks_of_the_design_is_what_the_exact_loop_says() -> No
     rows, values = at_rest(basis, signals, 30.0)
     assert rows @ basis.start() == pytest.approx(values, rel=1e-6)
     for loop, plant in enumerate((pair.contact, pair.free)):
-        slope, offset = noise_rows(basis, (signals,), basis.start(), loop, _H)
-        rms = float(np.linalg.norm(slope @ basis.start() + offset))
-        assert rms == pytest.approx(command_speed_gain(plant, _LAW), rel=1e-6)
+        # Under a spectrum the exact loop's own sum over frequencies is that near.
+        for spectrum, near in ((None, 1e-6), *((each, 1e-3) for each in _SPECTRA)):
+            slope, offset = noise_rows(basis, (signals,), basis.start(), loop, _H, spectrum)
+            rms = float(np.linalg.norm(slope @ basis.start() + offset))
+            assert rms == pytest.approx(command_speed_gain(plant, _LAW, spectrum), rel=near)
 
 
-def test_a_step_of_the_program_softens_the_contact_of_the_exact_loop() -> None:
+@pytest.mark.parametrize("spectrum", [None, *_SPECTRA], ids=["white", "low", "high"])
+def test_a_step_of_the_program_softens_the_contact_of_the_exact_loop(spectrum: RelativeSpectrum | None) -> None:
     pair = _pair()
-    basis, signals, asked = _basis(pair), _signals(pair), _asked(pair)
+    basis, signals, asked = _basis(pair), _signals(pair), _asked(pair, spectrum=spectrum)
     step = ConvexStep(basis, (signals,), asked)
     moved = step.solve(step.start(basis.start()))
     law = basis.controller(moved, signals.open, _H)
@@ -130,11 +142,12 @@ def test_a_step_of_the_program_softens_the_contact_of_the_exact_loop() -> None:
     exact = simulate_contact(pair, _LAW, _APPROACH)
     assert found.contact_speed_m_s == pytest.approx(exact.contact_speed_m_s, rel=1e-6)
     assert found.peak_contact_force_n < exact.peak_contact_force_n
-    assert command_speed_gain(pair.contact, law) <= asked.noise_m_s_per_n * 1.001
+    assert command_speed_gain(pair.contact, law, spectrum) <= asked.noise_m_s_per_n * 1.001
     # No linear controller gets below the bound, so neither does this one.
     assert lower_bound(signals, asked, 120).force_n <= found.peak_contact_force_n
 
 
+@pytest.mark.parametrize("spectrum", [None, *_SPECTRA], ids=["white", "low", "high"])
 @pytest.mark.parametrize(
     "law",
     [
@@ -143,13 +156,15 @@ def test_a_step_of_the_program_softens_the_contact_of_the_exact_loop() -> None:
         AdmittanceController(mass_kg=12.0, damping_n_s_per_m=1300.0, lead_s=0.012, feedback_damping_s=0.005),
     ],
 )
-def test_no_controller_of_the_same_speed_and_noise_is_below_the_bound(law: AdmittanceController) -> None:
+def test_no_controller_of_the_same_speed_and_noise_is_below_the_bound(
+    law: AdmittanceController, spectrum: RelativeSpectrum | None
+) -> None:
     pair = _pair()
-    noise = command_speed_gain(pair.contact, law) / command_speed_gain(pair.contact, _LAW)
+    noise = command_speed_gain(pair.contact, law, spectrum) / command_speed_gain(pair.contact, _LAW, spectrum)
     trace = simulate_contact(pair, law, _APPROACH)
     signals = contact_signals(pair, trace.contact_speed_m_s, _TICKS)
     # Its own noise and no modulus to speak of: the bound is of everything that could be done with as much.
-    asked = _asked(pair, noise_factor=noise * 1.001, modulus=0.01)
+    asked = _asked(pair, noise_factor=noise * 1.001, modulus=0.01, spectrum=spectrum)
     assert lower_bound(signals, asked, 100).force_n < trace.peak_contact_force_n
 
 

@@ -23,11 +23,12 @@ from autotune.formats.problem import ProblemSpec, Structure
 from autotune.runtime.load import read_law
 from autotune.studies.front import FrontRequest
 from autotune.tuning import structure as structure_module
+from autotune.tuning.noise_limit import NoiseOf
 from autotune.tuning.optimize import optimize
 from autotune.tuning.problems import build_problems
 from autotune.tuning.search import SearchResult, solve_design
 from autotune.tuning.structure import StructureSearch, choose_structure, equal_noise, limited_problem
-from autotune.tuning.structure_choice import PRICE, NoiseOf, StructureChoice
+from autotune.tuning.structure_choice import PRICE, StructureChoice
 from autotune.validation.axis_proof import ProofOptions
 from autotune.validation.replay import equation_gains, robot_alone
 from autotune.validation.replay_kernel import follow_forces

@@ -21,6 +21,7 @@ from problems.model.sampled import (
 )
 from problems.stability.noise import command_speed_gain
 from problems.stability.noise import speed_rms as exact_speed_rms
+from problems.stability.noise_spectrum import RelativeSpectrum
 from problems.stability.passivity import prepare_port
 from tests.autotune.tuning.cases import design_problem
 
@@ -70,6 +71,21 @@ def test_squares_of_an_impulse_response_add_up_to_the_variance(delay: float, law
         asked = NoiseLimit(max_speed_rms_m_s=1.0, force_noise_rms_n=0.2, position_noise_rms_m=position)
         both = [math.hypot(0.2 * a, (position or 0.0) * b) for a, b in zip(reported, on_position, strict=True)]
         assert worst_noise(asked, set_[:6], law, H) == pytest.approx(max(both), rel=1e-6)
+
+
+@pytest.mark.parametrize("law", list(LAWS.values()), ids=list(LAWS))
+def test_its_transform_weighed_by_a_spectrum_is_the_variance_under_that(law: AdmittanceController) -> None:
+    spectrum = RelativeSpectrum(frequency_hz=(4.0, 40.0, 60.0, 300.0), relative_density=(5.0, 1.0, 20.0, 0.1))
+    set_ = plants(DELAYS[0])
+    exact = [command_speed_gain(build_sampled_plant(plant, H), law, spectrum) for plant in set_]
+    # The exact form's own sum over frequencies is that near.
+    assert speed_rms(set_, law, H, spectrum=spectrum) == pytest.approx(exact, rel=3e-4)
+    asked = NoiseLimit(max_speed_rms_m_s=1.0, force_noise_rms_n=0.2, position_noise_rms_m=3e-6, noise_spectrum=spectrum)
+    both = [
+        math.hypot(0.2 * a, 3e-6 * of_position_noise(build_sampled_plant(plant, H), law))
+        for a, plant in zip(exact, set_, strict=True)
+    ]
+    assert worst_noise(asked, set_[:6], law, H) == pytest.approx(max(both), rel=3e-4)
 
 
 def test_noise_of_the_pose_is_that_of_a_loop_that_is_simulated_with_it() -> None:

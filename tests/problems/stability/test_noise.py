@@ -7,14 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.integrate import quad
-from scipy.linalg import solve_discrete_lyapunov
 
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Environment, PayloadDynamics, Plant
 from problems.model.response import controller_response, loop_response
 from problems.model.robot import RobotModel
 from problems.model.sampled import SampledPlant, build_loop
-from problems.stability.noise import command_speed_gain, spectral_speed_rms
+from problems.stability.noise import command_speed_gain
 from tests.problems.axes import PERIOD_S, admittance, one_pole, paper_plant
 from tests.problems.random_loops import sampled_of, stable_loops
 
@@ -150,26 +149,3 @@ def test_a_robot_of_higher_order_changes_what_comes_back_only() -> None:
     alone, other = (command_speed_gain(plant, admittance()) for plant in (open_plant(), sampled))
     # As above: 1e-6 of the noise comes back.
     assert other == pytest.approx(alone, rel=1e-6)
-
-
-@pytest.mark.parametrize(("plant", "law"), CASES)
-def test_a_spectrum_that_is_white_makes_what_white_noise_does(plant: Plant, law: AdmittanceController) -> None:
-    sampled, rms = sampled_of(plant), 0.3
-    white = np.full(3, 2.0 * PERIOD_S * rms**2)
-    found = spectral_speed_rms(build_loop(sampled, law), np.array([5.0, 50.0, 300.0]), white)
-    assert found == pytest.approx(rms * command_speed_gain(sampled, law), rel=1e-3)
-
-
-def test_a_spectrum_is_that_of_noise_that_is_filtered_before_the_law() -> None:
-    """n_{k+1} = ρ n_k + w_k has the density 2 h σ_w²/|1 − ρ/z|²: the loop with that state beside it, by Lyapunov."""
-    loop, pole = build_loop(sampled_of(paper_plant(stiffness=3e4)), admittance(lead=0.02)), 0.8
-    frequency = np.linspace(0.0, 0.5 / PERIOD_S, 4000)
-    density = 2.0 * PERIOD_S / np.abs(1.0 - pole * np.exp(-2j * np.pi * PERIOD_S * frequency)) ** 2
-    n = len(loop.a)
-    whole, drive = np.zeros((n + 1, n + 1)), np.zeros(n + 1)
-    whole[:n, :n], whole[:n, n], whole[n, n], drive[n] = loop.a, loop.b, pole, 1.0
-    covariance = solve_discrete_lyapunov(whole, np.outer(drive, drive))
-    now = np.append(loop.c_command, loop.d_command)
-    # x^d_{k+1} − x^d_k = now (whole − 1) s_k + now·drive w_k.
-    variance = (now @ whole - now) @ covariance @ (now @ whole - now) + (now @ drive) ** 2
-    assert spectral_speed_rms(loop, frequency, density) == pytest.approx(math.sqrt(variance) / PERIOD_S, rel=1e-4)
