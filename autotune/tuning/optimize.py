@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from autotune.errors import CertificateError, InfeasibleError
+from autotune.formats.canonical import lines_to_paste
 from autotune.formats.controller_record import Controller, RuntimePayload
 from autotune.formats.identified import IdentifiedFile
 from autotune.formats.problem import ComplianceSpec, ProblemSpec
@@ -109,7 +110,7 @@ def optimize(
         report = ProgressSlice(report, 1.0 - _COMPLIANCE_SHARE)
         problems = {name: compliance.on_chosen(problems[name]) for name, compliance in chosen.items()}
     structures = StructureSearch(spec, identified.result, seed)
-    searches = structures.searched(_search_all(problems, present, chosen, seed, relax, report))
+    searches = structures.searched(_search_all(problems, present, chosen, seed, relax, structures, report))
     chosen = {name: settle_compliance(problems[name], each, searches[name], seed) for name, each in chosen.items()}
     together = TogetherCheck(TogetherAsked.of(identified.result, spec), asked)
     beside = CoupledSearch(together, payload, seed)
@@ -274,6 +275,7 @@ def _search_all(
     chosen: Mapping[str, Compliance],
     seed: int,
     relax: bool,
+    structures: StructureSearch,
     report: Callable[[float], None],
 ) -> dict[str, SearchResult]:
     """Search the design of every axis, from what is known of one."""
@@ -282,7 +284,7 @@ def _search_all(
         portion = ProgressSlice(report, _SEARCH_SHARE / len(problems))
         start = _start(name, problem, present, chosen.get(name))
         with named_compliance(name, chosen.get(name)):
-            searches[name] = _search(name, problem, seed, start, relax, report, portion)
+            searches[name] = _search(name, problem, seed, start, relax, structures, report, portion)
     return searches
 
 
@@ -303,28 +305,36 @@ def _search(
     seed: int,
     start: FloatArray | None,
     relax: bool,
+    structures: StructureSearch,
     report: Callable[[float], None],
     portion: ProgressSlice,
 ) -> SearchResult:
     try:
         found = solve_design(problem, seed=seed, start=start, progress=portion)
     except InfeasibleError as error:
+        lowered = lower_default(problem, seed=seed) if relax else None
+        if lowered is not None:
+            return _search(name, lowered, seed, start, relax, structures, report, portion)
+        freer = structures.beyond_gains(name, problem)
+        if freer is not None:
+            portion.finish()
+            return freer
         if not relax:
             raise InfeasibleError(f"Axis {name}: {error}") from error
-        lowered = lower_default(problem, seed=seed)
-        if lowered is not None:
-            return _search(name, lowered, seed, start, relax, report, portion)
         # In the place of what a controller would still have to pass.
         problem = beside_margins(problem, seed=seed)
         why = explain(name, problem, seed=seed, progress=ProgressSlice(report, 1.0 - _SEARCH_SHARE))
         if why.met_by is not None:
-            return _search(name, problem, seed, why.met_by, False, report, portion)
-        if not why.relaxations:
+            return _search(name, problem, seed, why.met_by, False, structures, report, portion)
+        said = structures.suggestion_message(name)
+        if not why.relaxations and not said:
             raise InfeasibleError(f"Axis {name}: {error}") from error
+        eased = explanation_message(name, problem, why) if why.relaxations else ""
         raise InfeasibleError(
-            f"Axis {name}: {error.bare}. {explanation_message(name, problem, why)}",
+            " ".join(filter(None, (f"Axis {name}: {error.bare}.", eased, said))),
             tuple((each.name, each.asked, each.possible) for each in why.relaxations),
-            suggestion=why.suggestion,
+            suggestion=structures.suggestion(name) or why.suggestion,
+            to_paste=lines_to_paste(why.suggestion),
         ) from error
     portion.finish()
     return found

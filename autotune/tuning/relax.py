@@ -128,6 +128,12 @@ def find_relaxations(
     return tuple(sorted(found, key=lambda each: each.share))
 
 
+def find_nearest(problem: DesignProblem, *, seed: int) -> FloatArray | None:
+    """Return the design (n,) that misses all requirements by the least share, roughly; None where nothing is stable."""
+    found = _least(problem, EVERY_REQUIREMENT, seed, is_rough=True)
+    return None if found is None else found.design
+
+
 def find_met(problem: DesignProblem, *, seed: int, start: FloatArray | None = None) -> FloatArray | None:
     """Return a design (n,) that meets every requirement over a few scenarios only; None where none was found.
 

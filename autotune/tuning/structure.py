@@ -3,10 +3,12 @@
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from autotune.errors import InfeasibleError
+from autotune.formats.canonical import lines_to_paste
 from autotune.formats.problem import ProblemSpec, Structure
 from autotune.formats.units import ROTATIONAL_AXES
 from identification.result import Identified
@@ -24,6 +26,7 @@ from problems.stability.noise_spectrum import RelativeSpectrum
 from .bounds import loosened_bounds
 from .noise_limit import UNKNOWN, NoiseOf, jitter_speed, measured_noise
 from .record import certified_hand
+from .relax import find_met, find_nearest
 from .search import SearchResult, solve_design
 from .structure_choice import PRICE, StructureChoice
 
@@ -56,28 +59,71 @@ class StructureSearch:
         self._structure, self._identified, self._seed = spec.structure or DEFAULT, identified, seed
         self._said, self._said_turning = {*spec.bounds}, {*spec.bounds, *spec.rotational.bounds}
         self.choices: dict[str, StructureChoice] = {}
+        self.suggested: dict[str, SearchResult] = {}
         self._unweighed: list[str] = []
 
     def searched(self, plain: Mapping[str, SearchResult]) -> dict[str, SearchResult]:
         """Return the searches with the structure, where it is worth it."""
-        if self._structure == "gains":
-            return dict(plain)
-        found = {}
+        found = dict(plain)
         for name, each in plain.items():
-            hand = certified_hand(name, each.problem)
-            said = self._said_turning if name in ROTATIONAL_AXES else self._said
-            noise = measured_noise(self._identified, name)
-            if noise.position and not noise.force and each.problem.requirements.command_noise is None:
-                # B_fb brings the pose's noise into the command, and there is nothing to weigh it against.
-                found[name] = each
+            if self._structure == "gains" or name in self.choices:
+                continue
+            if not self._is_weighed(name, each.problem):
                 self._unweighed.append(name)
                 continue
-            found[name], choice = choose_structure(
-                each, self._structure, hand, seed=self._seed, said=said, measured=noise
-            )
+            found[name], choice = self._chosen(name, each, self._structure)
             if len(choice.costs) > 1:
                 self.choices[name] = choice
         return found
+
+    def beyond_gains(self, name: str, problem: DesignProblem) -> SearchResult | None:
+        """Return a design of a freer structure where four gains in their bounds meet no requirements; None without one.
+
+        It makes no more noise of the command than the four gains that come nearest, or the robot's jitter. What only a
+        structure would meet that is not asked is kept in `suggested`.
+        """
+        if self._structure == "gains" or not self._is_weighed(name, problem):
+            return None
+        nearest = nearest_gains(problem, self._seed)
+        if nearest is None:
+            return None
+        for structure in _ORDER[_ORDER.index(self._structure) :]:
+            try:
+                found, choice = self._chosen(name, nearest, structure)
+            except InfeasibleError:
+                continue
+            if structure == self._structure:
+                self.choices[name] = choice
+                return found
+            self.suggested[name] = found
+        return None
+
+    def suggestion(self, name: str) -> dict[str, Any]:
+        """Return the part of problem.yaml with which an axis has a design that four gains have not; empty without."""
+        return {"structure": "biquad"} if name in self.suggested else {}
+
+    def suggestion_message(self, name: str) -> str:
+        """Return a sentence on it; empty without."""
+        if name not in self.suggested:
+            return ""
+        found, turning = self.suggested[name], name in ROTATIONAL_AXES
+        objective = found.problem.objective
+        best = f"{objective.title} {objective.value(found.evaluation.cost):.4g} {objective.unit_on(turning=turning)}"
+        lines = "; ".join(lines_to_paste(self.suggestion(name)))
+        return (
+            "All of it is met with a second-order section in the path of the force, "
+            f"{best.rstrip()}, which --structure biquad asks for, or this line in problem.yaml: {lines}"
+        )
+
+    def _is_weighed(self, name: str, problem: DesignProblem) -> bool:
+        """Return whether there is something to weigh the pose's noise against, which B_fb brings into the command."""
+        noise = measured_noise(self._identified, name)
+        return not noise.position or bool(noise.force) or problem.requirements.command_noise is not None
+
+    def _chosen(self, name: str, plain: SearchResult, structure: Structure) -> tuple[SearchResult, StructureChoice]:
+        hand, said = certified_hand(name, plain.problem), self._said_turning if name in ROTATIONAL_AXES else self._said
+        noise = measured_noise(self._identified, name)
+        return choose_structure(plain, structure, hand, seed=self._seed, said=said, measured=noise)
 
     def notes(self, searches: Mapping[str, SearchResult]) -> list[str]:
         """Return a sentence for each axis."""
@@ -105,9 +151,14 @@ def choose_structure(
     command's speed than two poses at rest seem to have where that is more, and keep nine tenths of their modulus in a
     hand, over the same plants. The bounds of M_a, K_l and B_fb, which stand for that
     noise, are then wider, but those that somebody `said`. One that saves less than `PRICE` beside a simpler one is not
-    taken.
+    taken. Where `plain` misses something it is no design but the nearest to one: its noise is the limit, and a hand and
+    a start from rest are asked of the others as by default, not as it has them. Raises InfeasibleError where they have
+    no design either.
     """
-    asked, jitter = plain.problem.requirements.command_noise, None
+    has_gains, whole = plain.evaluation.violation <= 0.0, plain.problem
+    if not has_gains:
+        whole = _calm(whole, hand)
+    asked, jitter = whole.requirements.command_noise, None
     gains = equal_noise(plain, measured.spectrum) if asked is None else math.nan
     if asked is not None:
         noise = asked.max_speed_rms_m_s / (asked.force_noise_rms_n or math.nan)
@@ -115,18 +166,18 @@ def choose_structure(
         if measured.force and measured.position:
             jitter = jitter_speed(measured.position, plain.problem.sample_time_s) / measured.force
         noise = max(gains, jitter or 0.0)
-    found: dict[Structure, SearchResult | None] = {"gains": plain}
+    found: dict[Structure, SearchResult | None] = {"gains": plain if has_gains else None}
     for each in _ORDER[1 : _ORDER.index(structure) + 1]:
-        problem = limited_problem(plain.problem, noise, has_biquad=each == "biquad", said=said, measured=measured)
-        if problem.bounds != plain.problem.bounds:
-            found[each] = solve_limited(
-                plain, problem, hand, [at for at in found.values() if at is not None], seed=seed
-            )
-    taken: Structure = "gains"
-    best = plain
+        problem = limited_problem(whole, noise, has_biquad=each == "biquad", said=said, measured=measured)
+        if problem.bounds != whole.bounds:
+            known = [plain, *(at for name, at in found.items() if at is not None and name != "gains")]
+            found[each] = solve_limited(plain, problem, hand, known, seed=seed)
+    taken, best = structure, None
     for name, result in found.items():
-        if result is not None and result.evaluation.cost < (1.0 - PRICE) * best.evaluation.cost:
+        if result is not None and (best is None or result.evaluation.cost < (1.0 - PRICE) * best.evaluation.cost):
             taken, best = name, result
+    if best is None:
+        raise InfeasibleError(f"No design was found with more freedom, up to {structure}, either.")
     costs = {name: None if result is None else result.evaluation.cost for name, result in found.items()}
     counts_pose = bool(measured.force and measured.position) if asked is None else bool(asked.position_noise_rms_m)
     return best, StructureChoice(
@@ -155,7 +206,22 @@ def solve_limited(
     of a biquad at once. None lets the admittance rise above what it is at rest by more than the plain law does, or by
     a twentieth. Where the bounds of M_a became wider, M_a/B_a is a tick h at least: what is faster no robot follows.
     """
-    return search_above_a_tick(lambda asked: _solve_limited(plain, asked, hand, known, seed), problem, plain)
+    has_gains, ends = plain.evaluation.violation <= 0.0, list[FloatArray]()
+    if not has_gains and BIQUAD_VARIABLES[0] not in problem.variables:
+        # A look over few plants, since a whole search takes long where there is nothing.
+        met = find_met(problem, seed=seed)
+        if met is None:
+            return None
+        ends = [met]
+
+    def search(asked: DesignProblem) -> SearchResult | None:
+        found = _solve_limited(plain, asked, hand, [*ends, *(each.design for each in known)], seed)
+        if found is not None and not has_gains:
+            # Nothing else that is known leads there.
+            ends[:] = [found.design]
+        return found
+
+    return search_above_a_tick(search, problem, plain)
 
 
 def search_above_a_tick(
@@ -197,12 +263,14 @@ def search_above_a_tick(
 
 
 def _solve_limited(
-    plain: SearchResult, problem: DesignProblem, hand: HandImpedance, known: Sequence[SearchResult], seed: int
+    plain: SearchResult, problem: DesignProblem, hand: HandImpedance, starts: Sequence[FloatArray], seed: int
 ) -> SearchResult | None:
-    problem = without_rise(plain, problem)
-    starts = [each.design for each in known]
+    problem, count = without_rise(plain, problem), len(problem.variables)
     if BIQUAD_VARIABLES[0] in problem.variables:
-        starts = [_neutral(problem, each, corner) for each in starts for corner in _CORNERS]
+        # What has a biquad already, then those that get one.
+        whole = [each for each in starts if len(each) == count]
+        corners = [_neutral(problem, each, at) for each in starts if len(each) < count for at in _CORNERS]
+        starts = [*whole, *corners]
         # From biquads that do nothing descents lead farther than a population does, and sooner.
         return solve_or_none(_held(plain, problem, hand), starts, seed, explores=False)
     found = solve_or_none(problem, starts, seed)
@@ -255,6 +323,34 @@ def solve_or_none(
         return solve_design(problem, seed=seed, others=starts, explores=explores)
     except InfeasibleError:
         return None
+
+
+def nearest_gains(problem: DesignProblem, seed: int) -> SearchResult | None:
+    """Return the four gains that miss all requirements by the least share; None where none is stable."""
+    design = find_nearest(problem, seed=seed)
+    if design is None:
+        return None
+    active = build_scenarios(problem, problem.scenarios(3, 2))
+    return SearchResult(
+        problem=problem,
+        design=design,
+        evaluation=active.evaluate(design, peaks_if_missed=True),
+        margins=(),
+        active=active,
+        scenario_count=len(active.scenarios),
+        rounds=0,
+        evaluations=0,
+    )
+
+
+def _calm(problem: DesignProblem, hand: HandImpedance) -> DesignProblem:
+    """Return the problem with nine tenths of its modulus asked in a hand, and no rise of |G|, unless they are asked."""
+    asked = problem.requirements
+    if _HELD not in asked.asked() and asked.modulus_margin is not None:
+        asked = asked.with_asked(_HELD, HeldByHand(**vars(hand), min_modulus=_KEPT_IN_A_HAND * asked.modulus_margin))
+    if _RISE not in asked.asked():
+        asked = asked.with_asked(_RISE, _MOST_RISE)
+    return replace(problem, requirements=asked)
 
 
 def _held(plain: SearchResult, problem: DesignProblem, hand: HandImpedance) -> DesignProblem:

@@ -26,7 +26,8 @@ class StructureChoice:
     problem.yaml, else that of four gains in their bounds, or the robot's own jitter at rest where the log shows it and
     it is larger (`measured`, by which `jitter_m_s_per_n` is that; None where it is not known). It `counts_pose` where
     the pose's noise is part of that. `bounds` are those of the four gains, `approach_m_s` their speed of approach,
-    `total_m_s_per_n` their noise with the pose's.
+    `total_m_s_per_n` their noise with the pose's. Where four gains have no design all of it is said of those that come
+    nearest to what is asked.
     """
 
     costs: Mapping[Structure, float | None]
@@ -48,13 +49,21 @@ class StructureChoice:
 
         def shown(structure: Structure) -> str:
             cost = self.costs[structure]
-            return "no design" if cost is None else f"{objective.value(cost):.4g} {unit}".rstrip()
+            if cost is None:
+                return "no design"
+            first = next(each for each, known in self.costs.items() if known is not None)
+            return f"{f'{objective.title} ' if structure == first else ''}{objective.value(cost):.4g} {unit}".rstrip()
 
         also = ", the pose's counted too" if self.counts_pose else ""
         noise = f"{1e3 * self.noise_m_s_per_n:.3g} m{units.speed} per {units.force}{also}"
-        said = f"Axis {name}: {objective.title} {shown('gains')} with four gains in their bounds"
+        said = f"Axis {name}: {shown('gains')} with four gains in their bounds"
         if "noise" in self.costs:
-            whose = "the noise of the command that is asked" if self.is_asked else "their noise of the command"
+            nearest = "" if self._has_gains else " of those that come nearest"
+            whose = (
+                "the noise of the command that is asked"
+                if self.is_asked
+                else f"{'their' if self._has_gains else 'the'} noise of the command{nearest}"
+            )
             whose = (
                 "at most as much noise of the command as the robot's jitter at rest" if self._is_of_jitter else whose
             )
@@ -84,6 +93,10 @@ class StructureChoice:
         )
 
     @property
+    def _has_gains(self) -> bool:
+        return self.costs["gains"] is not None
+
+    @property
     def _is_of_jitter(self) -> bool:
         return self.jitter_m_s_per_n is not None and self.jitter_m_s_per_n > self.gains_m_s_per_n
 
@@ -96,7 +109,8 @@ class StructureChoice:
             f"{1e3 * rms * each:.3g} m{units.speed}"
             for each in (self.gains_m_s_per_n, self.jitter_m_s_per_n, self.total_m_s_per_n)
         )
-        whose = f"that the four gains in their bounds make of the sensor's noise ({both} with the pose's)"
+        gains = "the four gains in their bounds" if self._has_gains else "the four gains that come nearest"
+        whose = f"that {gains} make of the sensor's noise ({both} with the pose's)"
         jitter = jitter_source(self.measured.position or 0.0, name, sample_time_s)
         if self._is_of_jitter:
             return (
