@@ -334,7 +334,7 @@ def _search(
             " ".join(filter(None, (f"Axis {name}: {error.bare}.", eased, said))),
             tuple((each.name, each.asked, each.possible) for each in why.relaxations),
             suggestion=structures.suggestion(name) or why.suggestion,
-            to_paste=lines_to_paste(why.suggestion),
+            to_paste=lines_to_paste(why.suggestion) if said else (),
         ) from error
     portion.finish()
     return found

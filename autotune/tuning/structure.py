@@ -80,12 +80,12 @@ class StructureSearch:
         """Return a design of a freer structure where four gains in their bounds meet no requirements; None without one.
 
         It makes no more noise of the command than the four gains that come nearest, or the robot's jitter. What only a
-        structure would meet that is not asked is kept in `suggested`.
+        structure would meet that is not asked is kept in `suggested`. None too where gains meet them after all.
         """
         if self._structure == "gains" or not self._is_weighed(name, problem):
             return None
         nearest = nearest_gains(problem, self._seed)
-        if nearest is None:
+        if nearest is None or nearest.evaluation.violation <= 0.0:
             return None
         for structure in _ORDER[_ORDER.index(self._structure) :]:
             try:
