@@ -96,10 +96,10 @@ def _row_without_gains(
             _, choice = choose_structure(nearest, "biquad", HandImpedance(), seed=0)
             costs, noise = choice.costs, f"{1e3 * choice.noise_m_s_per_n:.2f}"
     found = [costs.get(each) for each in ("noise", "biquad")]
-    peaks = " | ".join("no design" if each is None else f"{each:.2f}" for each in found)
+    peaks = " | ".join("none" if each is None else f"{each:.2f}" for each in found)
     times = f"{searched - begun:.1f} | {time.process_time() - searched:.1f}"
     alone, both = (float(each is None) for each in found)
-    return f"| {name} | no design | {peaks} | | | {noise} | {times} | |", None, (alone, min(alone, both))
+    return f"| {name} | none | {peaks} | | | {noise} | {times} | |", None, (alone, min(alone, both))
 
 
 def print_observers(drawn: int) -> None:
@@ -227,7 +227,7 @@ def write_page(page: Path, drawn: int) -> None:
         printed = io.StringIO()
         with contextlib.redirect_stdout(printed):
             fill(count)
-        table = [line for line in printed.getvalue().splitlines() if line.startswith("|") and "no design" not in line]
+        table = [line for line in printed.getvalue().splitlines() if line.startswith("|")]
         before, head, rest = text.partition(table[0])
         if not head:
             raise ValueError(f"The page has no table that begins with {table[0]}")
