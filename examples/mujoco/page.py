@@ -211,7 +211,7 @@ def _peaks(pressed: Mapping[int, dict[str, Any] | None]) -> Iterator[str]:
         yield f"| {contact.name} | {len(rows)} | {numbers} | {above} | {len(rows) - len(good)} |"
     yield (
         "\nWithout friction a wall inclined by φ pushes back along F^d with cos φ of its force, so that it ends at "
-        "F^d/cos φ: 30.5 N at 10°,\n31.9 N at 20°, beside a certified worst that is of straight walls and may be little "
+        "F^d/cos φ: 30.5 N at 10°,\n31.9 N at 20°, beside a certified worst of straight walls, which may be little "
         "above F^d."
     )
     for title, reasons in (("no controller", held_back), ("usual requirements refused", eased)):
