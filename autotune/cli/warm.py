@@ -58,7 +58,8 @@ def _warm(folder: Path, advance: Advance) -> None:
         ("validate", 0.05, lambda: _run("validate", controller, "--identified", identified, "--log", str(log))),
         ("predict", 0.02, lambda: _predict(identified, controller)),
         ("map", 0.06, lambda: _map(controller, folder, axes)),
-        ("explore", 0.1, lambda: _explore(Path(identified), Path(controller))),
+        ("noise that is not white", 0.01, lambda: _coloured_noise(Path(identified))),
+        ("explore", 0.09, lambda: _explore(Path(identified), Path(controller))),
     ]
     for name, share, step in steps:
         advance(0.0, f"compiling: {name}")
@@ -85,6 +86,27 @@ def _write_logs(bag: Path, rosbag2: Path, table: Path) -> None:
     recording = simulate_cell(SimulatedCell(), program, seed=0).recording
     for path, write in ((bag, write_ros1_bag), (rosbag2, write_rosbag2), (table, write_csv)):
         write(recording, path, rows=_ROWS)
+
+
+def _coloured_noise(identified: Path) -> None:
+    """Evaluate a design under noise that is not white, as that of the demo's sensor is."""
+    import numpy as np
+
+    from autotune.formats.identified import read_identified
+    from autotune.formats.problem import ProblemSpec
+    from autotune.tuning.problems import build_problems
+    from problems.design.batch_evaluation import build_batch_evaluator
+    from problems.design.evaluation import build_scenarios
+    from problems.design.problem import NoiseLimit, Requirements
+    from problems.stability.noise_spectrum import RelativeSpectrum
+
+    spectrum = RelativeSpectrum(frequency_hz=(1.0, 100.0), relative_density=(2.0, 1.0))
+    limit = NoiseLimit(max_speed_rms_m_s=1.0, force_noise_rms_n=1.0, noise_spectrum=spectrum)
+    spec = ProblemSpec(requirements=Requirements(command_noise=limit))
+    for problem in build_problems(read_identified(identified).result, spec).values():
+        low, high = np.array([problem.bounds[name] for name in problem.variables]).T
+        scenarios = build_scenarios(problem, problem.scenarios(2, 2))
+        build_batch_evaluator(scenarios).evaluate(low + 0.2 * (high - low)[None], margins_if_missed=True)
 
 
 def _predict(identified: str, controller: str) -> None:

@@ -4,15 +4,19 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import click
 import pytest
 
 from autotune.cli import _common, demo, warm
 from autotune.cli.main import main
+from autotune.formats.identified import write_identified
 from autotune.shown import COMPILING, reporting
 from problems.compiled import _Compilations
 from problems.compiling import many_compilations, on_compilation
+from problems.design.batch_kernel import times_spectral_ratios
+from tests.autotune.tuning.cases import identified_plant
 
 
 @pytest.fixture
@@ -22,6 +26,7 @@ def runs(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, ...]]:
     monkeypatch.setattr(warm, "_run", lambda *arguments: found.append(arguments))
     monkeypatch.setattr(warm, "_write_logs", lambda *paths: found.append(("logs", *(path.suffix for path in paths))))
     monkeypatch.setattr(warm, "_explore", lambda *paths: found.append(("explore", *(path.name for path in paths))))
+    monkeypatch.setattr(warm, "_coloured_noise", lambda path: found.append(("noise", str(path))))
     return found
 
 
@@ -33,7 +38,17 @@ def test_every_command_and_every_kind_of_log_is_run(runs: list[tuple[str, ...]],
         shares.append(share)
 
     warm._warm(tmp_path, advance)
-    assert {name for name, *_ in runs} == {"demo", "logs", "inspect", "plan", "validate", "predict", "map", "explore"}
+    assert {name for name, *_ in runs} == {
+        "demo",
+        "logs",
+        "inspect",
+        "plan",
+        "validate",
+        "predict",
+        "map",
+        "explore",
+        "noise",
+    }
     assert {Path(words[1]).suffix for words in runs if words[0] == "inspect"} == {".mcap", ".bag", "", ".csv"}
     # Nothing is written beside the folder that is removed.
     assert all(
@@ -53,6 +68,22 @@ def test_it_says_how_many_kernels_were_compiled(
     assert main(["warm"]) == 0
     assert capsys.readouterr().out == "Everything was compiled already.\n"
     assert runs
+
+
+def test_noise_that_is_not_white_is_evaluated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The demo's is white: a first log of another sensor would compile what sums over its spectrum."""
+    seen: list[int] = []
+    real = times_spectral_ratios
+
+    def counted(*arguments: Any) -> None:
+        real(*arguments)
+        seen.append(len(arguments[-1]))
+
+    monkeypatch.setattr("problems.design.batch_evaluation.times_spectral_ratios", counted)
+    path = tmp_path / "identified.yaml"
+    write_identified(path, identified_plant(), {"tool": "by hand"})
+    warm._coloured_noise(path)
+    assert seen == [1]
 
 
 def test_several_compilations_are_announced_once() -> None:
