@@ -274,7 +274,8 @@ def _report(error: BaseException, arguments: Sequence[str], delivery: Delivery) 
         say("".join(traceback.format_exception(error)).rstrip())
     message = _one_line(error, code)
     hint = _hint(error, code)
-    ended = f"{message.rstrip('.')}." if delivery.remark else message
+    # A line to paste stands alone, without a full stop.
+    ended = f"{message.rstrip('.')}." if delivery.remark and not message.endswith(_to_paste(error)) else message
     text = " ".join(part for part in (ended, hint, delivery.remark) if part)
     text, columns = set_apart(text, _to_paste(error)), detect_terminal(sys.stderr).columns
     say("\n".join(wrap_lines(text, verdict=f"{PROGRAM}: ", columns=columns, error=True)))

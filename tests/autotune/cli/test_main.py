@@ -287,6 +287,16 @@ def test_a_usage_error_in_the_arguments_is_json_too(run_tiny: RunTiny, capsys: p
     assert json.loads(capsys.readouterr().out)["error"]["kind"] == "BadParameter"
 
 
+def test_a_page_is_named_behind_a_line_to_paste(run_tiny: RunTiny, capsys: pytest.CaptureFixture[str]) -> None:
+    def refuse(output: Output) -> None:
+        output.delivery.remark = "The page r.html says so."
+        raise InfeasibleError("Nothing meets it; say structure: biquad", suggestion={"structure": "biquad"})
+
+    assert run_tiny(refuse) == ExitCode.INFEASIBLE
+    lines = capsys.readouterr().err.splitlines()
+    assert lines == ["autotune: Nothing meets it; say", "structure: biquad", "The page r.html says so."]
+
+
 def test_a_result_then_an_error_is_still_one_object(run_tiny: RunTiny, capsys: pytest.CaptureFixture[str]) -> None:
     def body(output: Output) -> None:
         output.result({"holds": False}, lambda: None)
