@@ -9,13 +9,14 @@ from problems.arrays import FloatArray
 from problems.contact.linear_controller_contact import trace_linear_contact
 from problems.contact.transient import Approach, ContactTransient, SampledContact, simulate_contact
 from problems.model.controller import AdmittanceController
+from problems.model.linear_controllers import LinearController
 from problems.model.response import free_space_admittance, loop_response
 from problems.model.sampled import Controller, SampledPlant, build_loop, spectral_radius
 from problems.stability.margins import RawMargins, UnstableLoopError, frequency_grid, margins_on_grid
 from problems.stability.noise import command_speed_gain
 from problems.stability.noise_spectrum import RelativeSpectrum
 
-_GRID = 600
+_GRID, _FINE, _POINTS_A_STATE = 600, 10, 60
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,6 +89,10 @@ class LoopJudge:
 
 def _margins(plant: SampledPlant, law: Controller) -> RawMargins:
     omega = frequency_grid(plant, _GRID)
+    if isinstance(law, LinearController):
+        # A law of many ticks winds through as many turns, and dips where the plant alone is smooth.
+        even = np.linspace(omega[0], omega[-1], _POINTS_A_STATE * len(law.rest))
+        omega = np.unique(np.concatenate([frequency_grid(plant, _FINE * _GRID), even]))
     response = loop_response(plant, law, omega)
     found = [margins_on_grid(omega, each) for each in (response.at_force, response.at_command)]
     return RawMargins(*np.min(found, axis=0))

@@ -253,6 +253,9 @@ def test_the_command_prints_design_reached_and_bound(
     design, attained, bound = found["design"], found["attained"], found["lower_bound"]["force_n"]
     assert bound < attained["peak_force_n"] < design["peak_force_n"]
     assert attained["modulus"] >= found["modulus_margin"] - 1e-12
+    # Whoever stays m away from −1 keeps these too; between few frequencies a law of many ticks seems to keep less.
+    assert attained["gain_db"] >= 20.0 * np.log10(1.0 + attained["modulus"]) - 0.1
+    assert attained["phase_deg"] >= np.degrees(2.0 * np.arcsin(0.5 * attained["modulus"])) - 0.1
     assert attained["noise_m_s_per_n"] <= found["noise_m_s_per_n"] * (1.0 + 1e-9)
     assert attained["min_m_s_per_n"] >= 7e-4 - 1e-12
     # The design keeps the phase that is asked, and what gets nearer spends it.
