@@ -72,8 +72,10 @@ def read_manifest(path: Path, *, may_be_empty: bool = False) -> tuple[LoggedRun,
     return tuple(runs)
 
 
-# What is a log by its name alone: one that a recorder left empty is refused, not passed over.
+# What is a log by its name alone: one that is empty or damaged from its beginning on is refused, not passed over.
 _RECORDED = frozenset({".mcap", ".bag", ".db3"})
+# What is still being written or copied, whatever it begins with.
+_UNFINISHED = frozenset({".part", ".partial", ".tmp", ".active", ".crdownload", ".filepart"})
 
 
 def _of_folder(folder: Path) -> Iterator[LoggedRun]:
@@ -88,12 +90,12 @@ def _of_folder(folder: Path) -> Iterator[LoggedRun]:
 
 
 def _is_run(path: Path) -> bool:
-    """Return whether a path is a log: a file that begins as one, an empty one of its name, or a ROS 2 bag's folder."""
+    """Return whether a path is a log: a file that begins as one or has its name, or a ROS 2 bag's folder."""
     if path.is_dir():
         return (path / "metadata.yaml").is_file()
-    if path.name.startswith(".") or not path.is_file():
+    if path.name.startswith(".") or path.suffix.lower() in _UNFINISHED or not path.is_file():
         return False
-    return is_log(path) or (path.suffix in _RECORDED and path.stat().st_size == 0)
+    return path.suffix.lower() in _RECORDED or is_log(path)
 
 
 def _beside(run: LoggedRun, *folders: Path) -> LoggedRun:

@@ -8,6 +8,7 @@ from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from random import Random
 
+from autotune.errors import UsageError
 from autotune.formats.atomic import name_of_process
 from autotune.processes import worker_pool
 from problems.errors import AutotuneError
@@ -22,6 +23,7 @@ from .work import RunOutcome, RunTask, build_task, work_on
 Phase = Callable[[str, int], AbstractContextManager[Callable[..., None]]]
 """Shows how far a part of the work is, as `Output.progress` of the command line does."""
 _LOOK_S, _WAIT_S = 5.0, 1.0
+_CONTROLLER = "controller.yaml"
 _KILLED = (
     f"The process that worked on it alone ended {MOST_DEATHS} times without an answer: killed, or out of memory. It "
     "is tried again by the next campaign."
@@ -72,7 +74,8 @@ def work_on_runs(
     Raises
     ------
     UsageError
-        A file cannot be read, a result cannot be written, or the state cannot be kept.
+        A file cannot be read, a result cannot be written, the state cannot be kept, or controllers in the folder would
+        be removed and not made again.
     """
     progress = progress or (lambda *_: nullcontext(_nothing))
     with open_state(storage, folder) as state:
@@ -82,7 +85,7 @@ def work_on_runs(
             for run in runs if storage is None else Random(name_of_process()).sample(runs, len(runs)):
                 tasks[run.name] = build_task(run, folder, options or RunOptions(), state.checksums.find)
                 advance(1, run.name)
-        work = _Work(state, [tasks[run.name] for run in runs], note or _nothing)
+        work = _Work(state, folder, [tasks[run.name] for run in runs], note or _nothing)
         work.look()
         if work.done and not is_another_look:
             work.note(left_text(len(work.left), len(runs)))
@@ -104,8 +107,10 @@ def _nothing(*_: object) -> None:
 class _Work:
     """The runs that are left, and what came of the others."""
 
-    def __init__(self, state: CampaignState, tasks: Sequence[RunTask], note: Callable[[str], None]) -> None:
-        self._state, self.note = state, note
+    def __init__(
+        self, state: CampaignState, folder: Path, tasks: Sequence[RunTask], note: Callable[[str], None]
+    ) -> None:
+        self._state, self.folder, self.note = state, folder, note
         self.advance: Callable[..., None] = _nothing
         self.left = {task.run.name: task for task in tasks}
         self.free: deque[RunTask] = deque()
@@ -122,9 +127,25 @@ class _Work:
         self.free.clear()
         self.free.extend(sight.free)
         self._hosts = ", ".join(sorted(sight.hosts))
+        self._replace(sight.older)
         if lost := ", ".join(name for name in sight.lost if name not in self._told):
             self._told.update(sight.lost)
             self.note(f"Done again, since files of their results are missing or altered: {lost}.")
+
+    def _replace(self, older: Sequence[tuple[RunTask, RunOutcome]]) -> None:
+        """Say which results will be replaced; raises UsageError where a controller would go and none take its place."""
+        gone = [task.run.name for task, outcome in older if _CONTROLLER in outcome.files and not task.options.optimize]
+        if gone:
+            raise UsageError(
+                f"{self.folder} has controllers of {counted(len(gone), 'run')} that would be removed, and not made "
+                f"again without optimizing: {', '.join(gone)}. Name another folder with -o, or leave --no-optimize out."
+            )
+        if names := [task.run.name for task, _ in older if task.run.name not in self._told]:
+            self._told.update(names)
+            self.note(
+                "Done again, since inputs, options or version are not those of their results in the folder, which are "
+                f"replaced: {', '.join(names)}."
+            )
 
     def wait(self) -> None:
         """Wait a moment for what others work on, and say so once."""

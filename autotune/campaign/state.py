@@ -70,12 +70,14 @@ class Sight:
     """What a look at the state shows of some tasks.
 
     `known` are those with a result, `free` those that may be claimed, `lost` the names of those of them that have a
-    result whose files are not in the folder, and `hosts` the machines that work on the others.
+    result whose files are not in the folder, `older` the free ones that have a result of other inputs, options or
+    another version, with it, and `hosts` the machines that work on the others.
     """
 
     known: list[tuple[RunTask, RunOutcome]] = field(default_factory=list)
     free: list[RunTask] = field(default_factory=list)
     lost: list[str] = field(default_factory=list)
+    older: list[tuple[RunTask, RunOutcome]] = field(default_factory=list)
     hosts: set[str] = field(default_factory=set)
 
 
@@ -121,6 +123,8 @@ class CampaignState:
             sight.hosts.add(row.host)
         elif outcome is None or (self._failed or {}).get(task.run.name) == row.attempts:
             sight.free.append(task)
+            if row.key != task.key and (older := parse_outcome(row.result)) is not None and older.files:
+                sight.older.append((task, older))
         elif outcome.has_files(task.folder):
             sight.known.append((task, outcome))
         elif row.is_new and not is_of_this_machine(row.owner):

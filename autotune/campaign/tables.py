@@ -30,7 +30,10 @@ def campaign_rows(outcomes: Sequence[RunOutcome]) -> tuple[list[str], list[list[
 
 
 def write_tables(folder: Path, outcomes: Sequence[RunOutcome]) -> tuple[Path, ...]:
-    """Write `campaign.csv` and, where pyarrow is there, `campaign.parquet`; return what was written."""
+    """Write `campaign.csv` and, where pyarrow is there, `campaign.parquet`; return what was written.
+
+    Without pyarrow a `campaign.parquet` of an earlier run is removed: it would say something else.
+    """
     columns, rows = campaign_rows(outcomes)
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
@@ -38,7 +41,9 @@ def write_tables(folder: Path, outcomes: Sequence[RunOutcome]) -> tuple[Path, ..
     writer.writerows([["" if each is None else each for each in row] for row in rows])
     write_atomic(folder / "campaign.csv", text.getvalue())
     written = [folder / "campaign.csv"]
-    if find_spec("pyarrow") is not None:
+    if find_spec("pyarrow") is None:
+        (folder / "campaign.parquet").unlink(missing_ok=True)
+    else:
         write_atomic(folder / "campaign.parquet", _parquet(columns, rows))
         written.append(folder / "campaign.parquet")
     return tuple(written)

@@ -165,10 +165,13 @@ def _identify_and_tune(task: RunTask, files: dict[str, str]) -> RunOutcome:
 
 
 def _outside(controller: Path, result: Identified) -> tuple[str, ...]:
-    """Return what of a plant lies outside of what a controller is certified for."""
+    """Return what of a plant lies outside of what a controller is certified for, or why its file certifies nothing."""
     from autotune.validation.domain import check_domain  # noqa: PLC0415 - compiles
 
-    checks = check_domain(read_controller(controller).controller, result)
+    try:
+        checks = check_domain(read_controller(controller).controller, result)
+    except CertificateError as error:
+        return (str(error).rstrip("."),)
     return tuple(f"axis {each.axis}, {each.name}: {each.message}" for each in checks if not each.passed)
 
 

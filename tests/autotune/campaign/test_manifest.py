@@ -42,6 +42,21 @@ def test_a_log_that_a_recorder_left_empty_is_a_run(logs: Path) -> None:
     assert "press/notes" not in {run.name for run in read_manifest(logs)}
 
 
+@pytest.mark.parametrize("content", [b"\x07\x81 nothing that a recorder writes", MCAP[:4]])
+def test_a_log_that_is_damaged_from_its_beginning_on_is_a_run_that_is_refused_and_not_passed_over(
+    logs: Path, content: bytes
+) -> None:
+    (logs / "press" / "sat.mcap").write_bytes(content)
+    assert "press/sat" in {run.name for run in read_manifest(logs)}
+
+
+@pytest.mark.parametrize("ending", [".part", ".tmp", ".active"])
+def test_what_is_still_being_copied_is_no_run_however_it_begins(logs: Path, ending: str) -> None:
+    before = read_manifest(logs)
+    (logs / "press" / f"sat.mcap{ending}").write_bytes(MCAP)
+    assert read_manifest(logs) == before
+
+
 def test_table_and_document_say_the_same(logs: Path) -> None:
     table, document = logs / "runs.csv", logs / "runs.yaml"
     table.write_text(

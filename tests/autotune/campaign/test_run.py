@@ -24,7 +24,7 @@ from autotune.campaign.result import run_campaign
 from autotune.campaign.run import work_on_runs
 from autotune.campaign.state import STATE
 from autotune.campaign.tables import campaign_rows, write_tables
-from autotune.campaign.work import RunOutcome, build_task, parse_outcome, work_on
+from autotune.campaign.work import RunOutcome, RunTask, build_task, parse_outcome, work_on
 from autotune.errors import UsageError
 from autotune.pipeline import IdentifyOptions
 from autotune.processes import worker_environment
@@ -72,6 +72,42 @@ def test_what_is_finished_is_not_done_again_and_what_changed_is(logs: Path, tmp_
     assert notes[1:] == ["1 of 12 runs to do: 11 are done with these inputs, options and version."]
     work_on_runs(runs, tmp_path / "out", executor=again, note=notes.append, is_another_look=True)
     assert (again.worked, len(notes)) == ([], 2)
+
+
+def test_results_of_other_options_are_named_before_they_are_replaced_and_no_controller_is_lost(
+    logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    runs, out, notes = read_manifest(logs)[:2], tmp_path / "out", list[str]()
+    monkeypatch.setattr("autotune.campaign.work._identify_and_tune", _made)
+    work_on_runs(runs, out, executor=Counting())
+    made = out / "cells" / "cell0" / "run0" / "controller.yaml"
+    said = (
+        f"{out} has controllers of 2 runs that would be removed, and not made again without optimizing: cell0/run0, "
+        "cell0/run1. Name another folder with -o, or leave --no-optimize out."
+    )
+    with pytest.raises(UsageError) as refused:
+        work_on_runs(runs, out, RunOptions(optimize=False), executor=Counting())
+    assert str(refused.value) == said
+    assert made.is_file()
+    work_on_runs(runs, out, RunOptions(seed=1), executor=Counting(), note=notes.append)
+    assert made.is_file()
+    said = "Done again, since inputs, options or version are not those of their results in the folder, "
+    assert notes == [f"{said}which are replaced: cell0/run0, cell0/run1."]
+
+
+def _made(task: RunTask, files: dict[str, str]) -> RunOutcome:
+    """A run that is identified and tuned, where that is asked."""
+    files["identified.yaml"] = f"{task.key}\n"
+    if task.options.optimize:
+        files["controller.yaml"] = f"{task.key}\n"
+    return RunOutcome(cell=task.run.cell, run=task.run.run, key=task.key)
+
+
+def test_a_table_that_cannot_be_written_anew_does_not_stay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "campaign.parquet").write_bytes(b"of another time")
+    monkeypatch.setattr("autotune.campaign.tables.find_spec", lambda _name: None)
+    assert write_tables(tmp_path, [RunOutcome(cell="a", run="b", key="k")]) == (tmp_path / "campaign.csv",)
+    assert not (tmp_path / "campaign.parquet").exists()
 
 
 def test_options_and_settings_are_part_of_the_key(logs: Path, tmp_path: Path) -> None:

@@ -81,6 +81,22 @@ def test_a_controller_that_is_not_certified_for_its_cell_is_exit_code_6(
 
 
 @pytest.mark.usefixtures("in_this_process")
+@pytest.mark.parametrize("content", ["altered", "a: b\n", ""])
+def test_a_controller_file_that_certifies_nothing_is_exit_code_6(
+    run_cli: RunCli, fleet: Path, tmp_path: Path, content: str
+) -> None:
+    file = fleet / "press" / "controller.yaml"
+    write_controller(file, small_controller())
+    file.write_text(file.read_text().replace("mass: ", "mass: 1", 1) if content == "altered" else content)
+    done = run_cli("campaign", fleet, "-o", "out", "--no-optimize", "--jobs", "1")
+    assert done.returncode == 6
+    assert "1 certificate no longer valid" in done.stdout
+    assert f"press/mon: the certificate does not hold: {file}" in done.stdout.replace("\n", " ")
+    # The cell itself is identified all the same.
+    assert (tmp_path / "out" / "cells" / "press" / "mon" / "identified.yaml").is_file()
+
+
+@pytest.mark.usefixtures("in_this_process")
 def test_a_cut_log_is_read_with_salvage_as_its_refusal_says(run_cli: RunCli, fleet: Path) -> None:
     log = fleet / "press" / "mon.mcap"
     log.write_bytes(log.read_bytes()[: -log.stat().st_size // 10])
