@@ -1,6 +1,7 @@
 """The one error tree of the project; every floor adds its own branches."""
 
 from importlib.util import find_spec
+from typing import Any
 
 
 class AutotuneError(Exception):
@@ -11,6 +12,14 @@ class AutotuneError(Exception):
     """
 
     to_paste: tuple[str, ...] = ()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Constructors take other arguments than the sentence, which is all that an exception pickles by itself.
+        return _restored, (type(self), self.args), vars(self)
+
+
+def _restored(kind: type[AutotuneError], said: tuple[Any, ...]) -> AutotuneError:
+    return kind.__new__(kind, *said)
 
 
 class ParameterError(AutotuneError, ValueError):

@@ -1,6 +1,6 @@
 """`autotune limit`: how far a design is from what any linear controller could reach."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +15,7 @@ from ._terminal import print_message, print_table
 if TYPE_CHECKING:
     from autotune.formats.controller_record import Controller
     from autotune.limit.limit import LimitResult
+    from problems.design.problem import DesignProblem
     from problems.design.uncertainty import Scenario
 
 _EPILOG = """\b
@@ -30,7 +31,8 @@ Examples:
 @click.option(
     "--controller",
     type=FilePath(*SETTINGS, kinds=("controller",)),
-    help="Controller of SOURCE's plant to look at (default: one that is searched).",
+    help="Controller of SOURCE's plant to look at, under its own requirements unless --problem says others (default: "
+    "one that is searched).",
 )
 @click.option("--problem", type=FilePath(*SETTINGS, kinds=("problem",)), help="Requirements and ranges: problem.yaml.")
 @click.option("--axis", metavar="NAME", help="x, y, z, rx, ry or rz (default: all).")
@@ -106,6 +108,8 @@ def _found(
     plants: int,
     noise: float,
 ) -> "dict[str, LimitResult]":
+    from dataclasses import replace
+
     from autotune.errors import InfeasibleError, UsageError
     from autotune.explore.source import read_exploration
     from autotune.formats.controller import read_controller
@@ -123,16 +127,26 @@ def _found(
         if axis is not None and axis not in exploration.axes:
             raise UsageError(f"Axis {axis} is not in {source}; it holds {', '.join(exploration.axes)}.")
         given = None if controller is None else read_controller(controller).controller
+        file = given if is_plant else read_controller(source).controller
         found = {}
         for name in names:
             start = exploration.axes[name]
             if start.note and given is None and is_plant:
-                raise InfeasibleError(f"Axis {name}: {start.note}")
+                raise InfeasibleError(
+                    f"Axis {name}: {start.note} What would be enough, and whether another structure has a design, says "
+                    "`autotune optimize`; its controller.yaml can be looked at."
+                )
             if given is not None and name not in given.axes:
                 raise UsageError(f"Axis {name} is not in {controller}; it holds {', '.join(given.axes)}.")
             law = start.problem.controller(start.design) if given is None else admittance_controller(given, name)
+            if given is not None and problem is None:
+                # What the controller was made for is what it is held against.
+                start = replace(start, problem=_asked_as_of(start.problem, given, name))
             portion = ProgressSlice(advance, (1.0 - share) / len(names))
-            worst = hardest(start.problem, law, start.scenarios, plants, units=axis_units(name))
+            seen = start.scenarios
+            if file is not None:
+                seen = (*seen, *_predicted_in(file, name, start.problem))
+            worst = hardest(start.problem, law, seen, plants, units=axis_units(name))
             if given is not None:
                 _note_uncertified(output, given, name, worst)
             found[name] = find_limit(
@@ -140,6 +154,31 @@ def _found(
             )
             portion.finish()
     return found
+
+
+def _predicted_in(controller: "Controller", name: str, problem: "DesignProblem") -> "Iterator[Scenario]":
+    """Yield the contacts that a controller file predicts, its hardest among them, that are in the problem's set."""
+    from problems.design.uncertainty import MASS, STIFFNESS
+
+    for each in controller.predicted[name].scenarios:
+        scenario = each.scenario()
+        values = {MASS: each.payload_mass_kg, STIFFNESS: each.environment_stiffness_n_per_m}
+        inside = all(low <= values[key] <= high for key in values for low, high in [problem.plants.range_of(key)])
+        if inside and set(scenario.further()) <= set(problem.plants.further):
+            yield scenario
+
+
+def _asked_as_of(problem: "DesignProblem", controller: "Controller", name: str) -> "DesignProblem":
+    """Return a problem with the requirements and the approach of a controller's certificate."""
+    from dataclasses import replace
+
+    from autotune.validation.certified_requirements import certified_problem_requirements
+
+    return replace(
+        problem,
+        requirements=certified_problem_requirements(controller, name),
+        approach=controller.certificate.domain[name].approach,
+    )
 
 
 def _note_uncertified(output: Output, given: "Controller", name: str, scenarios: "Sequence[Scenario]") -> None:

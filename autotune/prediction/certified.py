@@ -70,9 +70,9 @@ def predict_certified(
     """Predict a contact of a controller file on its own nominal plant; the interval is that over its certified plants.
 
     With a `bumper` the payload touches with that part of it, which no certificate of peaks in one piece is about.
-    Without a payload's mass it is that with the largest peak of both ends of the domain, and the interval is
-    over the whole range of payloads. Raises ParameterError for numbers out of range and a stiffness that must be of
-    another unit, UnstableLoopError where the loop is unstable.
+    Without a payload's mass it is that with the largest peak of both ends of the domain and of the payload that is the
+    hardest in the file, and the interval is over the whole range of payloads. Raises ParameterError for numbers out of
+    range and a stiffness that must be of another unit, UnstableLoopError where the loop is unstable.
     """
     domain, predicted = controller.certificate.domain[axis], controller.predicted[axis]
     notes = [NO_DELAY_GIVEN] if any(NO_DELAY_GIVEN in each for each in controller.provenance.get("notes", ())) else []
@@ -90,7 +90,8 @@ def predict_certified(
     if not isinstance(law, TargetLaw):
         # The certified peaks are those of the linear law.
         law = replace(law, deadband=NO_DEADBAND)
-    masses = set(domain.payload_mass_kg) if payload_mass is None else {payload_mass}
+    hardest = max(predicted.scenarios, key=lambda each: each.peak_contact_force_n)
+    masses = {*domain.payload_mass_kg, hardest.payload_mass_kg} if payload_mass is None else {payload_mass}
     found = max(
         (
             predict_contact(

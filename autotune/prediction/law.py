@@ -76,6 +76,7 @@ def law_notes(law: Law, axis: str, controller: Controller | None = None) -> Iter
     units, of = axis_units(axis), law.controller
     text = f"simulated with M_a {of.mass_kg:.6g} {units.mass}, B_a {of.damping_n_s_per_m:.6g} {units.damping}"
     text += f", K_l {1e3 * of.lead_s:.6g} ms, B_fb {1e3 * of.feedback_damping_s:.6g} ms"
+    text += ", a biquad in the path of the force" if of.has_biquad else ""
     if controller is None:
         said = f"a {deadband_text(law.deadband, axis)}, as the gains say"
         none = "no deadband, as the gains name none (they may: deadband=5,deadband_type=threshold)"

@@ -24,6 +24,8 @@ from .search import SearchResult, solve_design
 
 # What is suggested is easier by these shares than what was reached: a search from nowhere must find it again.
 _EASIER = (0.03, 0.1)
+# Who gives up more of a margin has none left: that is no way out to paste.
+_MOST_EASED = 0.75
 # How far a parameter of the plant is eased, and how often the way there is halved.
 _EASIEST, _FASTER, _LITTLE_DRAG, _HALVINGS = 27.0, 4.0, 1.0, 3
 _FARTHEST = 200.0
@@ -230,6 +232,13 @@ def _eased(problem: DesignProblem, ways: Sequence[_Way], share: float) -> Design
     return problem
 
 
+def _is_upper(problem: DesignProblem, relaxation: Relaxation) -> bool:
+    """Return whether what is asked is a most, such as a peak, and not a least."""
+    if relaxation.name == EVERY_REQUIREMENT:
+        return False
+    return problem.requirements.kind(relaxation.name).is_upper_limit
+
+
 def _checked(
     name: str, problem: DesignProblem, relaxations: tuple[Relaxation, ...], seed: int
 ) -> tuple[dict[str, Any], SearchResult | None]:
@@ -238,6 +247,8 @@ def _checked(
     What a hand feels is given up before a margin.
     """
     for relaxation in sorted(relaxations, key=lambda each: each.name != ADMITTANCE)[:2]:
+        if relaxation.name != ADMITTANCE and relaxation.share > _MOST_EASED and not _is_upper(problem, relaxation):
+            continue
         for share in _EASIER:
             eased = relaxation.within(problem.requirements, share)
             try:

@@ -184,7 +184,8 @@ def spectrum_notes(controller: Controller, problems: Mapping[str, DesignProblem]
             unit = f"m{axis_units(name).speed}"
             yield (
                 f"Axis {name}: the sensor's noise counts with its spectrum as logged, and makes {1e3 * logged:.3g} "
-                f"{unit} RMS of the command; white noise of its RMS would make {1e3 * white:.3g} {unit}."
+                f"{unit} RMS of the command on the nominal plant; white noise of its RMS would make {1e3 * white:.3g} "
+                f"{unit}."
             )
 
 

@@ -1,4 +1,30 @@
-from problems.errors import AutotuneError, ParameterError
+import pickle
+from copy import deepcopy
+
+import pytest
+
+from autotune.errors import InfeasibleError, UsageError
+from autotune.formats.records import EntryError
+from problems.errors import AutotuneError, MissingExtraError, ParameterError
+from problems.stability.margins import UnstableLoopError
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        ParameterError("mass_kg", -3.0, "above 0"),
+        MissingExtraError("limit", "cvxpy", "limit"),
+        UnstableLoopError(1.5),
+        EntryError(("axes", 0), ParameterError("mass_kg", -3.0, "above 0")),
+        UsageError("Say a.", to_paste=("a",)),
+        InfeasibleError("None.", (("modulus_margin", 0.5, 0.4),), suggestion={"structure": "biquad"}, missed=0.2),
+    ],
+)
+def test_errors_cross_processes_with_their_sentence_and_all_that_they_carry(error: AutotuneError) -> None:
+    for again in (pickle.loads(pickle.dumps(error)), deepcopy(error)):
+        assert type(again) is type(error)
+        assert str(again) == str(error)
+        assert vars(again) == vars(error)
 
 
 def test_a_parameter_error_carries_its_numbers_and_says_them_in_one_sentence() -> None:

@@ -2,16 +2,21 @@
 
 import json
 import re
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from autotune.errors import InfeasibleError
+from autotune.formats.controller import write_controller
+from autotune.validation.certified_requirements import certified_problem_requirements
 from benchmarks.tuning_problems import paper_cell
 from problems.contact.linear_controller_contact import simulate_linear_contact, trace_linear_contact
 from problems.contact.transient import Approach, SampledContact, build_sampled_contact, simulate_contact
-from problems.design.problem import AdmittanceTarget, NoiseLimit
+from problems.design.problem import AdmittanceTarget, DesignProblem, NoiseLimit, Requirements
+from problems.design.uncertainty import Scenario
 from problems.model.controller import AdmittanceController
 from problems.model.plant import FREE_SPACE, Coupling, Environment, PayloadDynamics, Plant
 from problems.model.response import free_space_admittance
@@ -19,6 +24,7 @@ from problems.model.robot import RobotModel
 from problems.model.sampled import build_loop, build_sampled_plant, spectral_radius
 from problems.stability.noise import command_speed_gain
 from problems.stability.noise_spectrum import RelativeSpectrum
+from tests.autotune.tuning.cases import small_controller
 from tests.conftest import RunCli
 
 pytest.importorskip("cvxpy", reason="needs the extra `limit`")
@@ -292,6 +298,41 @@ def test_a_controller_beside_a_plant_that_it_is_not_certified_for_is_looked_at_a
         assert done.returncode == 0, done.stderr
         assert where in done.stderr
         assert (said in done.stderr) == bool(where)
+
+
+def test_a_controller_is_looked_at_in_the_contacts_of_its_file_and_under_what_it_was_made_for(
+    run_cli: RunCli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The hardest contact of a file need not be at an end of the ranges; who asks of a plant need not ask again."""
+    file = small_controller()
+    between = replace(file.predicted["x"].scenarios[0], environment_stiffness_n_per_m=1.13e5)
+    outside = replace(between, environment_stiffness_n_per_m=3e5)
+    predicted = replace(file.predicted["x"], scenarios=(between, outside))
+    write_controller(tmp_path / "controller.yaml", replace(file, predicted={"x": predicted}))
+    plant = _PLANT.replace("[5e5, 5e5]", "[1e5, 1.2e5]")
+    (tmp_path / "plant.yaml").write_text(plant, encoding="utf-8")
+    seen: list[tuple[DesignProblem, set[float]]] = []
+
+    def looked_at(
+        problem: DesignProblem, _law: object, scenarios: Iterable[Scenario], *_: object, **__: object
+    ) -> None:
+        seen.append((problem, {each.environment_stiffness_n_per_m for each in scenarios}))
+        raise InfeasibleError("Enough was seen.")
+
+    monkeypatch.setattr("autotune.limit.limit.hardest", looked_at)
+    for words in (("controller.yaml",), ("plant.yaml", "--controller", "controller.yaml")):
+        assert run_cli("limit", *words).returncode == 5
+    own = certified_problem_requirements(file, "x")
+    assert own != Requirements()
+    for problem, stiffnesses in seen:
+        assert problem.requirements == own
+        assert problem.approach == file.certificate.domain["x"].approach
+        assert {1e5, 1.13e5, 1.2e5} <= stiffnesses
+        assert 3e5 not in stiffnesses
+    (tmp_path / "problem.yaml").write_text("requirements: {modulus_margin: 0.31}\n", encoding="utf-8")
+    asked = ("plant.yaml", "--controller", "controller.yaml", "--problem", "problem.yaml")
+    assert run_cli("limit", *asked).returncode == 5
+    assert seen[-1][0].requirements.modulus_margin == 0.31
 
 
 @pytest.mark.parametrize("delay_s", [2.4e-3, 0.0])

@@ -1,12 +1,14 @@
 """A predicted contact against scipy's integrator, and its interval against what it says of itself."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 import autotune as at
 from autotune.formats.identified import IN_MEMORY, IdentifiedFile
+from autotune.prediction import certified as certified_module
 from autotune.prediction.against_touches import (
     ComparedTouch,
     Running,
@@ -16,8 +18,9 @@ from autotune.prediction.against_touches import (
 )
 from autotune.prediction.certified import predict_certified
 from autotune.prediction.contact import Law, nominal_contact, peak_interval, simulate_on, simulate_others
-from autotune.prediction.plants import Surface, build_plants
-from autotune.prediction.result import predict_contact
+from autotune.prediction.law import law_notes
+from autotune.prediction.plants import PlantEnsemble, Surface, build_plants
+from autotune.prediction.result import PredictedContact, predict_contact
 from autotune.prediction.series_plant import series_plant
 from identification.result import (
     CouplingEstimate,
@@ -280,6 +283,38 @@ def test_the_interval_of_a_design_is_over_all_its_payloads_unless_one_is_said() 
     assert high == pytest.approx(max(peaks))
     said = predict_certified(controller, "x", 1e5, payload_mass=light).interval.contact
     assert said == pytest.approx((peaks[0], peaks[0]))
+
+
+def test_the_payload_of_the_hardest_contact_in_the_file_is_looked_at_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The peak over the payload may be highest between the ends of its range."""
+    controller = make_controller(("x",))
+    light, heavy = controller.certificate.domain["x"].payload_mass_kg
+    between, predicted = 0.5 * (light + heavy), controller.predicted["x"]
+    hardest = replace(predicted.scenarios[0], payload_mass_kg=between, peak_contact_force_n=1e3)
+    file = replace(controller, predicted={"x": replace(predicted, scenarios=(*predicted.scenarios, hardest))})
+    looked_at: list[float] = []
+    real = certified_module.predict_contact
+
+    def noted(plants: PlantEnsemble, *arguments: Any) -> PredictedContact:
+        found = real(plants, *arguments)
+        assert found.plant is not None
+        looked_at.append(found.plant.payload.mass_kg)
+        return found
+
+    monkeypatch.setattr(certified_module, "predict_contact", noted)
+    peak = predict_certified(file, "x", 1e5).peak_force
+    assert looked_at == [light, between, heavy]
+    assert peak == max(predict_certified(file, "x", 1e5, payload_mass=mass).peak_force for mass in looked_at[:3])
+
+
+def test_a_biquad_that_is_simulated_is_named() -> None:
+    law = AdmittanceController(mass_kg=10.0, damping_n_s_per_m=900.0, lead_s=0.02)
+    shaped = replace(
+        law, biquad_zero_s=0.01, biquad_zero_damping_ratio=0.2, biquad_pole_s=0.01, biquad_pole_damping_ratio=0.4
+    )
+    plain, named = (next(law_notes(Law(controller=each), "x")) for each in (law, shaped))
+    assert plain.startswith("simulated with M_a 10 kg, B_a 900 N·s/m, K_l 20 ms, B_fb 0 ms and no deadband")
+    assert named == plain.replace("B_fb 0 ms", "B_fb 0 ms, a biquad in the path of the force")
 
 
 def test_what_lies_outside_of_the_certificate_is_said_of_a_design_and_of_its_gains_on_another_plant() -> None:

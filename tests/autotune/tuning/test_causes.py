@@ -8,9 +8,10 @@ import pytest
 from autotune.errors import InfeasibleError
 from autotune.formats.canonical import lines_to_paste
 from autotune.formats.problem import read_problem
+from autotune.tuning import causes as causes_module
 from autotune.tuning.causes import Explanation, explain, explanation_message, find_causes
 from autotune.tuning.relax import Relaxation
-from autotune.tuning.search import solve_design
+from autotune.tuning.search import SearchResult, solve_design
 from problems.design.batch_result import EVERY_REQUIREMENT
 from problems.design.problem import AdmittanceTarget, DesignProblem, Requirements
 from problems.model.plant_parameters import with_values
@@ -93,6 +94,33 @@ def test_all_requirements_are_eased_together_each_in_its_own_direction() -> None
     assert together.modulus_margin == 0.5
     alone = Relaxation(name="max_peak_force_n", asked=50.0, possible=60.0).within(asked, 0.1)
     assert (alone.max_peak_force_n, alone.threshold("free_space_admittance")) == (66.0, 7e-4)
+
+
+@pytest.mark.parametrize(
+    ("name", "possible", "is_tried"),
+    [
+        (EVERY_REQUIREMENT, 10.4, False),
+        (EVERY_REQUIREMENT, 47.0, True),
+        ("modulus_margin", 0.003, False),
+        ("free_space_admittance", 1e-4, True),
+    ],
+)
+def test_no_controller_without_a_margin_worth_the_name_is_offered(
+    monkeypatch: pytest.MonkeyPatch, name: str, possible: float, is_tried: bool
+) -> None:
+    """Who pastes such lines has a controller that the next surface makes unstable; what a hand feels may be little."""
+    tried: list[DesignProblem] = []
+
+    def searched(problem: DesignProblem, **_: object) -> SearchResult:
+        tried.append(problem)
+        raise InfeasibleError("Nothing.")
+
+    monkeypatch.setattr("autotune.tuning.causes.solve_design", searched)
+    problem = design_problem()
+    asked = 100.0 if name == EVERY_REQUIREMENT else problem.requirements.threshold(name)
+    relaxation = Relaxation(name=name, asked=asked, possible=possible)
+    assert causes_module._checked("x", problem, (relaxation,), 0) == ({}, None)
+    assert bool(tried) is is_tried
 
 
 def test_a_suggestion_for_a_turning_axis_is_in_its_units() -> None:
