@@ -293,7 +293,7 @@ def test_the_payload_of_the_hardest_contact_in_the_file_is_looked_at_too(monkeyp
     hardest = replace(predicted.scenarios[0], payload_mass_kg=between, peak_contact_force_n=1e3)
     file = replace(controller, predicted={"x": replace(predicted, scenarios=(*predicted.scenarios, hardest))})
     looked_at: list[float] = []
-    real = certified_module.predict_contact
+    real = predict_contact
 
     def noted(plants: PlantEnsemble, *arguments: Any) -> PredictedContact:
         found = real(plants, *arguments)
