@@ -40,6 +40,8 @@ _UNDAMPED = 1e-10
 _AROUND = np.linspace(-6.0, 6.0, 25)
 _BETWEEN = 0.5 * (_AROUND[1:] + _AROUND[:-1])
 _SHORT_OF_NYQUIST = 1e-9
+# The cosine beyond which neighbours are on opposite sides.
+_OPPOSITE = 0.5
 # Where the loop gain is next to nothing (below 1e-3), a crossover limits nothing.
 LARGEST_GAIN_DB = 60.0
 
@@ -101,7 +103,11 @@ def margins_on_grid(frequency_rad_per_s: FloatArray, loop: ComplexArray) -> RawM
         # Phase crossovers: the segment passes the negative real axis.
         imag = loop.imag
         row, _, start, stop = _segments(loop, (imag[:, :-1] * imag[:, 1:] <= 0.0) & (imag[:, :-1] != imag[:, 1:]))
-        real = start.real + start.imag / (start.imag - stop.imag) * (stop.real - start.real)
+        real = _crossing(start, stop)
+        # Past an undamped pole L turns round through infinity, not through zero: its inverse goes the short way.
+        far = (start * stop.conj()).real < -np.abs(start * stop) * _OPPOSITE
+        far &= np.abs(start * stop) > 1.0
+        real[far] = 1.0 / _crossing(1.0 / start[far], 1.0 / stop[far])
         np.minimum.at(gain_db, row, np.where(real < 0.0, np.abs(20.0 * np.log10(np.abs(real))), np.inf))
         # Gain crossovers: |L| passes 1.
         gain = np.log(np.abs(loop))
@@ -114,6 +120,11 @@ def margins_on_grid(frequency_rad_per_s: FloatArray, loop: ComplexArray) -> RawM
         np.minimum.at(phase, row, np.abs(wrapped))
         np.minimum.at(delay_s, row, np.where(wrapped > 0.0, wrapped, wrapped + 2.0 * np.pi) / omega)
     return RawMargins(*(each.reshape(shape) for each in (modulus, gain_db, np.degrees(phase), delay_s)))
+
+
+def _crossing(start: ComplexArray, stop: ComplexArray) -> FloatArray:
+    """Return where the straight line between two points crosses the real axis."""
+    return np.asarray(start.real + start.imag / (start.imag - stop.imag) * (stop.real - start.real))
 
 
 def _segments(

@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 
 from problems.arrays import ComplexArray, FloatArray
 from problems.model.controller import AdmittanceController
-from problems.model.plant import Plant
+from problems.model.plant import Coupling, Environment, PayloadDynamics, Plant
 from problems.model.response import loop_response
 from problems.model.robot import RobotModel
 from problems.model.sampled import SampledPlant, build_loop, build_sampled_plant, spectral_radius
-from problems.stability.margins import UnstableLoopError, find_margins, frequency_grid, margins_on_grid
+from problems.stability.margins import UnstableLoopError, find_margins, frequency_grid, margins_on_grid, prepare_margins
 from tests.problems.axes import (
     DELAY_S,
     LAW,
@@ -276,3 +276,41 @@ def test_the_grid_ends_at_nyquist_but_for_a_hair_and_is_dense_at_the_resonance()
     resonance, width = math.sqrt((3e5 + 5e5) / 16.0), 5.0 / (2.0 * 16.0)
     assert np.sum(np.abs(grid - resonance) < 3.0 * width) >= 12
     assert one_pole().delay_s == DELAY_S
+
+
+@pytest.mark.parametrize("beyond", [1.005, 1.02, 1.1, 1.3])
+def test_a_loop_that_passes_an_undamped_pole_does_not_cross_the_negative_axis_there(beyond: float) -> None:
+    """L = 2 e^((1 − x/2)j)/(1 − x²) turns round through infinity at x = 1, and crosses that axis at x = 2 alone."""
+    x = np.concatenate([np.geomspace(0.01, 0.99, 200), np.geomspace(beyond, 8.0, 400)])
+    found = margins_on_grid(x, 2.0 * np.exp(1j * (1.0 - 0.5 * x)) / (1.0 - x**2))
+    assert found.gain_db == pytest.approx(20.0 * math.log10(1.5), rel=1e-3)
+    # |L| = 1 at x² = 3, where −L has the angle 1 − x/2.
+    assert found.phase_deg == pytest.approx(math.degrees(1.0 - 0.5 * math.sqrt(3.0)), rel=1e-3)
+
+
+@pytest.mark.parametrize("mass", [50.25, 60.125, 65.75, 79.5])
+def test_a_point_that_is_added_at_an_undamped_pole_itself_is_put_beside_it(mass: float) -> None:
+    """Points lie evenly around such a pole, so that the middle of two of them may be the pole, where L is infinite."""
+    plant = Plant(
+        robot=RobotModel(numerator=np.array([104.0]), denominator=np.array([1.0, 104.0]), delay_s=0.0),
+        coupling=Coupling(stiffness_n_per_m=9e5, damping_n_s_per_m=0.0),
+        payload=PayloadDynamics(mass_kg=mass, drag_n_s_per_m=0.0),
+        environment=Environment(stiffness_n_per_m=2e6),
+    )
+    law = AdmittanceController(
+        mass_kg=183.051,
+        damping_n_s_per_m=500.0,
+        lead_s=0.117386,
+        feedback_damping_s=0.0202758,
+        biquad_zero_s=0.00415124,
+        biquad_zero_damping_ratio=0.412439,
+        biquad_pole_s=0.00401157,
+        biquad_pole_damping_ratio=0.496392,
+    )
+    period_s, swing = 0.004, math.sqrt(2.9e6 / mass)
+    sampled = build_sampled_plant(plant, period_s)
+    nyquist = 0.999 * math.pi / period_s
+    grid = np.concatenate([np.geomspace(1.0, 0.999 * swing, 100_000), np.geomspace(1.001 * swing, nyquist, 100_000)])
+    response = loop_response(sampled, law, grid)
+    least = min(float(np.min(np.abs(1.0 + each))) for each in (response.at_force, response.at_command))
+    assert prepare_margins(sampled).find_modulus(law) == pytest.approx(least, rel=1e-4)
