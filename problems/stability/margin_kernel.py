@@ -43,10 +43,8 @@ _CLOSE = 1.5
 # straight line between them comes no nearer than cos 17.5° = 0.954 of the nearer one.
 MAX_TURN = 0.7
 _SMALL_LOOP = 0.03
-# How finely a segment is refined, and with how many points in all.
-_NARROWEST = 1e-8
-# Where the middle of two points is a pole: the share of the way at which a point is added instead.
-_BESIDE = 0.4
+# How finely a segment is refined, where in it a point is added if its middle is an undamped pole, and how many in all.
+_NARROWEST, _BESIDE = 1e-8, 0.4
 _DEEPEST = 40
 _ADDED_POINTS = 2000
 _REAL = 1e-3
@@ -214,7 +212,6 @@ def _refine_segment(
             waiting[depth] = 0.5 * (moments[used - 1] + waiting[depth - 1])
             stack[AT_FORCE, depth], stack[AT_COMMAND, depth] = differences_at(loop, waiting[depth])
             if np.isnan(stack[AT_FORCE, depth].real + stack[AT_COMMAND, depth].real):
-                # An undamped pole itself, halfway between two points around it: L is infinite, and nothing is least.
                 waiting[depth] = moments[used - 1] + _BESIDE * (waiting[depth - 1] - moments[used - 1])
                 stack[AT_FORCE, depth], stack[AT_COMMAND, depth] = differences_at(loop, waiting[depth])
             depth += 1
