@@ -247,7 +247,7 @@ def _check_instant(ctx: click.Context, param: click.Parameter, value: str | None
 
 def salvage_option(function: Callable[..., Any]) -> Callable[..., Any]:
     """Add `--salvage`."""
-    text = "Read the intact part of a damaged log, and list what is lost."
+    text = "Read what is left of a log whose end, index or database is damaged, and list what is lost."
     return click.option("--salvage", is_flag=True, help=text)(function)
 
 

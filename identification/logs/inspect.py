@@ -110,8 +110,8 @@ def _summarised(
     files: tuple[Path, ...], read: _Contents, *, salvage: bool, span: LogSpan, reading: Sequence[Finding] | None
 ) -> LogSummary:
     """Return the summary of what is in memory at once."""
-    # A pause of the recorder costs a long log what is around it.
-    keeps = salvage or span.recorded_ns is not None
+    # A pause of the recorder costs a long log what is around it, as does a chunk that is left out.
+    keeps = salvage or span.recorded_ns is not None or read.logs.is_damaged
     logs, series, choices, infos = read.logs, read.series, read.choices, read.logs.infos
     channels = tuple(_summary(info, series[info.channel]) for info in infos)
     numbers = tuple(found for part in logs.parts for found in number_fields(part))

@@ -10,7 +10,7 @@ import numpy as np
 from ..errors import LogError, listed
 from ..result import Finding
 from .checks.samples import ExaminedRoles
-from .containers.channel import Batch, Channel, ChannelInfo, Container, Held, Survey
+from .containers.channel import Batch, Channel, ChannelInfo, Container, Held, Survey, salvaged
 from .containers.formats import is_table, open_container
 from .messages.decode import HEADER, ROS_ENCODINGS, JointNames, MessageError, Series, Wanted, needed_types
 from .messages.gather import build_decoder, gather, list_frames, read_transform, recording_times
@@ -36,7 +36,8 @@ class ContainerLog:
         except BaseException:
             self._container.close()
             raise
-        self._lost: dict[Finding, None] = {}
+        self._salvage = salvage
+        self._lost = dict.fromkeys(self._container.lost())
         self.held: dict[Channel, tuple[Wanted, Series]] = {}
 
     def read(self, channels: Mapping[Channel, Wanted]) -> dict[Channel, Series]:
@@ -102,14 +103,14 @@ class ContainerLog:
 
     def findings(self) -> tuple[Finding, ...]:
         """Report what was seen of the container and what reading left out."""
-        return tuple(dict.fromkeys((*self.survey.findings, *self._lost)))
+        return (*self.survey.findings, *salvaged(self.path.name, tuple(self._lost), salvage=self._salvage))
 
     def close(self) -> None:
         """Close the files."""
         self._container.close()
 
     def _remember(self) -> None:
-        self._lost.update(dict.fromkeys(self._container.findings()))
+        self._lost = dict.fromkeys(self._container.lost())
 
 
 OpenedLog = ContainerLog | TableLog
@@ -127,6 +128,11 @@ class OpenedLogs:
     def name(self) -> str:
         """Name the files for a message."""
         return ", ".join(part.path.name or str(part.path) for part in self.parts)
+
+    @property
+    def is_damaged(self) -> bool:
+        """Whether anything of them was left out so far."""
+        return any(finding.code == "salvaged" for finding in self.findings())
 
     @property
     def start_ns(self) -> int:

@@ -302,8 +302,6 @@ def _read(
     It starts where wrench and pose have both begun.
     """
     files = (paths,) if isinstance(paths, Path) else tuple(paths)
-    # A pause of the recorder costs a long log what is around it.
-    keeps_holes = salvage or span.recorded_ns is not None
     with (
         open_logs(files, cell, salvage=salvage, recorded_ns=span.recorded_ns) if opened is None else nullcontext(opened)
     ) as logs:
@@ -322,6 +320,8 @@ def _read(
         chosen = [_chosen(choice, [part[role] for part in stamps if role in part]) for role, choice in choices.items()]
         parts, about_span = cut_roles(parts, stamps, span, logs.name)
         times = _times(parts, clocks)
+        # A pause of the recorder costs a long log what is around it, as does a chunk that is left out.
+        keeps_holes = salvage or span.recorded_ns is not None or logs.is_damaged
         about_samples = sample_findings(
             parts, clocks, cell, logs.start_ns, keeps_holes=keeps_holes, examined=logs.examined
         )
@@ -329,8 +329,8 @@ def _read(
         recording = _continuous(join_recordings(recordings))
         questions = open_questions(logs.infos, cell, logs.name)
         about_log = logs.findings()
-        if span.recorded_ns is None:
-            about_log = (*about_log, *_about_what_is_left(about_log, recording, logs))
+        if salvage and span.recorded_ns is None:
+            about_log = (*about_log, *_about_what_is_left(recording, logs))
         findings = (*about_log, *about_span, *chosen, *cautions, *idle, *questions, *about_clocks, *about_samples)
         beside = joint_findings(choices[Role.POSE], recording, cell, chain, logs)
         findings = (*findings, *recording.findings, *beside)
@@ -416,9 +416,9 @@ def _times(parts: Sequence[Part], clocks: Mapping[Role, Clock]) -> list[ChannelT
     return times
 
 
-def _about_what_is_left(findings: Sequence[Finding], recording: Recording, logs: OpenedLogs) -> tuple[Finding, ...]:
+def _about_what_is_left(recording: Recording, logs: OpenedLogs) -> tuple[Finding, ...]:
     """Report from when to when a damaged log still holds a wrench."""
-    if not any(finding.code == "salvaged" for finding in findings):
+    if not logs.is_damaged:
         return ()
     first, last = (int(recording.wrench.stamp_ns[i]) for i in (0, -1))
     ends = datetime.fromtimestamp(last // 10**9, tz=UTC)

@@ -20,6 +20,9 @@ _STILL_M, _STILL_RAD = 1e-4, 1e-3
 _FASTEST_TURN_RAD = 0.5
 """No robot turns its tool this far within one sample; a quaternion of the wrong order or a wrong angle does."""
 
+_HOLE_PERIODS = 5
+"""Across more sampling periods than this a log has a hole, in which a robot may turn as far as it likes."""
+
 
 def turn_findings(pose: PoseSignal) -> Iterator[Finding]:
     """Yield a finding when the orientation jumps between samples."""
@@ -28,7 +31,8 @@ def turn_findings(pose: PoseSignal) -> Iterator[Finding]:
     quaternion = pose.quaternion_xyzw
     cosine = np.clip(np.abs(np.sum(quaternion[1:] * quaternion[:-1], axis=1)), 0.0, 1.0)
     angle = 2.0 * np.arccos(cosine)
-    jumps = np.flatnonzero(angle > _FASTEST_TURN_RAD)
+    step_ns = np.diff(pose.stamp_ns)
+    jumps = np.flatnonzero((angle > _FASTEST_TURN_RAD) & (step_ns <= _HOLE_PERIODS * np.median(step_ns)))
     if jumps.size:
         seconds = (pose.stamp_ns[jumps[0] + 1] - pose.stamp_ns[0]) * 1e-9
         yield Finding.warning(
@@ -45,9 +49,13 @@ def twist_findings(pose: PoseSignal, twist: TwistSignal) -> Iterator[Finding]:
     start = pose.stamp_ns[0]
     pose_time, twist_time = (pose.stamp_ns - start) * 1e-9, (twist.stamp_ns - start) * 1e-9
     inside = (pose_time >= twist_time[0]) & (pose_time <= twist_time[-1])
-    lag = max(1, round(_LAG_S / float(np.median(np.diff(pose_time)))))
+    period = float(np.median(np.diff(pose_time)))
+    lag = max(1, round(_LAG_S / period))
     # Steps that overlap by more hold the same twice.
     starts = np.flatnonzero(inside)[: -lag : max(1, lag // _STEPS_PER_LAG)]
+    if not starts.size:
+        return
+    starts = starts[pose_time[starts + lag] - pose_time[starts] < (lag + _HOLE_PERIODS) * period]
     if not starts.size:
         return
     stops = starts + lag

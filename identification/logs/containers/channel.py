@@ -100,7 +100,7 @@ class Survey:
     """What a log holds, known without decoding it.
 
     `container` names the format; `start_ns` and `end_ns` span all messages on the recording clock, both 0 without any;
-    `findings` report what was seen of the container itself (no CRCs, no index, what a salvage had to leave out).
+    `findings` report what was seen of the container itself (no CRCs, no index).
     """
 
     container: str
@@ -173,8 +173,8 @@ class Container(ABC):
         that is read turns out to be damaged, at the latest when the iteration ends.
         """
 
-    def findings(self) -> tuple[Finding, ...]:
-        """Report what the last `read` left out (with `salvage`), else nothing."""
+    def lost(self) -> tuple[str, ...]:
+        """Name the damaged places that were left out so far."""
         return ()
 
     def close(self) -> None:  # noqa: B027 - what opens nothing has nothing to close
@@ -253,18 +253,25 @@ def _in_state(work: Callable[[FileBytes], T], path: Path, size: int, changed_ns:
         file.close()
 
 
-def salvaged(name: str, lost: Sequence[str]) -> tuple[Finding, ...]:
-    """Return one warning that names the damaged places of a file, or nothing where there are none."""
+def recorded_text(start_ns: int, end_ns: int, first_ns: int) -> str:
+    """Say when messages were recorded, from the first instant of the log on."""
+    return f"recorded {1e-9 * (start_ns - first_ns):.3f} to {1e-9 * (end_ns - first_ns):.3f} s after the log's start"
+
+
+def salvaged(name: str, lost: Sequence[str], *, salvage: bool) -> tuple[Finding, ...]:
+    """Return one warning that names the damaged places of a file, or nothing where there are none.
+
+    Without `salvage` they are chunks of a file whose index is sound: what is beside them is as it was recorded.
+    """
     if not lost:
         return ()
     more = f"; and {len(lost) - _LISTED} more" if len(lost) > _LISTED else ""
-    return (
-        Finding.warning(
-            "salvaged",
-            f"{name} is damaged, {len(lost)} part(s) of it are left out: {'; '.join(lost[:_LISTED])}{more}.",
-            "Use the result to look at the data; record again before a robot relies on it.",
-        ),
+    advice = (
+        "Use the result to look at the data; record again before a robot relies on it."
+        if salvage
+        else "Rests, motions and contacts that such a hole cuts are left out too; record again where one is missed."
     )
+    return (Finding.warning("salvaged", f"{name} is damaged; left out: {'; '.join(lost[:_LISTED])}{more}.", advice),)
 
 
 # Positions become unsigned first: with them the compiler sees one load where eight bytes are put together, with signed

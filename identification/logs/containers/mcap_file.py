@@ -34,7 +34,7 @@ from .channel import (
     Held,
     Survey,
     T,
-    salvaged,
+    recorded_text,
     worked_out,
 )
 from .mcap_kernel import FRAME, FRAME_BYTES, RecordCounter, RecordCounts, gather
@@ -291,16 +291,26 @@ def file_findings(layout: Layout) -> tuple[Finding, ...]:
 class McapContainer(Container):
     """An MCAP file.
 
-    Of a window of it a damaged chunk is left out and reported: in a log of hours it costs no more than itself.
+    A chunk whose content is damaged is left out and reported where indexes and summary say what it held.
     """
 
     def __init__(self, path: Path) -> None:
         self._file = FileBytes(path)
         self._lost: dict[int, str] = {}
 
-    def findings(self) -> tuple[Finding, ...]:
-        """Return what is left out of a window."""
-        return salvaged(self._file.name, [text for _, text in sorted(self._lost.items())])
+    def lost(self) -> tuple[str, ...]:
+        """Name the damaged chunks that were left out so far."""
+        if not self._lost:
+            return ()
+        chunks = self._known[0].chunks
+        first_ns = min(chunk.start_ns for chunk in chunks if chunk.counts)
+        total = total_counts(chunks).total()
+        return tuple(
+            f"bytes {chunk.start} to {chunk.stop}, {recorded_text(chunk.start_ns, chunk.end_ns, first_ns)}, "
+            f"{sum((chunk.counts or {}).values())} of {total} messages ({self._lost[chunk.start]})"
+            for chunk in chunks
+            if chunk.start in self._lost
+        )
 
     def close(self) -> None:
         """Close the file."""
@@ -362,7 +372,7 @@ class McapContainer(Container):
             ),
             start_ns=min((chunk.start_ns for chunk in filled), default=0),
             end_ns=max((chunk.end_ns for chunk in filled), default=0),
-            findings=(*file_findings(layout), *self.findings()),
+            findings=file_findings(layout),
         )
 
     def _first_messages(self) -> dict[Channel, bytes]:
@@ -376,6 +386,8 @@ class McapContainer(Container):
                 for batch in selection.batches(opened):
                     begin = int(batch.starts[0])
                     found[batch.channel] = batch.data[begin : begin + int(batch.sizes[0])].tobytes()
+        if self._lost and not found:
+            raise Damage(*next(iter(self._lost.items())))
         return found
 
     def _read(self, wanted: tuple[Channel, ...], handle: Callable[[Batch], T]) -> Iterator[tuple[Channel, T]]:
@@ -397,19 +409,12 @@ class McapContainer(Container):
             yield from results
 
     def _opened(self, opener: ChunkReader, chunk: Chunk) -> Chunk:
-        """Return a chunk with its content, of a window one without where it is damaged."""
+        """Return a chunk with its content, or without where that is damaged."""
         try:
             return opener.open(chunk)
         except Damage as damage:
-            if self.recorded_ns is None:
-                raise
-            self._lost[chunk.start] = f"bytes {chunk.start} to {chunk.stop}, {_described(chunk)} ({damage.reason})"
+            self._lost[chunk.start] = damage.reason
             return chunk
-
-
-def _described(chunk: Chunk) -> str:
-    when = f"recorded from {chunk.start_ns} to {chunk.end_ns} ns, " if chunk.has_span else ""
-    return f"{when}{sum((chunk.counts or {}).values())} messages"
 
 
 class Selection:

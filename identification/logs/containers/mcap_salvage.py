@@ -11,8 +11,7 @@ from dataclasses import replace
 import numpy as np
 from mcap.opcode import Opcode
 
-from ...result import Finding
-from .channel import CHUNK_LIMIT_BYTES, ByteArray, Damage, FileBytes, salvaged
+from .channel import CHUNK_LIMIT_BYTES, ByteArray, Damage, FileBytes, recorded_text
 from .mcap_file import ChunkReader, McapContainer, is_protected, map_in_order, total_counts, without_data
 from .mcap_kernel import FRAME, FRAME_BYTES, RecordCounter, find_chunk, find_messages
 from .mcap_layout import (
@@ -40,9 +39,9 @@ _LONGEST = 2**32
 class SalvagedMcap(McapContainer):
     """What is left of an MCAP file."""
 
-    def findings(self) -> tuple[Finding, ...]:
-        """Return what is left out."""
-        return salvaged(self._file.name, self._known[0].lost)
+    def lost(self) -> tuple[str, ...]:
+        """Name what is left out."""
+        return self._known[0].lost
 
     @staticmethod
     def _walk(file: FileBytes) -> Layout:
@@ -179,7 +178,8 @@ class _Salvager(Walker):
         ]
         if not spans and chunk is not None and chunk.has_span:
             spans = [(chunk.start_ns, chunk.end_ns)]
-        when = f", recorded from {min(spans)[0]} to {max(end for _, end in spans)} ns" if spans else ""
+        first_ns = min((index.message_start_time for index in self.chunk_indexes), default=0)
+        when = f", {recorded_text(min(spans)[0], max(end for _, end in spans), first_ns)}" if spans else ""
         counts = None if chunk is None else chunk.counts
         many = f", {sum(counts.values())} messages" if counts else ""
         self._lost.append((start, f"bytes {start} to {stop}{when}{many} ({reason})"))
@@ -193,7 +193,7 @@ class _Salvager(Walker):
             missing_parts.append(f"{orphaned} messages of channels whose definition is lost")
         if self.statistics is not None and self.statistics.message_count != total.total() - orphaned:
             missing = self.statistics.message_count - total.total() + orphaned
-            missing_parts.append(f"altogether {missing} of {self.statistics.message_count} messages")
+            missing_parts.insert(0, f"altogether {missing} of {self.statistics.message_count} messages")
         bare = layout.data_crc and not missing_parts and not is_protected(layout)
         if bare and self.file.crc32(0, layout.data_stop) != layout.data_crc:
             missing_parts.append(

@@ -19,7 +19,7 @@ from rosbags.rosbag1.reader import Header, RecordType, read_uint32
 
 from ...errors import LogError
 from ...result import Finding
-from .channel import Batch, Channel, Container, Damage, Held, Survey, salvaged
+from .channel import Batch, Channel, Container, Damage, Held, Survey, recorded_text
 from .ros1_chunk import ChunkRecord, Walk, check_index, unpack_chunk, walk_chunk
 
 T = TypeVar("T")
@@ -84,9 +84,10 @@ class _Records(Reader):
 
 
 class Ros1BagContainer(Container):
-    """A ROS 1 bag; with `salvage` damaged chunks are left out, and a missing index is replaced by a walk.
+    """A ROS 1 bag.
 
-    Of a window of it a damaged chunk is left out and reported: in a log of hours it costs no more than itself.
+    A chunk that cannot be read is left out and reported where the index says what it held; with `salvage` what can be
+    read of it is kept, and a missing index is replaced by a walk.
     """
 
     def __init__(self, path: Path, *, salvage: bool = False) -> None:
@@ -94,7 +95,6 @@ class Ros1BagContainer(Container):
         self._survey: Survey | None = None
         self._lost: list[Damage] = []
         self._left_out: dict[int, Damage] = {}
-        self._was_read = False
         self._connections: dict[int, Channel] = {}
         with self._refusing():
             self._file, self._records = BagFile(path), _Records(path)
@@ -115,7 +115,6 @@ class Ros1BagContainer(Container):
     def read(self, wanted: Collection[Channel], handle: Callable[[Batch], T]) -> Iterator[tuple[Channel, T]]:
         """Read the wanted channels once; see `Container.read`."""
         self.survey()
-        self._was_read = True
         chosen = set(wanted)
         channels = {number: channel for number, channel in self._connections.items() if channel in chosen}
         with self._refusing():
@@ -125,9 +124,17 @@ class Ros1BagContainer(Container):
                     for batch in self._batches(record, channels):
                         yield batch.channel, handle(batch)
 
-    def findings(self) -> tuple[Finding, ...]:
-        """Report what the last `read` had to leave out."""
-        return self._salvaged() if self._was_read else ()
+    def lost(self) -> tuple[str, ...]:
+        """Name the damaged places that were left out so far."""
+        places = [f"at byte {item.offset}: {item.reason}" for item in self._lost]
+        first_ns = min((record.start_ns for record in self._chunks if record.counts), default=0)
+        total = sum(sum(record.counts.values()) for record in self._chunks)
+        for record in self._chunks:
+            if record.offset in self._left_out:
+                when = recorded_text(record.start_ns, record.end_ns, first_ns)
+                reason, count = self._left_out[record.offset].reason, sum(record.counts.values())
+                places.append(f"at byte {record.offset}: {reason} ({when}, {count} of {total} messages)")
+        return tuple(places)
 
     def close(self) -> None:
         """Close the file."""
@@ -144,10 +151,6 @@ class Ros1BagContainer(Container):
                 f"{self._name} is damaged at byte {damage.offset}: {damage.reason}; "
                 "repair it with `rosbag reindex`, read what is sound of it with --salvage, or record again."
             ) from damage
-
-    def _salvaged(self) -> tuple[Finding, ...]:
-        lost = (*self._lost, *self._left_out.values())
-        return salvaged(self._name, [f"at byte {item.offset}: {item.reason}" for item in lost])
 
     # Layout
 
@@ -276,12 +279,10 @@ class Ros1BagContainer(Container):
         return data, walk
 
     def _sound_chunk(self, record: ChunkRecord) -> tuple[bytes, Walk] | None:
-        """Return a chunk as `_chunk` does; of a window None where it is damaged, which is noted."""
+        """Return a chunk as `_chunk` does, None where it is damaged, which is noted."""
         try:
             return self._chunk(record, [])
         except Damage as damage:
-            if self.recorded_ns is None:
-                raise
             self._left_out[record.offset] = damage
             return None
 
@@ -327,6 +328,8 @@ class Ros1BagContainer(Container):
                 counts[self._connections[number]] += count
             if here.keys() - first.keys() and (opened := self._sound_chunk(record)) is not None:
                 self._note_first(*opened, first)
+        if self._left_out and not first:
+            raise next(iter(self._left_out.values()))
         filled = [record for record in self._chunks if record.counts]
         start_ns, end_ns = [record.start_ns for record in filled], [record.end_ns for record in filled]
         return self._survey_of(counts, first, min(start_ns, default=0), max(end_ns, default=0))
@@ -356,7 +359,7 @@ class Ros1BagContainer(Container):
             held=tuple(Held(channel=each, count=counts[each], first_message=first.get(each, b"")) for each in channels),
             start_ns=start_ns,
             end_ns=end_ns,
-            findings=(NO_CRC, *self._salvaged()),
+            findings=(NO_CRC,),
         )
 
     def _note_first(self, data: bytes, walk: Walk, first: dict[Channel, bytes]) -> None:

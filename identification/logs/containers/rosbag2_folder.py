@@ -14,7 +14,7 @@ from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
 from ...errors import LogError
 from ...result import Finding
-from .channel import Batch, Channel, Container, Held, Survey, salvaged
+from .channel import Batch, Channel, Container, Held, Survey
 from .zstd import unpack_message, unpack_messages
 
 T = TypeVar("T")
@@ -162,8 +162,7 @@ class Rosbag2FolderContainer(Container):
         self._remarks: list[Finding] = []
         self._surveys: dict[Path, Survey] = {}
         self._survey: Survey | None = None
-        self._part_findings: list[Finding] = []
-        self._was_read = False
+        self._lost_of_parts: dict[str, None] = {}
         self._check_links()
         self._metadata = self._read_metadata()
         self._parts = self._find_parts(self._metadata) if self._metadata else self._guess_parts()
@@ -181,8 +180,6 @@ class Rosbag2FolderContainer(Container):
     def read(self, wanted: Collection[Channel], handle: Callable[[Batch], T]) -> Iterator[tuple[Channel, T]]:
         """Read the wanted channels part by part; see `Container.read`."""
         self.survey()
-        self._was_read = True
-        self._part_findings = []
         chosen = set(wanted)
         for part, survey in self._surveys.items():
             here = {held.channel for held in survey.held if held.channel in chosen}
@@ -191,11 +188,14 @@ class Rosbag2FolderContainer(Container):
             with self._opened(part) as container:
                 container.recorded_ns = self.recorded_ns
                 yield from container.read(here, self._handler(part, handle))
-                self._part_findings.extend(container.findings())
+                self._note(part, container)
 
-    def findings(self) -> tuple[Finding, ...]:
-        """Report what the last `read` left out."""
-        return (*self._part_findings, *salvaged(self._name, self._lost)) if self._was_read else ()
+    def lost(self) -> tuple[str, ...]:
+        """Name the files and the damaged places of files that were left out so far."""
+        return (*self._lost_of_parts, *self._lost)
+
+    def _note(self, part: Path, container: Container) -> None:
+        self._lost_of_parts.update(dict.fromkeys(f"of {part.name} {place}" for place in container.lost()))
 
     def _check_links(self) -> None:
         """Refuse a link that leads out of the folder: what it leads to was not recorded here, and is not shown."""
@@ -281,6 +281,7 @@ class Rosbag2FolderContainer(Container):
         try:
             with self._opened(part) as container:
                 self._surveys[part] = container.survey()
+                self._note(part, container)
         except LogError as error:
             if not self._salvage:
                 raise
@@ -332,7 +333,6 @@ class Rosbag2FolderContainer(Container):
             findings=(
                 *self._remarks,
                 *_joined([survey.findings for survey in self._surveys.values()]),
-                *salvaged(self._name, self._lost),
             ),
         )
 

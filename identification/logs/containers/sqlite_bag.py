@@ -15,7 +15,7 @@ import numpy as np
 
 from ...errors import LogError
 from ...result import Finding
-from .channel import CHUNK_LIMIT_BYTES, Batch, Channel, Container, Held, Survey, pack, salvaged
+from .channel import CHUNK_LIMIT_BYTES, Batch, Channel, Container, Held, Survey, pack
 from .zstd import ZSTD_MAGIC, unpack_message, unpack_messages
 
 T = TypeVar("T")
@@ -182,7 +182,7 @@ class SqliteBagContainer(Container):
         self._name, self._salvage = path.name, salvage
         self._survey: Survey | None = None
         self._lost: list[str] = []
-        self._is_checked = self._was_read = False
+        self._is_checked = False
         self._file = SqliteFile(path, salvage=salvage)
         try:
             self._topics = self._read_topics()
@@ -205,7 +205,7 @@ class SqliteBagContainer(Container):
                 ),
                 start_ns=min(times, default=0),
                 end_ns=max(times, default=0),
-                findings=(NO_CRC, *salvaged(self._name, self._lost)),
+                findings=(NO_CRC,),
             )
         return self._survey
 
@@ -221,7 +221,6 @@ class SqliteBagContainer(Container):
         if self._salvage:
             self.survey()
         self._check()
-        self._was_read = True
         for batch in (
             batch for rows in (self._rows(topics) if topics else ()) for batch in self._batches(rows, topics)
         ):
@@ -229,9 +228,9 @@ class SqliteBagContainer(Container):
             if unpacked.count:
                 yield unpacked.channel, handle(unpacked)
 
-    def findings(self) -> tuple[Finding, ...]:
-        """Report what the last `read` left out."""
-        return salvaged(self._name, self._lost) if self._was_read else ()
+    def lost(self) -> tuple[str, ...]:
+        """Name the damaged places that were left out so far."""
+        return tuple(dict.fromkeys(self._lost))
 
     def close(self) -> None:
         """Close the database."""

@@ -3,6 +3,7 @@
 import shutil
 import tempfile
 from collections.abc import Callable, Collection, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -10,8 +11,7 @@ import numpy as np
 import zstandard
 
 from ...errors import LogError
-from ...result import Finding
-from .channel import CHUNK_LIMIT_BYTES, Batch, Channel, Container, Survey, pack, salvaged
+from .channel import CHUNK_LIMIT_BYTES, Batch, Channel, Container, Survey, pack
 
 T = TypeVar("T")
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
@@ -41,22 +41,16 @@ class ZstdFileContainer(Container):
     def survey(self) -> Survey:
         """Return what the unpacked file holds."""
         inner = self._inner.survey()
-        return Survey(
-            container=f"{inner.container}, zstd file",
-            held=inner.held,
-            start_ns=inner.start_ns,
-            end_ns=inner.end_ns,
-            findings=(*inner.findings, *salvaged(self._name, self._lost)),
-        )
+        return replace(inner, container=f"{inner.container}, zstd file")
 
     def read(self, wanted: Collection[Channel], handle: Callable[[Batch], T]) -> Iterator[tuple[Channel, T]]:
         """Read the unpacked file; see `Container.read`."""
         self._inner.recorded_ns = self.recorded_ns
         return self._inner.read(wanted, handle)
 
-    def findings(self) -> tuple[Finding, ...]:
-        """Report what the last `read` left out."""
-        return (*self._inner.findings(), *salvaged(self._name, self._lost))
+    def lost(self) -> tuple[str, ...]:
+        """Name the damaged places that were left out so far."""
+        return (*self._inner.lost(), *self._lost)
 
     def close(self) -> None:
         """Close and remove the unpacked file."""

@@ -67,6 +67,25 @@ def test_rates_of_angles_are_no_angular_velocity() -> None:
     assert ["The rotation" in finding.message for finding in found] == [True]
 
 
+def test_what_happened_in_a_hole_of_the_log_is_not_judged() -> None:
+    kept, kept_twist = (abs(1e-9 * (each.stamp_ns - STAMPS[0]) - 3.9) > 1.7 for each in (POSE, TWIST))
+    pose = replace(
+        POSE, stamp_ns=STAMPS[kept], position_m=POSE.position_m[kept], quaternion_xyzw=POSE.quaternion_xyzw[kept]
+    )
+    twist = replace(
+        TWIST,
+        stamp_ns=TWIST.stamp_ns[kept_twist],
+        linear_m_s=TWIST.linear_m_s[kept_twist],
+        angular_rad_s=TWIST.angular_rad_s[kept_twist],
+    )
+    # Across the hole the tool turns by 54 degrees; a line between the twists beside it misses its way by far.
+    (last,) = np.flatnonzero(np.diff(pose.stamp_ns) > 10**9)
+    before, after = (Rotation.from_quat(pose.quaternion_xyzw[k]) for k in (last, last + 1))
+    assert float((after * before.inv()).magnitude()) > 0.5
+    assert list(turn_findings(pose)) == []
+    assert list(twist_findings(pose, twist)) == []
+
+
 def test_a_robot_at_rest_is_not_accused() -> None:
     noise = np.random.default_rng(0).standard_normal((TIME.size, 3)) * 1e-6
     still = replace(POSE, position_m=noise, quaternion_xyzw=np.tile(START.as_quat(), (TIME.size, 1)))

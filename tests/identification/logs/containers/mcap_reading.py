@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from identification.logs.containers.channel import Batch, Channel, Survey
+from identification.logs.containers.channel import Batch, Channel, Survey, salvaged
 from identification.logs.containers.mcap_file import McapContainer
 from identification.logs.containers.mcap_salvage import SalvagedMcap
 from identification.result import Finding
@@ -47,7 +47,8 @@ def read_all(path: Path, *, salvage: bool = False, topics: Sequence[str] | None 
         messages: dict[str, list[Message]] = {channel.topic: [] for channel in wanted}
         for channel_, found in container.read(wanted, messages_of):
             messages[channel_.topic] += found
-        return Contents(survey=survey, messages=messages, findings=container.findings())
+        findings = salvaged(path.name, container.lost(), salvage=salvage)
+        return Contents(survey=survey, messages=messages, findings=findings)
 
 
 def channels_of(path: Path) -> list[Channel]:

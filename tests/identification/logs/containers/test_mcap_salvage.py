@@ -36,7 +36,6 @@ def without_chunks(messages: Sequence[Sent], lost: Sequence[int]) -> dict[str, l
 
 def reported(contents: Contents) -> str:
     assert [(finding.code, finding.severity) for finding in contents.findings] == [("salvaged", "warning")]
-    assert contents.findings[0] in contents.survey.findings
     return contents.findings[0].message
 
 
@@ -74,8 +73,14 @@ def test_a_damaged_chunk_in_the_middle_costs_that_chunk_alone(
     writer = write_style(path, messages, style)
     damage(path, writer, 4, place, value)
 
-    with pytest.raises(LogError, match="--salvage"):
-        read_all(path)
+    if style.statistics and place in (-9, 60, 25, 33):
+        beside = read_all(path)
+        assert beside.messages == without_chunks(messages, [4])
+        assert f"left out: bytes {writer.chunks[4]} to" in reported(beside)
+        assert "20 of 200 messages (" in reported(beside)
+    else:
+        with pytest.raises(LogError, match="--salvage"):
+            read_all(path)
     contents = read_all(path, salvage=True)
 
     assert contents.messages == without_chunks(messages, [4])
@@ -84,8 +89,8 @@ def test_a_damaged_chunk_in_the_middle_costs_that_chunk_alone(
     if style.statistics:
         assert "altogether 20 of 200 messages" in message
     if style.chunk_index:
-        times = [sent.log_ns for sent in messages[4 * PER_CHUNK : 5 * PER_CHUNK]]
-        assert f"recorded from {min(times)} to {max(times)} ns" in message
+        times = [1e-9 * (sent.log_ns - messages[0].log_ns) for sent in messages[4 * PER_CHUNK : 5 * PER_CHUNK]]
+        assert f"recorded {min(times):.3f} to {max(times):.3f} s after the log's start" in message
 
 
 def test_what_looks_like_a_chunk_but_is_damaged_too_does_not_end_the_search(tmp_path: Path) -> None:
