@@ -2,13 +2,15 @@
 
 import csv
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from autotune.errors import UsageError
+from autotune.formats.cell import read_cell
 from autotune.formats.kinds import check_kind, is_log
+from autotune.formats.problem import read_problem
 from autotune.formats.schema import check_document, check_format
 from autotune.formats.yaml12 import load_document
 from problems.frozen import freeze
@@ -51,8 +53,8 @@ def read_manifest(path: Path, *, may_be_empty: bool = False) -> tuple[LoggedRun,
     Of a folder every folder in it is a cell and its logs are runs of that cell; a log in the folder itself is a cell of
     its own. A `cell.yaml`, `problem.yaml` or `controller.yaml` beside the logs is used, else that of the folder itself.
 
-    Raises UsageError: the manifest cannot be read, names nothing (unless it `may_be_empty`), a file that is not there,
-    or a run twice.
+    Raises UsageError: the manifest, a `cell.yaml` or a `problem.yaml` cannot be read; it names nothing (unless it
+    `may_be_empty`), a file that is not there, or a run twice.
     """
     if not path.exists():
         raise UsageError(f"{path} is not there; name a folder of logs, a CSV or a YAML file that names them.")
@@ -69,7 +71,16 @@ def read_manifest(path: Path, *, may_be_empty: bool = False) -> tuple[LoggedRun,
         if run.name in seen:
             raise UsageError(f"{path} names {run.name} twice; give each run of a cell a name of its own.")
         seen.add(run.name)
+    _check_settings(runs)
     return tuple(runs)
+
+
+def _check_settings(runs: Iterable[LoggedRun]) -> None:
+    """Raise UsageError for a `cell.yaml` or `problem.yaml` that cannot be read: refusals would replace results."""
+    for path in dict.fromkeys(run.cell_file for run in runs if run.cell_file is not None):
+        read_cell(path)
+    for path in dict.fromkeys(run.problem for run in runs if run.problem is not None):
+        read_problem(path)
 
 
 # What is a log by its name alone: one that is empty or damaged from its beginning on is refused, not passed over.

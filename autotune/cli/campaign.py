@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from concurrent.futures import Executor
 
+    from autotune.campaign.manifest import LoggedRun
     from autotune.campaign.options import RunOptions
     from autotune.campaign.work import RunOutcome
 
@@ -116,18 +117,14 @@ def command(
 
             executor, dashboard = stack.enter_context(dask_executor(scheduler, count))
             output.note(f"dashboard: {dashboard}")
-        outcomes: tuple[RunOutcome, ...] | None = None
-        while True:
+        outcomes: tuple[RunOutcome, ...] = ()
+        for look, runs in enumerate(_looks(output, manifest, watch)):
             before = outcomes
-            look = {"may_be_empty": watch is not None, "is_another_look": before is not None}
-            outcomes = _once(output, manifest, out, options, count, executor, storage, **look)
+            outcomes = _once(output, runs, out, options, count, executor, storage, is_another_look=look > 0)
             tree = _tree(output, out, outcomes, report)
-            if watch is None:
-                break
-            if outcomes != before:
-                _note_new(output, outcomes, before or ())
+            if watch is not None and (outcomes != before or not look):
+                _note_new(output, outcomes, before)
                 output.note(f"{outcome_text(outcomes)} Looking again every {watch:g} s (Ctrl-C ends it).")
-            time.sleep(watch)
     output.result(tree, lambda: _print(out, outcomes, report))
     _require(outcomes)
     if report is None:
@@ -139,24 +136,41 @@ def command(
         output.next_command("campaign", manifest, "-o", out, *said, "--report", "campaign.html")
 
 
+def _looks(output: Output, manifest: Path, watch: float | None) -> "Iterator[tuple[LoggedRun, ...]]":
+    """Yield the runs of a manifest, with `watch` again after so many seconds; a mistake in a file then ends no look."""
+    from autotune.campaign.manifest import read_manifest
+    from autotune.errors import UsageError
+
+    yield read_manifest(manifest, may_be_empty=watch is not None)
+    mistake = ""
+    while watch is not None:
+        time.sleep(watch)
+        try:
+            runs = read_manifest(manifest, may_be_empty=True)
+        except UsageError as error:
+            if str(error) != mistake:
+                mistake = str(error)
+                output.note(f"{mistake} Nothing is done until it is mended.")
+        else:
+            mistake = ""
+            yield runs
+
+
 def _once(
     output: Output,
-    manifest: Path,
+    runs: "Sequence[LoggedRun]",
     out: Path,
     options: "RunOptions",
     jobs: int,
     executor: "Executor | None",
     storage: str | None,
     *,
-    may_be_empty: bool,
     is_another_look: bool,
 ) -> "tuple[RunOutcome, ...]":
     """Work on what is missing, and write the tables of all."""
-    from autotune.campaign.manifest import read_manifest
     from autotune.campaign.run import work_on_runs
     from autotune.campaign.tables import write_tables
 
-    runs = read_manifest(manifest, may_be_empty=may_be_empty)
     outcomes = work_on_runs(
         runs,
         out,

@@ -19,7 +19,7 @@ def logs(tmp_path: Path) -> Path:
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_bytes(MCAP)
     for name in ("cell.yaml", "press/cell.yaml", "press/controller.yaml", "press/notes.txt", "mill/.mon.mcap.part"):
-        (folder / name).write_text("", encoding="utf-8")
+        (folder / name).write_text("format: autotune/cell\nversion: 1\n", encoding="utf-8")
     bag = folder / "mill" / "wed"
     bag.mkdir()
     (bag / "metadata.yaml").write_text("", encoding="utf-8")

@@ -151,3 +151,41 @@ def test_a_folder_that_is_watched_says_what_is_new_and_nothing_else(
     assert said.count("Looking again every 7 s") == 2
     assert "to do" not in said
     assert said.count("refused (log): press/tue: ") == said.count("refused (log): weld/new: ") == 1
+
+
+def test_a_mistake_in_a_file_that_runs_share_costs_no_result(
+    run_cli: RunCli, fleet: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cell, out = fleet / "press" / "cell.yaml", tmp_path / "out"
+
+    def results() -> list[bytes]:
+        return [(out / name).read_bytes() for name in ("campaign.csv", "cells/press/mon/identified.yaml")]
+
+    words = ("campaign", fleet, "-o", "out", "--no-optimize", "--jobs", "1")
+    assert run_cli(*words).returncode == 0
+    kept, looks = results(), 0
+
+    def wait(_seconds: float) -> None:
+        """Between the looks: a mistake, nothing, its correction, and an end by hand."""
+        nonlocal looks
+        looks += 1
+        assert results() == kept
+        if looks == 1:
+            cell.write_text("format: autotune/cell\nversion: 1\nwrnch: {topic: /ft}\n", encoding="utf-8")
+        elif looks == 3:
+            cell.unlink()
+        elif looks == 4:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr("autotune.cli.campaign.time.sleep", wait)
+    done = run_cli(*words, "--watch", "7")
+    said = done.stderr.replace("\n ", " ")
+    assert (done.returncode, said.count("cell.yaml, line 3"), said.count("Nothing is done until it is mended.")) == (
+        130,
+        1,
+        1,
+    )
+    cell.write_text("format: autotune/cell\nversion: 1\nwrnch: {topic: /ft}\n", encoding="utf-8")
+    done = run_cli(*words)
+    assert (done.returncode, "cell.yaml, line 3" in done.stderr) == (2, True)
+    assert results() == kept
