@@ -8,7 +8,7 @@ import numpy as np
 from problems.arrays import FloatArray
 from problems.progress import ProgressSlice, no_progress
 
-from .axes.straight import find_axes
+from .axes.straight import Travel, find_axes
 from .axes.turning import find_turns
 from .axis_command import CellSignals
 from .axis_estimate import AxisResult, axis_evidence, identify_axis
@@ -42,11 +42,11 @@ from .result import (
 )
 from .robot.admittance_estimates import AdmittanceRobots, identify_admittance_robots
 from .robot.admittance_motion import with_compensated_force
+from .robot.logged_command import restore_commands
 from .sensor import at_rest_only, describe_sensor, identify_from_rows
-from .signals.aligned import AlignedLog, align, check_regular, find_gaps, restore_commands
+from .signals.aligned import AlignedLog, align, check_regular, find_gaps, without_spikes
 from .signals.recording import Frames, PoseSignal, Recording, unmeasured
 from .signals.segments import MotionSpans, find_motion
-from .signals.spikes import without_spikes
 from .turn_estimate import identify_turn, unidentified_turn
 from .verdicts import missing
 
@@ -141,8 +141,10 @@ def _identify(
 ) -> tuple[Identified, Evidence]:
     read, payload, inertia = weighed.read, weighed.payload, weighed.inertia
     log, gravity = read.log, payload.gravity
-    cell, about_robots = _signals(read, gravity, inertia, given)
-    results, about_axes = _identify_axes(cell, inertia, lambda share: report(_AXES_SHARE * share))
+    force = gravity.compensated_force_S_n(log)
+    cell, about_robots = _signals(read, gravity, force, inertia, given)
+    travel = find_axes(log, read.motion, force)
+    results, about_axes = _identify_axes(cell, travel, inertia, lambda share: report(_AXES_SHARE * share))
     accounted, timeline = with_unfitted_touches(cell, results, *account_for_log(cell, results, gravity.mass_kg))
     late, about_late = _late_wrench(results, read.recording, log.period_s)
     report(1.0 - _WEIGHING_SHARE - _AXES_SHARE)
@@ -171,11 +173,10 @@ def _identify(
 
 
 def _signals(
-    read: ReadLog, gravity: GravityFit, inertia: InertiaFit, given: Mapping[str, Given]
+    read: ReadLog, gravity: GravityFit, force: FloatArray, inertia: InertiaFit, given: Mapping[str, Given]
 ) -> tuple[CellSignals, tuple[Finding, ...]]:
     """Return what the axes of a weighed log share, and what its gains show of the robot."""
     recording, log, motion = read.recording, read.log, read.motion
-    force = gravity.compensated_force_S_n(log)
     robots, rebuilt = _led_robots(recording, log, motion, force)
     cell = CellSignals(
         recording=recording,
@@ -282,10 +283,10 @@ def _evidence(cell: CellSignals, gravity: GravityFit, results: Mapping[str, Axis
 
 
 def _identify_axes(
-    cell: CellSignals, inertia: InertiaFit, report: Callable[[float], None]
+    cell: CellSignals, travel: Travel, inertia: InertiaFit, report: Callable[[float], None]
 ) -> tuple[dict[str, AxisResult], list[Finding]]:
     """Estimate every axis along which, or about which, the tool moved."""
-    travel, findings = find_axes(cell.log, cell.motion, cell.force_S_n), list[Finding]()
+    findings = list[Finding]()
     if travel.oblique_share > _OBLIQUE_SHARE:
         findings.append(_oblique(travel.oblique_share))
     if not travel.axes and not cell.turns:

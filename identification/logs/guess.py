@@ -16,10 +16,9 @@ from .messages.decode import Wanted
 from .names import Meaning, Named, NamedVector, is_unit, joint_groups, leaps, read_names, rises, unevenness
 from .numbers import NumberFields, number_fields
 from .opened import OpenedLogs, decode_first, open_logs
-from .roles.cell import Cell
+from .roles.cell import TORQUE_N_M, Cell
 from .roles.orientation import COLUMN_MAJOR, ROW_MAJOR, read_by_weight
 from .roles.registry import JOINT_STATE, POSE_STAMPED, WRENCH_STAMPED, Role
-from .roles.units import TORQUE_N_M
 from .tables.layout import TableLayout
 from .tables.read import TableLog
 

@@ -17,10 +17,9 @@ from ..signals.recording import PoseSignal, Recording, slerp
 from .messages.decode import Series, Wanted
 from .opened import OpenedLogs
 from .recording import build_frames, interpret_pose, nameless_series
-from .roles.cell import Cell, Clock, JointsSource, PoseSource
+from .roles.cell import ANGLE_RAD, Cell, Clock, JointsSource, PoseSource
 from .roles.choose import Choice, choose_joints
 from .roles.registry import JOINT_STATE, Role
-from .roles.units import ANGLE_RAD
 
 _PRISMATIC, _FIXED = "prismatic", "fixed"
 _LARGEST_BYTES = 2**24

@@ -15,8 +15,8 @@ from problems.errors import ParameterError
 
 from ..errors import LogError, OutsideSpanError, PayloadChangedError
 from ..result import Finding
+from ..signals.aligned import without_pose_spikes
 from ..signals.recording import Recording, StampArray, join_recordings, sampling_rate_hz, shifted
-from ..signals.spikes import without_pose_spikes
 from .checks.clocks import ChannelTimes, check_clocks
 from .checks.payload import check_payload, payload_change
 from .checks.robot_state import drop_idle_command, drop_zero_torques

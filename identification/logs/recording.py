@@ -27,6 +27,10 @@ from .checks.samples import ExaminedRoles
 from .containers.channel import Channel
 from .messages.decode import Series
 from .roles.cell import (
+    ANGLE_RAD,
+    FORCE_N,
+    LENGTH_M,
+    TORQUE_N_M,
     Cell,
     Clock,
     DeclaredDeadband,
@@ -42,7 +46,6 @@ from .roles.cell import (
 from .roles.choose import source_of
 from .roles.orientation import canonical, orientation_quaternion
 from .roles.registry import ROLES, Role, is_processed_name
-from .roles.units import ANGLE_RAD, FORCE_N, LENGTH_M, TORQUE_N_M
 
 _MAIN = (Role.WRENCH, Role.POSE, Role.COMMAND)
 _DOWN = np.array([0.0, 0.0, -1.0])

@@ -34,7 +34,7 @@ from identification.identify import identify_cell
 from identification.logs import long_logs, read
 from identification.logs.containers.channel import ByteArray
 from identification.logs.containers.mcap_file import ChunkReader
-from identification.logs.containers.mcap_layout import Chunk
+from identification.logs.containers.mcap_kernel import Chunk
 from identification.logs.inspect import inspect_log
 from identification.logs.read import LogSpan, read_checked_recording, read_recording, window_bounds
 from identification.logs.roles.cell import Cell

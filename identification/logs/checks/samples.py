@@ -14,10 +14,9 @@ from ...signals.constant_runs import Runs, find_deadband, quantum, repeated_shar
 from ...signals.recording import AXES, StampArray
 from ...signals.sweeps import are_unit, finite_rows, steps
 from ..messages.decode import Series
-from ..roles.cell import PoseSource, Source, WrenchSource
+from ..roles.cell import ANGLE_RAD, FORCE_N, LENGTH_M, TORQUE_N_M, PoseSource, Source, WrenchSource
 from ..roles.orientation import COLUMN_MAJOR, ROW_MAJOR, is_rotation, orientation_quaternion
 from ..roles.registry import Role
-from ..roles.units import ANGLE_RAD, FORCE_N, LENGTH_M, TORQUE_N_M
 from .stamps import stamp_faults
 
 QUATERNION_NORM_TOLERANCE = 1e-3

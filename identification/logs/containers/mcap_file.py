@@ -37,8 +37,8 @@ from .channel import (
     recorded_text,
     worked_out,
 )
-from .mcap_kernel import FRAME, FRAME_BYTES, RecordCounter, RecordCounts, gather
-from .mcap_layout import KNOWN, Chunk, Definition, Definitions, Layout, Walker
+from .mcap_kernel import FRAME, FRAME_BYTES, Chunk, Definition, RecordCounter, RecordCounts, gather
+from .mcap_layout import KNOWN, Definitions, Layout, Walker
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")

@@ -1,4 +1,4 @@
-"""Walk consecutive records in memory, at machine speed and without the interpreter's lock."""
+"""Chunks of records in memory, walked at machine speed and without the interpreter's lock."""
 
 import struct
 from collections.abc import Mapping
@@ -24,6 +24,42 @@ _IDS = 2**16
 _NEVER_NS = 2**63 - 1
 # Entries of the span of stamps.
 FIRST, LAST = 0, 1
+Definition = tuple[int, bytes, int]
+"""Opcode, content and offset of a record that defines a schema or a channel."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Chunk:
+    """Bytes of the data section that are read at once: a chunk record, or messages outside of them.
+
+    `start` and `stop` are the offsets of the whole records, `body` and `stored` where the packed content begins and
+    its size, `declared` the size that it unpacks to. `counts` are the messages per channel id where something counts
+    them (`None`: nothing does). `start_ns` and `end_ns` span its messages on the recording clock.
+
+    Of a chunk that was opened, `data` is the content, valid until the same thread opens the next one, `definitions` are
+    those in it that were not known, and `has_unknown_kinds` says whether it has records of kinds that the format does
+    not name.
+    """
+
+    start: int
+    stop: int
+    body: int
+    stored: int
+    declared: int
+    is_chunk: bool
+    compression: str
+    crc: int
+    start_ns: int
+    end_ns: int
+    counts: Mapping[int, int] | None
+    data: ByteArray | None = None
+    definitions: tuple[Definition, ...] = ()
+    has_unknown_kinds: bool = False
+
+    @property
+    def has_span(self) -> bool:
+        """Return whether the recording times are known; writers that do not care leave zeros."""
+        return self.end_ns != 0
 
 
 @inlined

@@ -2,7 +2,7 @@
 
 import struct
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from io import BytesIO
 from typing import TypeVar
@@ -15,7 +15,7 @@ from mcap.opcode import Opcode
 from rosbags.typesys.msg import normalize_msgtype
 
 from .channel import CHUNK_LIMIT_BYTES, ByteArray, Channel, Damage, FileBytes
-from .mcap_kernel import FRAME, FRAME_BYTES, MESSAGE_HEAD_BYTES, RecordCounter, RecordCounts, skim
+from .mcap_kernel import FRAME, FRAME_BYTES, MESSAGE_HEAD_BYTES, Chunk, RecordCounter, RecordCounts, skim
 
 MAGIC = b"\x89MCAP0\r\n"
 FOOTER_BYTES = 20
@@ -29,8 +29,6 @@ INDEX_HEAD_BYTES = _INDEX.size
 CHUNK_HEAD_BYTES = _CHUNK.size + 16 + _LENGTH.size
 """Enough for the head of a chunk record whose compression has a name of up to 16 bytes."""
 Record = TypeVar("Record")
-Definition = tuple[int, bytes, int]
-"""Opcode, content and offset of a record that defines a schema or a channel."""
 
 
 IN_DATA = frozenset(
@@ -56,40 +54,6 @@ IN_SUMMARY = frozenset(
     }
 )
 KNOWN = frozenset(Opcode)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Chunk:
-    """Bytes of the data section that are read at once: a chunk record, or messages outside of them.
-
-    `start` and `stop` are the offsets of the whole records, `body` and `stored` where the packed content begins and
-    its size, `declared` the size that it unpacks to. `counts` are the messages per channel id where something counts
-    them (`None`: nothing does). `start_ns` and `end_ns` span its messages on the recording clock.
-
-    Of a chunk that was opened, `data` is the content, valid until the same thread opens the next one, `definitions` are
-    those in it that were not known, and `has_unknown_kinds` says whether it has records of kinds that the format does
-    not name.
-    """
-
-    start: int
-    stop: int
-    body: int
-    stored: int
-    declared: int
-    is_chunk: bool
-    compression: str
-    crc: int
-    start_ns: int
-    end_ns: int
-    counts: Mapping[int, int] | None
-    data: ByteArray | None = None
-    definitions: tuple[Definition, ...] = ()
-    has_unknown_kinds: bool = False
-
-    @property
-    def has_span(self) -> bool:
-        """Return whether the recording times are known; writers that do not care leave zeros."""
-        return self.end_ns != 0
 
 
 def parse(read: Callable[[ReadDataStream], Record], body: bytes, offset: int) -> Record:

@@ -13,13 +13,12 @@ from mcap.opcode import Opcode
 
 from .channel import CHUNK_LIMIT_BYTES, ByteArray, Damage, FileBytes, recorded_text
 from .mcap_file import ChunkReader, McapContainer, is_protected, map_in_order, total_counts, without_data
-from .mcap_kernel import FRAME, FRAME_BYTES, RecordCounter, find_chunk, find_messages
+from .mcap_kernel import FRAME, FRAME_BYTES, Chunk, RecordCounter, find_chunk, find_messages
 from .mcap_layout import (
     CHUNK_HEAD_BYTES,
     FOOTER_BYTES,
     KNOWN,
     MAGIC,
-    Chunk,
     Definitions,
     Layout,
     Walker,

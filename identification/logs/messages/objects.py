@@ -3,7 +3,7 @@
 import json
 import keyword
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from functools import cache, reduce
 from typing import Any
 
@@ -12,13 +12,14 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
-from ...errors import LogError
-from ..containers.channel import Batch, Channel
-from .decode import FOREIGN, ROS_ENCODINGS, MessageError, Series, Token, Wanted, needed_types, parse_path
+from ...errors import LogError, listed
+from ..containers.channel import Batch, Channel, Container
+from .decode import FOREIGN, ROS_ENCODINGS, JointNames, MessageError, Series, Token, Wanted, needed_types, parse_path
 
 _LIMIT_BYTES = 2**26
 _SECONDS, _NANOSECONDS = ("sec", "secs", "seconds"), ("nanosec", "nsec", "nsecs", "nanos")
 _BILLION = 10**9
+_MOST_PUBLISHERS = 16
 
 
 def parse_json(data: bytes) -> object:
@@ -229,3 +230,30 @@ def _time(time: object, path: tuple[Token, ...]) -> int:
 
 def _is_whole(value: object) -> bool:
     return isinstance(value, int | np.integer) and not isinstance(value, bool)
+
+
+def joint_names(container: Container, channel: Channel, needed: Collection[str], log: str) -> JointNames:
+    """Return the names in those messages of a channel of joint states that hold the joints that are needed.
+
+    Arm and gripper may publish in turn. Raises LogError where joints that are needed are named in several ways.
+    """
+    parse = build_object_parser(channel)
+    kinds: dict[bytes, tuple[str, ...]] = {}
+
+    def look(batch: Batch) -> int:
+        for message in messages_of(batch):
+            if not any(block in message for block in kinds) and len(kinds) < _MOST_PUBLISHERS:
+                names = tuple(getattr(parse(message), "name", ()))
+                kinds[strings_block(names, message, channel.encoding)] = names
+        return batch.count
+
+    for _ in container.read((channel,), look):
+        pass
+    having = [(block, names) for block, names in kinds.items() if {*needed} <= {*names}]
+    if len(having) > 1:
+        raise LogError(
+            f"Topic {channel.topic} of {log} must name the joints {listed(sorted(needed))} in one "
+            f"order, found {len(having)}: several robots publish on it; record each on a topic of its own."
+        )
+    block, names = having[0] if having else next(iter(kinds.items()))
+    return JointNames(names=names, only=block if len(kinds) > 1 else b"")

@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
@@ -16,9 +16,15 @@ from problems.frozen import NO_ENTRY, Rule, freeze
 
 from ...signals.recording import AXES
 from ..tables.layout import TableLayout
-from .orientation import NORM_TOLERANCE, ROW_MAJOR, is_rotation, orientation_width
-from .units import ANGLE_RAD, FORCE_N, LENGTH_M, TORQUE_N_M, check_unit
+from .orientation import NORM_TOLERANCE, is_rotation, of_pose_matrix, orientation_width
 
+# Units in which logs are written, each as so much of its SI unit.
+FORCE_N: Mapping[str, float] = {"N": 1.0, "kN": 1e3, "lbf": 4.4482216152605, "kgf": 9.80665}
+_METRIC_N_M = {"N·m": 1.0, "Nm": 1.0, "N·mm": 1e-3, "Nmm": 1e-3, "kN·m": 1e3, "kNm": 1e3}
+_LBF_N_M = {"lbf·in": 4.4482216152605 * 0.0254, "lbf·ft": 4.4482216152605 * 0.3048}
+TORQUE_N_M: Mapping[str, float] = _METRIC_N_M | _LBF_N_M
+LENGTH_M: Mapping[str, float] = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254}
+ANGLE_RAD: Mapping[str, float] = {"rad": 1.0, "deg": 0.017453292519943295}
 _SLICE = re.compile(r"(.*)\[(\d{1,4}):(\d{1,4})\]")
 _Text = Annotated[str, Rule(minLength=1)]
 _A_PATH = Rule(description="a path such as effort[0], or null for an axis that is not logged", minLength=1)
@@ -34,6 +40,12 @@ _Torque = Annotated[str, Rule(enum=[*TORQUE_N_M])]
 _Length = Annotated[str, Rule(enum=[*LENGTH_M])]
 _Angle = Annotated[str, Rule(enum=[*ANGLE_RAD])]
 _Coordinate = Annotated[float, Rule(minimum=-5, maximum=5)]
+
+
+def check_unit(name: str, unit: str, known: Collection[str]) -> None:
+    """Raise ParameterError for a unit that is not known."""
+    if unit not in known:
+        raise ParameterError(name, unit, f"one of {', '.join(known)}")
 
 
 class _Units:
@@ -220,7 +232,8 @@ class PoseSource(Source):
         width = orientation_width(self.orientation_as)
         fields = self.fields
         if fields is not None and len(fields.orientation) == 16 and width == 9:
-            object.__setattr__(self, "fields", _of_pose_matrix(fields, self.orientation_as))
+            position, turn = of_pose_matrix(fields.orientation, self.orientation_as)
+            object.__setattr__(self, "fields", PoseFields(position=fields.position or position, orientation=turn))
         count = 0 if self.fields is None else len(self.fields.orientation)
         if count not in (0, width):
             raise ParameterError(
@@ -229,15 +242,6 @@ class PoseSource(Source):
         if (self.parent is None) != (self.child is None):
             missing = "parent" if self.parent is None else "child"
             raise ParameterError(missing, "nothing", "named too: a transform needs parent and child")
-
-
-def _of_pose_matrix(fields: PoseFields, kind: str) -> PoseFields:
-    """Return the paths of position and rotation in a pose that is written as a 4 by 4 matrix."""
-    step, across = (4, 1) if kind == ROW_MAJOR else (1, 4)
-    entry = [[fields.orientation[step * row + across * column] for column in range(4)] for row in range(3)]
-    places = [(i, j) if kind == ROW_MAJOR else (j, i) for i in range(3) for j in range(3)]
-    turn = tuple(entry[row][column] for row, column in places)
-    return PoseFields(position=fields.position or tuple(row[3] for row in entry), orientation=turn)
 
 
 @dataclass(frozen=True, kw_only=True)

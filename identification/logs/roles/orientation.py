@@ -1,6 +1,7 @@
 """The ways in which an orientation may be written: quaternions, rotation vectors, matrices, Euler angles."""
 
 import re
+from collections.abc import Sequence
 from itertools import product
 
 import numpy as np
@@ -181,3 +182,11 @@ def _misfits(gravity: FloatArray, force: FloatArray) -> FloatArray:
         left = off - mass[:, None, None] * swing
         weights = 1.0 / np.maximum(np.linalg.norm(left, axis=2), _SMALLEST_N)
     return np.asarray(np.median(np.linalg.norm(left, axis=2), axis=1))
+
+
+def of_pose_matrix(entries: Sequence[str], kind: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the paths of position (3) and rotation (9) among those of a pose that is written as a 4 by 4 matrix."""
+    step, across = (4, 1) if kind == ROW_MAJOR else (1, 4)
+    entry = [[entries[step * row + across * column] for column in range(4)] for row in range(3)]
+    places = [(i, j) if kind == ROW_MAJOR else (j, i) for i in range(3) for j in range(3)]
+    return tuple(row[3] for row in entry), tuple(entry[row][column] for row, column in places)

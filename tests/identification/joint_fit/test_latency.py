@@ -15,7 +15,7 @@ from identification.joint_fit.latency import WrenchLatency, advance_in_time, fin
 from identification.joint_fit.path import SensorDynamics, low_passed
 from identification.joint_fit.result import JointFit
 from identification.result import Status
-from identification.signals.aligned import restore_commands
+from identification.robot.logged_command import restore_commands
 from identification.signals.recording import PoseSignal, Recording
 from identification.signals.segments import Span
 from problems.model.robot import RobotModel

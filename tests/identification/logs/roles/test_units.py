@@ -3,7 +3,7 @@
 import pytest
 from scipy import constants
 
-from identification.logs.roles.units import ANGLE_RAD, FORCE_N, LENGTH_M, TORQUE_N_M, check_unit
+from identification.logs.roles.cell import ANGLE_RAD, FORCE_N, LENGTH_M, TORQUE_N_M, check_unit
 from problems.errors import ParameterError
 
 FORCES = {"N": 1.0, "kN": constants.kilo, "lbf": constants.lbf, "kgf": constants.kgf}
