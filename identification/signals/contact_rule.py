@@ -1,4 +1,4 @@
-"""What counts as a contact in a log: forces, shares and times, for the fit, the time line and validation alike."""
+"""What counts as a contact in a log: forces, shares and times, for fit, time line, touches and validation alike."""
 
 from dataclasses import dataclass
 
@@ -7,10 +7,10 @@ from dataclasses import dataclass
 class ContactRule:
     """Thresholds on the contact force; where two uses differ, each has its entry and its reason.
 
-    A hold is a rest (0.4 s or more, `find_motion`) under more force than the weight leaves. It is touched, before and
-    after, where the force is above `smallest_n` and `touched_share` of the hold's: what a filter spreads of a press
-    over its surroundings grows with the press. `smallest_hold_n` is twice `smallest_n`, so that a hold is a touch
-    too, and a contact without a hold must have as much (`restless_factor`); six deviations are not noise.
+    A hold is a rest (`shortest_rest_s` or more, `find_motion`) under more force than the weight leaves. It is touched,
+    before and after, where the force is above `smallest_n` and `touched_share` of the hold's: what a filter spreads of
+    a press over its surroundings grows with the press. `smallest_hold_n` is twice `smallest_n`, so that a hold is a
+    touch too, and a contact without a hold must have as much (`restless_factor`); six deviations are not noise.
     """
 
     smallest_n: float = 2.0
@@ -24,6 +24,11 @@ class ContactRule:
     unweighed_residual_n: float = 1.0
     """Taken for what the weight leaves in validation, where it may be that of the file: nobody measured its error in
     this log."""
+
+    shortest_rest_s: float = 0.4
+    """The tool swings through zero speed; what stands still for so long is at rest."""
+    longest_swing_s: float = 0.1
+    """What is shorter is a swing of the payload, or one of the force after a blow."""
 
     softest_n_per_m: float = 4e3
     """Least stiffness of a surface: an arm that holds the payload is a spring too, of up to 2 or 3 N/mm."""
@@ -46,6 +51,8 @@ class ContactRule:
     smallest_trace_peak_n: float = 3.0
     trace_share: float = 0.05
     """Of the peak of a trace that is declared to be one contact; unfiltered, so a smaller force begins it."""
+    peak_levels: float = 1.5
+    """Of the axis' level of force, which the peak of a touch must exceed: where the payload's weight is not known."""
 
     def hold_threshold_n(self, residual_rms_n: float) -> float:
         """Return the least force of a hold: 4 N, or six times what the weight leaves of the force at rest."""

@@ -11,6 +11,7 @@ from scipy.signal import butter, sosfiltfilt
 from problems.arrays import BoolArray, FloatArray, IntArray
 
 from .aligned import AlignedLog, Span, edges_of, spans_of
+from .contact_rule import CONTACT
 from .medians import column_medians
 from .sweeps import finite_rows, second_differences
 
@@ -19,7 +20,6 @@ __all__ = ["MotionSpans", "Span", "find_motion", "low_pass", "without_pauses", "
 
 _STILL_SPEED_M_S = 1.5e-3
 _STILL_TURN_RAD_S = 0.02
-_SHORTEST_STILL_S = 0.4
 _LONGEST_PAUSE_S = 0.12
 _MOTION_BAND_HZ = 25.0
 # A position so noisy that it must be smoothed more is none in metres; a push of 0.1 s would be smoothed away.
@@ -89,7 +89,7 @@ def find_motion(log: AlignedLog) -> MotionSpans:
         still &= np.linalg.norm(velocity_B, axis=1) < _STILL_SPEED_M_S
     # An oscillation passes through zero speed: short pauses belong to the motion, and rest has a least length.
     pause = max(1, round(_LONGEST_PAUSE_S / log.period_s))
-    shortest = max(1, round(_SHORTEST_STILL_S / log.period_s))
+    shortest = max(1, round(CONTACT.shortest_rest_s / log.period_s))
     rest, away = np.zeros(len(log), dtype=np.bool_), np.ones(len(log), dtype=np.bool_)
     for piece in log.pieces:
         moving = without_pauses(~still[piece.slice], 2 * pause)

@@ -17,7 +17,6 @@ from .signals import AxisSignals
 _APPROACH_S, _SHORTEST_APPROACH_S = 0.1, 0.02
 SMALLEST_SPEED_M_S = 2e-3
 STILL_M_S = 1e-3
-SHORTEST_STILL_S = 0.4
 BEFORE_S, _SKIPPED_S = 0.3, 0.015
 _QUIET_S, _RISING_SAMPLES = 1.0, 2
 _FEWEST_SECONDS, _QUIET_SHARE = 8, 0.2
@@ -35,8 +34,6 @@ _ENTERED_SHARE = 0.1
 _FALLEN_SHARE = 0.5
 _ACROSS_SHARE = 0.5
 _AGAINST_SHARE = 0.25
-LONGEST_SWING_S = 0.1
-_SMALLEST_PEAK_SHARE = 1.5
 _LEFT_SHARE, _HELD_SHARE = 0.1, 0.5
 _FELT_SHARE, _USUAL_SHARE, _ABOVE_NOISE = 0.25, 0.75, 3.0
 _BLOW_SHARE, _RETURN_SAMPLES = 0.2, 3
@@ -90,7 +87,7 @@ def _of_their_own(found: Sequence[AxisTouches]) -> tuple[AxisTouches, ...]:
     for each in found:
         beside = [touch for other in found if other is not each for touch in other.touches]
         hands = [span for other in found for span in other.led]
-        swing = round(LONGEST_SWING_S / each.signals.period_s)
+        swing = round(CONTACT.longest_swing_s / each.signals.period_s)
         touches = [
             one
             for one in each.touches
@@ -131,7 +128,7 @@ def _on_axis(axis: AxisSignals, free: BoolArray, *, is_contact: bool) -> AxisTou
     for sign in _deeper_side(axis) if is_contact else (-1, 1):
         pressing = -sign * axis.force_n
         longest = round(CONTACT.longest_bounce_s / axis.period_s)
-        swing = max(1, round(LONGEST_SWING_S / axis.period_s))
+        swing = max(1, round(CONTACT.longest_swing_s / axis.period_s))
         presses = list(find_presses(pressing, axis.level_n, longest, swing))
         felt = presses if is_contact else _felt(axis, pressing, presses, swing)
         for span, around in zip(presses, felt, strict=True):
@@ -191,7 +188,7 @@ def find_presses(pressing: FloatArray, level: float, longest: int, swing: int) -
     touched = np.asarray(pressing > level)
     joined = without_pauses(touched, longest)
     against = without_short(np.asarray(pressing < -level), swing)
-    smallest = max(CONTACT.smallest_trace_peak_n, _SMALLEST_PEAK_SHARE * level)
+    smallest = max(CONTACT.smallest_trace_peak_n, CONTACT.peak_levels * level)
     for span in spans_of(np.asarray(joined & ~against)):
         inside = np.flatnonzero(touched[span.slice])
         if inside.size and float(np.max(pressing[span.slice])) > smallest:
@@ -199,8 +196,10 @@ def find_presses(pressing: FloatArray, level: float, longest: int, swing: int) -
 
 
 def _parts(span: Span, speed: FloatArray, period_s: float) -> Iterator[tuple[Span, bool]]:
-    """Yield a span in parts that move and parts of 0.4 s or more that do not."""
-    still = without_short(np.asarray(np.abs(speed[span.slice]) < STILL_M_S), max(1, round(SHORTEST_STILL_S / period_s)))
+    """Yield a span in parts that move and parts that rest."""
+    still = without_short(
+        np.asarray(np.abs(speed[span.slice]) < STILL_M_S), max(1, round(CONTACT.shortest_rest_s / period_s))
+    )
     for mask, is_still in ((still, True), (~still, False)):
         for part in spans_of(np.asarray(mask)):
             yield Span(start=span.start + part.start, stop=span.start + part.stop), is_still
@@ -421,9 +420,9 @@ def touch_peak(axis: AxisSignals, pressing: FloatArray, onset: int, peak: int) -
 
 
 def find_hold(axis: AxisSignals, pressing: FloatArray, span: Span) -> Span | None:
-    """Return the longest rest of 0.4 s or more under force."""
+    """Return the longest rest under force."""
     still = np.asarray((np.abs(axis.speed_m_s()[span.slice]) < STILL_M_S) & (pressing[span.slice] > axis.level_n))
-    found = spans_of(without_short(still, max(1, round(SHORTEST_STILL_S / axis.period_s))))
+    found = spans_of(without_short(still, max(1, round(CONTACT.shortest_rest_s / axis.period_s))))
     if not found:
         return None
     longest = max(found, key=len)

@@ -11,8 +11,9 @@ from scipy.signal import bilinear, lfilter, savgol_filter
 from problems.arrays import FloatArray
 
 from ..result import Estimate, Finding, Status, TouchCause
+from ..signals.contact_rule import CONTACT
 from ..signals.segments import Span
-from .find import LONGEST_SWING_S, AxisTouches, FoundTouch
+from .find import AxisTouches, FoundTouch
 from .signals import AxisSignals
 
 # Over this long a motion is taken as even acceleration: a payload on its gripper swings faster than 10 Hz.
@@ -92,7 +93,8 @@ def without_known(
 
 def _is_turned(each: FoundTouch, known: KnownMotion) -> bool:
     peak_s = each.touch.peak_s
-    return any(start - LONGEST_SWING_S <= peak_s <= stop + LONGEST_SWING_S for start, stop in known.turning_s)
+    swing_s = CONTACT.longest_swing_s
+    return any(start - swing_s <= peak_s <= stop + swing_s for start, stop in known.turning_s)
 
 
 def _about_turning(turned: Sequence[FoundTouch]) -> Finding:

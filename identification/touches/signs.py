@@ -11,8 +11,6 @@ from ..signals.aligned import Span
 from ..signals.contact_rule import CONTACT
 from .find import (
     BEFORE_S,
-    LONGEST_SWING_S,
-    SHORTEST_STILL_S,
     SMALLEST_SPEED_M_S,
     STILL_M_S,
     AxisTouches,
@@ -98,7 +96,7 @@ def check_desired_force(found: Sequence[AxisTouches]) -> None:
 def _holds(axis: AxisSignals, free: BoolArray) -> Iterator[tuple[float, float, float]]:
     """Yield when the tool was held after a free approach [s], its speed against the force [m/s] and the force [N]."""
     longest = round(CONTACT.longest_bounce_s / axis.period_s)
-    swing = max(1, round(LONGEST_SWING_S / axis.period_s))
+    swing = max(1, round(CONTACT.longest_swing_s / axis.period_s))
     for sign in (-1, 1):
         pressing = -sign * axis.force_n
         for span in find_presses(pressing, axis.level_n, longest, swing):
@@ -114,9 +112,9 @@ def _holds(axis: AxisSignals, free: BoolArray) -> Iterator[tuple[float, float, f
 
 def _swinging_hold(axis: AxisSignals, pressing: FloatArray, span: Span) -> Span | None:
     """Return the first 0.4 s under force at whose end the tool is where it was, as on a wall on which it swings."""
-    count = max(1, round(SHORTEST_STILL_S / axis.period_s))
+    count = max(1, round(CONTACT.shortest_rest_s / axis.period_s))
     travel = axis.travel_m[span.slice]
-    back = np.abs(travel[count:] - travel[:-count]) < STILL_M_S * SHORTEST_STILL_S
+    back = np.abs(travel[count:] - travel[:-count]) < STILL_M_S * CONTACT.shortest_rest_s
     pressed = np.asarray(pressing[span.slice] > axis.level_n)
     for start in np.flatnonzero(back).tolist():
         if bool(np.all(pressed[start : start + count])):
