@@ -37,7 +37,8 @@ from identification.logs.containers.channel import FileBytes
 from identification.logs.containers.mcap_file import McapContainer
 from identification.logs.containers.mcap_layout import Walker
 from identification.logs.messages.decode import Wanted, parse_path
-from identification.logs.opened import build_decoder, gather
+from identification.logs.messages.objects import build_decoder
+from identification.logs.opened import gather
 
 SHARE = 10
 FIELDS = {

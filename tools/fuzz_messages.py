@@ -34,8 +34,8 @@ from rosbags.serde import SerdeError
 from identification.logs.containers.channel import Batch, Channel
 from identification.logs.containers.mcap_kernel import RecordCounter, gather
 from identification.logs.messages.decode import MessageError, Series, Wanted, parse_path
+from identification.logs.messages.objects import build_decoder
 from identification.logs.messages.transforms import FIELDS, build_transform_decoder
-from identification.logs.opened import build_decoder
 from tests.identification.logs.messages.message_builder import (
     ADMITTANCE,
     ENCODINGS,

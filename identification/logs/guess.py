@@ -13,9 +13,10 @@ from ..errors import LogError
 from .containers.channel import Held
 from .guess_trace import FORCE_UNITS, UNLOADED_SHARE, Entry, NamedChannel, guess_trace, span_text
 from .messages.decode import Wanted
+from .messages.first import decode_first
 from .names import Meaning, Named, NamedVector, is_unit, joint_groups, leaps, read_names, rises, unevenness
 from .numbers import NumberFields, number_fields
-from .opened import OpenedLogs, decode_first, open_logs
+from .opened import OpenedLogs, open_logs
 from .roles.cell import TORQUE_N_M, Cell
 from .roles.orientation import COLUMN_MAJOR, ROW_MAJOR, read_by_weight
 from .roles.registry import JOINT_STATE, POSE_STAMPED, WRENCH_STAMPED, Role

@@ -11,8 +11,9 @@ from ..errors import LogError, listed
 from ..result import Finding
 from .containers.channel import Channel, Held
 from .messages.decode import Wanted
+from .messages.first import decode_first
 from .messages.objects import build_object_parser
-from .opened import OpenedLog, OpenedLogs, decode_first
+from .opened import OpenedLog, OpenedLogs
 from .roles.registry import FLOAT_ARRAY, JOINT_STATE
 
 _MOST_ENTRIES = 256

@@ -16,19 +16,11 @@ from ..errors import LogError
 from ..result import Finding
 from ..signals.recording import StampArray
 from .checks.samples import ExaminedRoles
-from .containers.channel import Batch, Channel, ChannelInfo, Container, Held, Survey, salvaged
+from .containers.channel import Batch, Channel, ChannelInfo, Container, salvaged
 from .containers.formats import is_table, open_container
-from .messages.decode import (
-    HEADER,
-    ROS_ENCODINGS,
-    JointNames,
-    MessageError,
-    Series,
-    Wanted,
-    build_program,
-    needed_types,
-)
-from .messages.objects import ObjectDecoder, joint_names, messages_of
+from .messages.decode import JointNames, MessageError, Series, Wanted
+from .messages.first import build_infos
+from .messages.objects import build_decoder, joint_names, messages_of
 from .messages.transforms import FIELDS, Pair, build_transform_decoder
 from .roles.cell import Cell
 from .roles.choose import Choice
@@ -278,53 +270,6 @@ def _role_series(choice: Choice, series: Series) -> Series:
     return replace(series, fields=choice.fields, stamp_ns=stamps, values=values)
 
 
-def build_infos(survey: Survey) -> tuple[ChannelInfo, ...]:
-    """Return what is known of each channel of a survey; a first message that cannot be decoded has no frame."""
-    infos = map(_info, survey.held)
-    return tuple(sorted(infos, key=lambda info: (info.channel.topic, info.channel.type_name)))
-
-
-def _info(held: Held) -> ChannelInfo:
-    is_headed = _has_header(held.channel)
-    return ChannelInfo(
-        channel=held.channel,
-        count=held.count,
-        frame=_frame(held) if is_headed and held.count else None,
-        has_header=is_headed,
-    )
-
-
-def _has_header(channel: Channel) -> bool:
-    """Return whether messages begin with a `std_msgs/msg/Header`."""
-    if channel.encoding not in ROS_ENCODINGS:
-        return False
-    try:
-        fields = needed_types(channel)[channel.type_name][1]
-    except LogError:
-        return False
-    return bool(fields) and fields[0][1][1] == HEADER
-
-
-def _frame(held: Held) -> str | None:
-    try:
-        frames = decode_first(held, Wanted(fields=())).frame_ids
-    except LogError:
-        return None
-    return frames[0] if frames else None
-
-
-def decode_first(held: Held, wanted: Wanted) -> Series:
-    """Decode the first message of a channel; raise LogError where it is not as its type says, or lacks a number."""
-    data = np.frombuffer(held.first_message, dtype=np.uint8)
-    zero, size = np.zeros(1, dtype=np.int64), np.array([data.size], dtype=np.int64)
-    try:
-        return build_decoder(held.channel, wanted)(
-            Batch(channel=held.channel, log_ns=zero, data=data, starts=zero, sizes=size)
-        )
-    except MessageError as fault:
-        raise LogError(f"The first message of topic {held.channel.topic} cannot be decoded: {fault.reason}.") from fault
-
-
 class _Gathering:
     """The numbers of one channel while it is read; `room` is the number of rows that are expected."""
 
@@ -382,11 +327,6 @@ def _moved(array: NDArray[Number], filled: int, room: int) -> NDArray[Number]:
     moved = np.empty((room, *array.shape[1:]), dtype=array.dtype)
     moved[:filled] = array[:filled]
     return moved
-
-
-def build_decoder(channel: Channel, wanted: Wanted) -> Callable[[Batch], Series]:
-    """Return what decodes batches of a channel; raise LogError where its type has no such numbers."""
-    return build_program(channel, wanted) or ObjectDecoder(channel, wanted)
 
 
 def recording_times(batch: Batch) -> Series:

@@ -14,7 +14,18 @@ from rosbags.typesys.store import Typestore
 
 from ...errors import LogError, listed
 from ..containers.channel import Batch, Channel, Container
-from .decode import FOREIGN, ROS_ENCODINGS, JointNames, MessageError, Series, Token, Wanted, needed_types, parse_path
+from .decode import (
+    FOREIGN,
+    ROS_ENCODINGS,
+    JointNames,
+    MessageError,
+    Series,
+    Token,
+    Wanted,
+    build_program,
+    needed_types,
+    parse_path,
+)
 
 _LIMIT_BYTES = 2**26
 _SECONDS, _NANOSECONDS = ("sec", "secs", "seconds"), ("nanosec", "nsec", "nsecs", "nanos")
@@ -257,3 +268,8 @@ def joint_names(container: Container, channel: Channel, needed: Collection[str],
         )
     block, names = having[0] if having else next(iter(kinds.items()))
     return JointNames(names=names, only=block if len(kinds) > 1 else b"")
+
+
+def build_decoder(channel: Channel, wanted: Wanted) -> Callable[[Batch], Series]:
+    """Return what decodes batches of a channel; raise LogError where its type has no such numbers."""
+    return build_program(channel, wanted) or ObjectDecoder(channel, wanted)

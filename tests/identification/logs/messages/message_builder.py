@@ -12,7 +12,8 @@ from rosbags.typesys.store import Typestore
 
 from identification.logs.containers.channel import Batch, Channel, Container, Held, Survey, T
 from identification.logs.messages.decode import Series, Wanted
-from identification.logs.opened import build_decoder, gather
+from identification.logs.messages.objects import build_decoder
+from identification.logs.opened import gather
 
 ADMITTANCE = "control_msgs/msg/AdmittanceControllerState"
 MIXED = "test_msgs/msg/Mixed"

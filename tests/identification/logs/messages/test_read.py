@@ -13,8 +13,7 @@ from mcap_ros2._dynamic import generate_dynamic
 from identification.errors import LogError
 from identification.logs.containers.channel import Batch, Channel
 from identification.logs.messages.decode import Series, Wanted, build_program, parse_path
-from identification.logs.messages.objects import ObjectDecoder
-from identification.logs.opened import build_decoder
+from identification.logs.messages.objects import ObjectDecoder, build_decoder
 from tests.identification.logs.messages.message_builder import (
     ADMITTANCE,
     ENCODINGS,
