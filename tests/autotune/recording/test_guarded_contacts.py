@@ -19,6 +19,10 @@ class Wall:
     place_m: float = 0.01
     drag_n: float = 0.0
 
+    def force(self, place: float) -> float:
+        """Return the force at a place."""
+        return self.stiffness_n_per_m * max(place - self.place_m, 0.0)
+
     def play(self, guarded: GuardedContacts) -> tuple[FloatArray, FloatArray]:
         """Return what one contact commands and what is felt (n,)."""
         steps, sensed = guarded.contact(), None
@@ -29,7 +33,7 @@ class Wall:
             except StopIteration:
                 return np.array(way), np.array(force)
             assert turn == (0.0, 0.0, 0.0)
-            pressed = self.stiffness_n_per_m * max(place - self.place_m, 0.0) + self.drag_n
+            pressed = self.force(place) + self.drag_n
             way.append(place)
             force.append(pressed)
             sensed = -pressed
@@ -117,3 +121,29 @@ def test_drag_that_reaches_an_eighth_of_the_force_makes_the_next_one_slower() ->
     Wall(5e3, drag_n=4.0).play(moves)
     # An eighth of 20 N over the 4 N that drag it at this speed.
     assert moves._speed == pytest.approx(SPEED_M_S * 2.5 / 4.0, rel=0.05)
+
+
+@dataclass
+class Push(Wall):
+    """A wall that pushes with one force, however deep the tool is."""
+
+    push_n: float = 14.0
+
+    def force(self, place: float) -> float:
+        return self.push_n if place > self.place_m else 0.0
+
+
+@pytest.mark.parametrize("push_n", [11.0, 14.0])
+def test_it_moves_on_as_slowly_as_the_force_ran_on_behind_the_resting_command(push_n: float) -> None:
+    """What is left of a swing is felt by 50 ms, P (1 − e^(−t/50 ms)); it may run on by a quarter of F^d."""
+    way, force = Push(push_n=push_n).play(guarded())
+    touched, steps = int(np.argmax(force > 0.0)), np.diff(way)
+    resting = int(np.flatnonzero(steps == 0.0)[0])
+    first = resting + int(np.flatnonzero(steps[resting:] > 0.0)[0])
+    count = first + 1 - touched
+    # Odd and even, so that nothing that swings from tick to tick looks like it.
+    assert count % 2 == (push_n == 11.0)
+    felt = push_n * -np.expm1(-count * H_S / 0.05)
+    speed = 0.25 * FORCE_N * SPEED_M_S / (felt - 0.25 * FORCE_N)
+    # F^d is never reached.
+    assert steps[first : first + 500] / H_S == pytest.approx(speed, rel=1e-9)
