@@ -321,6 +321,7 @@ def load(path: str | Path) -> "Design | Identification | Plant":
     """
     from autotune.formats.controller import read_controller  # noqa: PLC0415 - one of three
     from autotune.formats.identified import read_identified  # noqa: PLC0415
+    from autotune.formats.kinds import unknown_file  # noqa: PLC0415
     from autotune.formats.plant_file import parse_plant  # noqa: PLC0415
     from autotune.formats.yaml12 import kind_of_file, load_document  # noqa: PLC0415
 
@@ -337,7 +338,7 @@ def load(path: str | Path) -> "Design | Identification | Plant":
     if kind == "plant":
         return parse_plant(load_document(path, error=UsageError))
     found = f"autotune/{kind}" if kind else "no format entry"
-    raise UsageError(f"{path} must be a controller.yaml, identified.yaml or plant.yaml, found {found}.")
+    raise unknown_file(path, f"{path} must be a controller.yaml, identified.yaml or plant.yaml, found {found}.")
 
 
 def from_control(system: Any, *, delay: Quantity | None = None) -> Robot:

@@ -12,7 +12,7 @@ from autotune.errors import AutotuneError, UsageError
 from autotune.formats.quantity import Interval, Quantity, Uncertain, as_interval, as_number, as_quantity
 from autotune.quantities import check_given
 from identification.given import Given
-from problems.errors import ParameterError
+from problems.errors import ParameterError, shown
 
 # In a command within backticks an option is one.
 _COMMAND = re.compile(r"`autotune [^`]*`")
@@ -74,7 +74,7 @@ def count(name: str, given: object) -> int:
     except TypeError:
         found = -1
     if found < 0:
-        raise UsageError(f"{name} must be a whole number of at least 0, found {given!r}.")
+        raise UsageError(f"{name} must be a whole number of at least 0, found {shown(given)}.")
     return found
 
 
@@ -84,7 +84,7 @@ def axis_names(given: object) -> tuple[str, ...] | None:
         return None
     names = (given,) if isinstance(given, str) else given
     if not isinstance(names, list | tuple) or not names or not all(isinstance(each, str) for each in names):
-        raise UsageError(f'axes must be names of axes as in ["x", "rz"], or None for all; found {given!r}.')
+        raise UsageError(f'axes must be names of axes as in ["x", "rz"], or None for all; found {shown(given)}.')
     return tuple(names)
 
 
@@ -107,10 +107,11 @@ def _prior(name: str, given: Any) -> Given:
     try:
         value, std = (given.value, given.std) if isinstance(given, Uncertain) else (as_number(said, given), 0.0)
     except ParameterError:
-        raise UsageError(f"{said} must be a finite number or Uncertain(value, std), found {given!r}.") from None
+        raise UsageError(f"{said} must be a finite number or Uncertain(value, std), found {shown(given)}.") from None
     check_given(name, value, std, said)
     return Given(value=value, std=std)
 
 
 def _kind(given: object) -> str:
-    return "None" if given is None else f"{given!r} of type {type(given).__name__}"
+    text, name = shown(given), type(given).__name__
+    return text if given is None or text.endswith(f" {name}") else f"{text} of type {name}"

@@ -21,6 +21,7 @@ from autotune.results import Identification, Validation
 from autotune.shown import Progress, ResultTable, Shown, data_frame, reporting
 from autotune.text import NOTHING_BEFORE, scenario_text, stiffness_text
 from problems.design.uncertainty import SYMBOLS, Scenario
+from problems.errors import shown
 from problems.model.axis_kind import AxisKind
 
 if TYPE_CHECKING:
@@ -123,7 +124,7 @@ class Design(Shown):
         from autotune.prediction.said_gains import present_gains  # noqa: PLC0415
 
         if not isinstance(plant, Identification | Plant):
-            raise UsageError(f"plant must be what identify returns or a Plant, found {plant!r}.")
+            raise UsageError(f"plant must be what identify returns or a Plant, found {shown(plant)}.")
         file, said = plant.file(), gains.as_file() if isinstance(gains, Design) else gains
         with errors_in_arguments(compare="gains"):
             found = compare_before_after(file, self.controller, present=present_gains(said, file, tuple(self.gains)))

@@ -21,6 +21,7 @@ from identification.errors import EstimateError, LogError
 from identification.logs.read import Instant
 from identification.logs.summary import LogSummary
 from identification.signals.recording import Recording
+from problems.errors import shown
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -198,7 +199,7 @@ def read_log(
     files = file_paths("paths", paths)
     for name, topic in (("wrench_topic", wrench_topic), ("pose_topic", pose_topic), ("command_topic", command_topic)):
         if topic is not None and not isinstance(topic, str):
-            raise UsageError(f"{name} must be the name of a channel, found {topic!r}.")
+            raise UsageError(f"{name} must be the name of a channel, found {shown(topic)}.")
     options = IdentifyOptions(
         cell=cell_file(cell),
         wrench_topic=wrench_topic,

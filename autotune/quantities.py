@@ -66,12 +66,12 @@ def parse_range(parts: list[str], kind: str) -> tuple[Quantity, Quantity]:
     """
     found = parse_quantities(parts, kind)
     low, high = found[0], found[-1]
-    if not 0.0 < low.value <= high.value < math.inf:
+    name, both = "payload mass" if kind == "mass" else kind, f"found {low.value:g} and {high.value:g}."
+    if not (0.0 < low.value < math.inf and 0.0 < high.value < math.inf):
         hint = _EMPTY_GRIPPER if kind == "mass" and low.value == 0.0 else ""
-        raise ValueError(
-            f"a {'payload mass' if kind == 'mass' else kind} must be finite and above 0, the lower one first; "
-            f"found {low.value:g} and {high.value:g}.{hint}"
-        )
+        raise ValueError(f"a {name} must be finite and above 0; {both}{hint}")
+    if low.value > high.value:
+        raise ValueError(f"a range of {name} must have the lower one first; {both}")
     return low, high
 
 

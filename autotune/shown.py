@@ -12,6 +12,7 @@ from typing import Any
 
 from autotune.errors import UsageError
 from problems.compiling import on_compilation
+from problems.errors import shown
 
 COMPILING = (
     "Compiling once: kernels are not in the cache yet, so this takes up to some minutes more than the next time "
@@ -132,7 +133,7 @@ def reporting(progress: Progress, doing: str, total: float = 1.0) -> Iterator[Re
     That the block compiles, which takes minutes once, is a warning of the logger `autotune`.
     """
     if not (progress is None or isinstance(progress, bool) or callable(progress)):
-        raise UsageError(f"progress must be True, False or a callable that takes a share, found {progress!r}.")
+        raise UsageError(f"progress must be True, False or a callable that takes a share, found {shown(progress)}.")
     on_compilation(lambda: _LOG.warning(COMPILING))
     if not isinstance(progress, bool) or not progress:
         yield None if progress is False else progress

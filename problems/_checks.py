@@ -42,6 +42,8 @@ def finite(name: str, value: float) -> float:
 
 def interval(name: str, bounds: Sequence[float], *, lowest: float = 0.0) -> tuple[float, float]:
     """Return `(low, high)` if both are finite, in order and not below `lowest`."""
+    if len(bounds) == 2 and bounds[0] > bounds[1]:
+        raise ParameterError(name, tuple(bounds), "an interval from low to high")
     if len(bounds) != 2 or not all(math.isfinite(b) for b in bounds) or not lowest <= bounds[0] <= bounds[1]:
         raise ParameterError(name, tuple(bounds), f"an interval low..high of finite numbers not below {lowest:g}")
     return float(bounds[0]), float(bounds[1])

@@ -3,6 +3,8 @@
 from importlib.util import find_spec
 from typing import Any
 
+_LONGEST_SHOWN = 100
+
 
 class AutotuneError(Exception):
     """Base of every error that this project raises on purpose.
@@ -22,11 +24,25 @@ def _restored(kind: type[AutotuneError], said: tuple[Any, ...]) -> AutotuneError
     return kind.__new__(kind, *said)
 
 
+def shown(value: object) -> str:
+    """Return how a sentence names what was found: as Python writes it, what is longer than 100 characters by its type.
+
+    A long text is cut.
+    """
+    text = repr(value)
+    if len(text) <= _LONGEST_SHOWN and "\n" not in text:
+        return text
+    if isinstance(value, str):
+        return f"{text[: _LONGEST_SHOWN - 2]} …"
+    name = type(value).__name__
+    return f"{'an' if name[0] in 'aeiouAEIOU' else 'a'} {name}"
+
+
 class ParameterError(AutotuneError, ValueError):
     """A model parameter is outside the range in which the equations mean something."""
 
     def __init__(self, name: str, value: object, must: str) -> None:
-        super().__init__(f"{name} must be {must}, found {value!r}.")
+        super().__init__(f"{name} must be {must}, found {shown(value)}.")
         self.name = name
         self.value = value
         self.must = must

@@ -11,6 +11,7 @@ from autotune.errors import InfeasibleError, UsageError
 from autotune.formats.certificate_record import AxisDomain
 from autotune.formats.controller import ControllerFile, read_controller
 from autotune.formats.controller_record import AxisGains, Controller, RuntimePayload, admittance_controller, is_linear
+from autotune.formats.kinds import unknown_file
 from autotune.formats.plant_file import read_plant
 from autotune.formats.problem import ProblemSpec, read_problem
 from autotune.formats.records import record_tree, rename_axis_keys
@@ -109,8 +110,8 @@ def read_exploration(path: Path, problem: Path | None = None, progress: Progress
     if kind in {"identified", "plant"}:
         return _from_identified(path, problem, progress or no_progress)
     if kind != "controller":
-        raise UsageError(
-            f"{path} is neither a plant nor a controller; give what identify or optimize wrote, or a plant.yaml."
+        raise unknown_file(
+            path, f"{path} is neither a plant nor a controller; give what identify or optimize wrote, or a plant.yaml."
         )
     if problem is not None:
         raise UsageError(f"{path} contains its requirements; use --problem with an identified plant.")

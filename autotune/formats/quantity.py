@@ -92,8 +92,10 @@ def as_interval(name: str, given: Quantity, *, may_vanish: bool) -> Interval:
         low, high = given if isinstance(given, tuple) else (given, given)
     if isinstance(given, Uncertain) and low <= 0.0 and not (may_vanish and low == 0.0):
         raise ParameterError(name, given, f"{least} three deviations below its value, which is {low:g}")
-    if not (low <= high and (low > 0.0 or (may_vanish and low == 0.0))):
-        raise ParameterError(name, low if low == high else (low, high), f"{least}, and a range from low to high")
+    if low > high:
+        raise ParameterError(name, (low, high), "a range from low to high")
+    if low < 0.0 or (low == 0.0 and not may_vanish):
+        raise ParameterError(name, low if low == high else (low, high), least)
     return low, high
 
 

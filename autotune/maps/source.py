@@ -11,6 +11,7 @@ from autotune.errors import UsageError
 from autotune.formats.certificate_record import AxisDomain
 from autotune.formats.controller import read_controller
 from autotune.formats.controller_record import Controller, admittance_controller
+from autotune.formats.kinds import unknown_file
 from autotune.formats.plant_file import read_plant
 from autotune.formats.units import ROTATIONAL_AXES
 from autotune.formats.yaml12 import kind_of_file
@@ -78,8 +79,8 @@ def read_source(path: Path, *, axis: str | None, controller: Path | None) -> Map
     elif kind in {"identified", "plant"}:
         source = _identified(path, read_plant(path).result, axis)
     else:
-        raise UsageError(
-            f"{path} is neither a plant nor a controller; give what identify or optimize wrote, or a plant.yaml."
+        raise unknown_file(
+            path, f"{path} is neither a plant nor a controller; give what identify or optimize wrote, or a plant.yaml."
         )
     if controller is None:
         return source

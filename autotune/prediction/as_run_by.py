@@ -23,7 +23,7 @@ _ARRAYS, _FLAGS = ("matrix", "rest", "approach"), ("holds_position", "follows_po
 class AsRunBy:
     """What an export target runs on one axis and was certified to do; peaks at the contact [N, N·m].
 
-    `parameters` are the numbers as written into its file, `own_peak` is the peak of our own law, `hand_force` the
+    `parameters` are the numbers as written into its file, `hand_force` the
     force over steady speed in free motion [N·s/m, N·m·s/rad], `least_admittance` over the band asked [m/s/N,
     rad/s/(N·m)], `margins` by name with None for no limit, `peak_per_speed` the peaks of a payload that is led by
     hand, None in files of an earlier release.
@@ -32,7 +32,6 @@ class AsRunBy:
     target: str
     parameters: Mapping[str, float]
     peak: float
-    own_peak: float
     hand_force: float
     least_admittance: float
     margins: Mapping[str, float | None]
@@ -62,7 +61,6 @@ def with_target(
         axes[name] = {
             "parameters": dict(each["parameters"]),
             "peak": each["peak_contact_force"],
-            "own_peak": each["peak_contact_force_before"],
             "hand_force": each["hand_force"],
             "least_admittance": each["least_admittance"],
             "margins": dict(each["margins"]),

@@ -1,6 +1,7 @@
 """Predicted contacts of a controller file: its own plants, and whether its certificate holds the contact."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 
 from autotune.formats.certificate_record import AxisDomain
@@ -114,13 +115,22 @@ def predict_certified(
         key=lambda each: each.contact.peak_contact_force_n,
     )
     said = () if isinstance(law, TargetLaw) else tuple(law_notes(law, axis, controller))
-    outside = outside_domain(domain, found)
+    outside = (*outside_domain(domain, found), *_other_contact(domain, approach, axis, bumper))
     found = replace(found, outside=outside, law_notes=said, neglected=(*notes, *found.neglected))
-    if found.outside or approach != domain.approach or bumper is not None:
+    if found.outside:
         return found
     target = as_run_by(controller, axis)
     worst = max(each.peak_contact_force_n for each in predicted.scenarios) if target is None else target.peak
     return replace(found, certified=found.peak_force <= worst * (1.0 + _ROUNDING), certified_peak=worst)
+
+
+def _other_contact(domain: AxisDomain, approach: Approach, axis: str, bumper: Bumper | None) -> Iterator[str]:
+    """Yield what else than a value of its plant makes a contact another one than the certified."""
+    if approach != domain.approach:
+        units = axis_units(axis)
+        yield f"approach {domain.approach.text(units)}, here {approach.text(units)}"
+    if bumper is not None:
+        yield "payload in one piece, here with a bumper"
 
 
 def outside_domain(domain: AxisDomain, found: PredictedContact) -> tuple[str, ...]:

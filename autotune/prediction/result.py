@@ -36,6 +36,8 @@ if TYPE_CHECKING:
 
     from autotune.charts.show import AxesLike
 
+_UNSAID = ", so the file does not speak of this contact"
+
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class PredictedContact(Shown):
@@ -68,7 +70,7 @@ class PredictedContact(Shown):
         The largest peak that the file predicts over its domain, computed on a grid and no proved bound [N, N·m]; None
         outside of the domain, or without such a file.
     outside
-        What of the plant lies outside of the ranges for which the certificate of the controller holds, one text each.
+        What of plant, approach and payload the certificate of the controller does not hold for, one text each.
     run_by
         The export target whose law it is, "" for our own.
     deadband
@@ -143,6 +145,17 @@ class PredictedContact(Shown):
             f"{stiffness_text(stiffness, units)} at {self.contact.contact_speed_m_s:.3g} {units.speed} with {mass}"
         )
 
+    def __repr__(self) -> str:
+        if self.outside:
+            return f"<{self._headline()}; {self._outside_note()}>"
+        if self.certified_peak is None or self.certified:
+            return super().__repr__()
+        above = f"{self.certified_peak:.4g} {axis_units(self.axis).force} that the controller file predicts at most"
+        return f"<{self._headline()}; above the {above}{_UNSAID}>"
+
+    def _outside_note(self) -> str:
+        return f"outside of what the certificate holds: {'; '.join(self.outside)}"
+
     def _tables(self) -> Iterator[ResultTable]:
         unit, contact = axis_units(self.axis).force, self.contact
         of = "over all plants" if self.interval.level is None else f"{100.0 * self.interval.level:g} % interval"
@@ -179,7 +192,7 @@ class PredictedContact(Shown):
 
     def _certificate_notes(self) -> Iterator[str]:
         if self.outside:
-            yield f"outside of what the certificate holds: {'; '.join(self.outside)}"
+            yield self._outside_note()
         if self.certified_peak is not None:
             yield (
                 f"largest peak that the controller file predicts over its domain"
@@ -187,7 +200,7 @@ class PredictedContact(Shown):
                 f"{axis_units(self.axis).force}, computed on a grid and no proved bound"
             )
             if not self.certified:
-                yield "this peak is above that, so the file does not speak of this contact"
+                yield f"this peak is above that{_UNSAID}"
 
     def to_dict(self) -> dict[str, Any]:
         """Return plant, series, peaks and interval as plain data, with the names and units of the fields."""

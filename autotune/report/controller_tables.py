@@ -334,13 +334,8 @@ def domain_table(design: AxisDesign) -> Table:
         for each in (PARAMETERS[name] for name in UNCERTAIN)
         if each.name in domain.plants.ranges or _is_said(each, domain.plants.nominal)
     ]
-    approach = (
-        f"{domain.approach_force_n:g} {units.force}"
-        if domain.approach_force_n is not None
-        else f"{domain.approach_speed_m_s:g} {units.speed}"
-        if domain.approach_speed_m_s is not None
-        else "none"
-    )
+    has_approach = domain.approach_force_n is not None or domain.approach_speed_m_s is not None
+    approach = domain.approach.text(units) if has_approach else "none"
     cut = "" if domain.confidence is None else f"; cut by the {100.0 * domain.confidence.level:g} % confidence set"
     return build_table(
         f"Domain of axis {design.name}: approach with {approach}{cut}",

@@ -68,7 +68,7 @@ class TogetherAsked:
         """Return the laws on the payload, and the body that it is; the sweep is still to be made."""
         body = self.body
         if body is None and self.identified is not None:
-            body = _body(domains, payload, self.identified, self.contact_points_m)
+            body = coupled_body(domains, payload, self.identified, self.contact_points_m)
         if body is None:
             return OnPayload(cell=None, unchecked="payload.com_m is not known"), None
         if any(domain.plants.range_of(ENVIRONMENT_MASS)[1] > 0.0 for domain in domains.values()):
@@ -159,14 +159,6 @@ def check_together(controller: Controller, identified: Identified, contact_point
 
 
 def coupled_body(
-    controller: Controller, identified: Identified, contact_points_m: Sequence[Vector] = ()
-) -> CoupledBody | None:
-    """Return the payload of a controller as a rigid body, see `_body`."""
-    domains = {name: controller.certificate.domain[name] for name in controller.axes}
-    return _body(domains, controller.payload, identified, contact_points_m)
-
-
-def _body(
     domains: Mapping[str, AxisDomain],
     payload: RuntimePayload,
     identified: Identified,

@@ -27,15 +27,12 @@ class MountingFit:
 
     `mounting_S_rad` (3) turns flange-from-sensor as assumed into what it is: R_FS exp(μ). `base_tilt_B_rad` (2) about x
     and y of the base turns its −z into the direction of gravity. Either is unidentifiable where the poses do not show
-    it to half a degree; `is_mounting_zero`, `is_tilt_zero` say whether the estimate is consistent with none, None
-    where there is none. `residual_rms_n` is what is left with both. The findings name what cell.yaml should
-    declare.
+    it to half a degree, and its note says where it is consistent with none. `residual_rms_n` is what is left with
+    both. The findings name what cell.yaml should declare.
     """
 
     mounting_S_rad: VectorEstimate
     base_tilt_B_rad: VectorEstimate
-    is_mounting_zero: bool | None
-    is_tilt_zero: bool | None
     residual_rms_n: float
     findings: tuple[Finding, ...]
 
@@ -81,8 +78,6 @@ def identify_mounting(
     return MountingFit(
         mounting_S_rad=mounting,
         base_tilt_B_rad=tilt,
-        is_mounting_zero=is_zero,
-        is_tilt_zero=is_level,
         residual_rms_n=rms,
         findings=_findings(mounting, is_zero, tilt, is_level, mounting_FS or Rotation.identity()),
     )
@@ -211,8 +206,6 @@ def _nothing(note: str) -> MountingFit:
     return MountingFit(
         mounting_S_rad=unknown,
         base_tilt_B_rad=unknown,
-        is_mounting_zero=None,
-        is_tilt_zero=None,
         residual_rms_n=float("nan"),
         findings=(),
     )

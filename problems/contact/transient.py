@@ -11,6 +11,7 @@ from .._checks import finite, positive
 from ..arrays import FloatArray
 from ..compiled import equation
 from ..errors import ParameterError
+from ..model.axis_kind import AxisKind
 from ..model.controller import AdmittanceController, controller_blocks
 from ..model.hold import hold
 from ..model.plant import FREE_SPACE
@@ -75,6 +76,12 @@ class Approach:
             raise ParameterError("approach.driven_by", self.driven_by, "desired_force or hand")
         if self.after_impact_n is not None:
             object.__setattr__(self, "after_impact_n", finite("approach.after_impact_n", self.after_impact_n))
+
+    def text(self, units: AxisKind) -> str:
+        """Return force or speed as people read it."""
+        if self.force_n is not None:
+            return f"{self.force_n:g} {units.force}"
+        return f"{self.speed_m_s:g} {units.speed}"
 
     def numbers(self) -> tuple[float, float, bool, float]:
         """Return (force or 0, speed or 0, whether a hand drives, force after the impact or NaN) for the kernels."""

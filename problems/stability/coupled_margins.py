@@ -20,7 +20,6 @@ from ..model.coupled import (
     Law,
     build_coupled_loop,
     coupled_poles,
-    reduced_loop,
 )
 from ..model.difference import controller_gains
 from .margins import UnstableLoopError
@@ -49,14 +48,13 @@ class CoupledMargins:
     """The margins of axes that act on each other, in the order of the axes that have a law.
 
     `modulus` is the smallest singular value of I + L over both break points at `modulus_hz`, torques divided and
-    angles multiplied by the lever; `disk` the disk margin of all loops at a time at `disk_hz` (a lower bound, which
+    angles multiplied by the lever; `disk` the disk margin of all loops at a time (a lower bound, which
     holds for changes of all loops in any combination); `loops` that of each with the others closed.
     """
 
     modulus: float
     modulus_hz: float
     disk: float
-    disk_hz: float
     loops: tuple[LoopMargins, ...]
     spectral_radius: float
 
@@ -142,7 +140,6 @@ def find_coupled_margins(
         modulus=float(best[0]),
         modulus_hz=float(hz[0]),
         disk=float(best[1]),
-        disk_hz=float(hz[1]),
         loops=tuple(
             LoopMargins(modulus=float(best[2 + i]), modulus_hz=float(hz[2 + i]), disk=float(best[2 + count + i]))
             for i in range(count)
@@ -313,15 +310,3 @@ def _crossings(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray, level
     # An eigenvalue on the axis is found to the square root of rounding where two meet.
     on_axis = np.abs(values.real) < 1e-7 * np.maximum(np.abs(values), 1e-9)
     return np.unique(values.imag[on_axis & (values.imag > 0.0)])
-
-
-def largest_sensitivity(loop: CoupledLoop, driven: Sequence[int], scale: FloatArray) -> tuple[float, float]:
-    """Return max σ(S) at the forces, of the axes `driven`, and its frequency [Hz], see `largest_gain`."""
-    reduction, kept = reduced_loop(loop)
-    place = np.array(driven, dtype=np.int64)
-    lever = scale[place]
-    a, b = reduction @ loop.a[:, kept], reduction @ loop.b[:, place] * lever
-    c = loop.c_force[np.ix_(place, kept)] / lever[:, None]
-    d = np.eye(len(place)) + loop.d_force[np.ix_(place, place)] / lever[:, None] * lever
-    gain, angle = largest_gain(a, b, c, d)
-    return gain, angle / (2.0 * np.pi * loop.sample_time_s)

@@ -29,6 +29,8 @@ WRONG: dict[str, Callable[[], Any]] = {
     "cell must be the path": lambda: at.read_log("run.mcap", cell=3),  # type: ignore[arg-type]
     "wrench_topic must be the name": lambda: at.read_log("run.mcap", wrench_topic=3),  # type: ignore[arg-type]
     "path must be the path": lambda: at.load(None),  # type: ignore[arg-type]
+    "path must be the path of a file, found a Plant.": lambda: at.load(plant()),  # type: ignore[arg-type]
+    "log must be the path of a file or several in a list, found a Plant.": lambda: at.identify(plant()),  # type: ignore[arg-type]
     "path must be the path of a file, found 3": lambda: plant().save(3),  # type: ignore[arg-type]
     "given must be a dictionary": lambda: at.identify("run.mcap", given=3),  # type: ignore[arg-type]
     "must be a finite number": lambda: at.identify("run.mcap", given={"mass_kg": math.nan}),
@@ -43,6 +45,39 @@ def test_a_wrong_argument_is_refused_in_one_sentence(sentence: str) -> None:
         WRONG[sentence]()
     assert sentence in str(refused.value)
     assert "--" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("given", "sentence"),
+    [
+        ((22.0, 10.0), "payload_mass must be a range from low to high, found (22.0, 10.0)."),
+        ((0.0, 10.0), "payload_mass must be greater than 0, found (0.0, 10.0)."),
+        (-10.0, "payload_mass must be greater than 0, found -10.0."),
+        (plant(), "payload_mass must be a number, a range (low, high) or Uncertain(value, std), found a Plant."),
+    ],
+)
+def test_a_range_that_is_none_is_refused_for_one_thing(given: Any, sentence: str) -> None:
+    with pytest.raises(at.ParameterError) as refused:
+        at.optimize(plant(), payload_mass=given)
+    assert str(refused.value) == sentence
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("a: [1, 2\nb: 3\n", ", line 2: not readable as YAML: expected ',' or ']', but got ':'."),
+        ("mass: 16\n\tdrag: 1\n", ", line 2: a tab; use spaces."),
+        ("only words\n", ", line 1: must hold a mapping (key: value), found the text 'only words'."),
+        ("mass: 16\n", " must be a controller.yaml, identified.yaml or plant.yaml, found no format entry."),
+        ("\x89MCAP0\r\n\0", " must be a controller.yaml, identified.yaml or plant.yaml, found no format entry."),
+    ],
+)
+def test_a_file_that_is_no_yaml_is_refused_with_its_line(tmp_path: Path, text: str, said: str) -> None:
+    path = tmp_path / "file.yaml"
+    path.write_bytes(text.encode("latin-1"))
+    with pytest.raises(at.UsageError) as refused:
+        at.load(path)
+    assert str(refused.value) == f"{path}{said}"
 
 
 def test_a_system_without_coefficients_is_no_robot() -> None:

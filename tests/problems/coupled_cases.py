@@ -1,13 +1,15 @@
 """x and ry of a payload of 16 kg whose centre of mass lies 0.15 m off the sensor, and laws for both."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from problems.arrays import FloatArray
 from problems.model.controller import AdmittanceController
-from problems.model.coupled import CoupledPlant, PointSurface, RigidPayload
+from problems.model.coupled import CoupledLoop, CoupledPlant, PointSurface, RigidPayload, reduced_loop
 from problems.model.plant import Coupling, Environment, PayloadDynamics, Plant
+from problems.stability.coupled_margins import largest_gain
 from tests.problems.axes import one_pole
 
 COM_M, INERTIA_KG_M2 = 0.15, 0.7
@@ -53,3 +55,15 @@ def single(i: int, touches: PointSurface | None = None) -> Plant:
         PLANTS[i], payload=PayloadDynamics(mass_kg=masses[i], drag_n_s_per_m=PLANTS[i].payload.drag_n_s_per_m)
     )
     return found if touches is None or i else found.in_contact_with(touches.environment)
+
+
+def largest_sensitivity(loop: CoupledLoop, driven: Sequence[int], scale: FloatArray) -> tuple[float, float]:
+    """Return max σ(S) at the forces, of the axes `driven`, and its frequency [Hz], see `largest_gain`."""
+    reduction, kept = reduced_loop(loop)
+    place = np.array(driven, dtype=np.int64)
+    lever = scale[place]
+    a, b = reduction @ loop.a[:, kept], reduction @ loop.b[:, place] * lever
+    c = loop.c_force[np.ix_(place, kept)] / lever[:, None]
+    d = np.eye(len(place)) + loop.d_force[np.ix_(place, place)] / lever[:, None] * lever
+    gain, angle = largest_gain(a, b, c, d)
+    return gain, angle / (2.0 * np.pi * loop.sample_time_s)

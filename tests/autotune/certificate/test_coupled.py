@@ -14,10 +14,9 @@ from problems.stability.coupled_margins import (
     coupled_sensitivities,
     find_coupled_margins,
     largest_gain,
-    largest_sensitivity,
 )
 from tests.problems.axes import PERIOD_S
-from tests.problems.coupled_cases import LAWS, SCALE, cell, wall
+from tests.problems.coupled_cases import LAWS, SCALE, cell, largest_sensitivity, wall
 
 SOFT, STIFF = 1e5, 1.1e5
 

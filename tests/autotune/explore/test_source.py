@@ -104,7 +104,7 @@ def test_a_problem_beside_a_controller_is_refused(tmp_path: Path) -> None:
     write_controller(path, fast_optimized().controller)
     with pytest.raises(UsageError, match="use --problem with an identified plant"):
         read_exploration(path, tmp_path / "problem.yaml")
-    path.write_text("neither", encoding="utf-8")
+    path.write_text("neither: 1", encoding="utf-8")
     with pytest.raises(UsageError, match="neither a plant nor a controller"):
         read_exploration(path)
 

@@ -307,6 +307,20 @@ def test_the_payload_of_the_hardest_contact_in_the_file_is_looked_at_too(monkeyp
     assert peak == max(predict_certified(file, "x", 1e5, payload_mass=mass).peak_force for mass in looked_at[:3])
 
 
+def test_a_peak_above_all_of_the_file_says_so() -> None:
+    controller = make_controller(("x",))
+    low = [replace(each, peak_contact_force_n=2.0) for each in controller.predicted["x"].scenarios]
+    file = replace(controller, predicted={"x": replace(controller.predicted["x"], scenarios=tuple(low))})
+    found = predict_certified(file, "x", 1e5)
+    assert not found.certified
+    said = "; above the 2 N that the controller file predicts at most, so the file does not speak of this contact>"
+    assert repr(found).endswith(said)
+    assert "note: this peak is above that, so the file does not speak of this contact" in str(found)
+    assert ";" not in repr(
+        predict_certified(controller, "x", controller.certificate.domain["x"].environment_stiffness_n_per_m[0])
+    )
+
+
 def test_a_biquad_that_is_simulated_is_named() -> None:
     law = AdmittanceController(mass_kg=10.0, damping_n_s_per_m=900.0, lead_s=0.02)
     shaped = replace(
@@ -326,6 +340,12 @@ def test_what_lies_outside_of_the_certificate_is_said_of_a_design_and_of_its_gai
     assert [each.partition(" ")[0] for each in found.outside] == ["K_e", "M_p"]
     assert f"note: outside of what the certificate holds: {found.outside[0]}" in str(found)
     assert not found.certified
+    assert at.predict(design, environment_stiffness=stiff, approach_force=30.0).outside == ()
+    faster = at.predict(design, environment_stiffness=stiff, approach_speed=0.02)
+    bumped = at.predict(design, environment_stiffness=stiff, bumper=at.Bumper(mass_kg=0.5, stiffness_n_per_m=2e4))
+    for each, why in ((faster, "approach 30 N, here 0.02 m/s"), (bumped, "payload in one piece, here with a bumper")):
+        assert (each.certified, each.outside) == (False, (why,))
+        assert f"outside of what the certificate holds: {why}" in repr(each)
     robot = at.Robot(bandwidth=3.2, delay=2.4e-3)
     plant = plant_of(Cell(wall=1.5 * stiff), mass=heavy, robot=robot, sample_time=controller.sample_time_s)
     assert at.predict(plant, gains=design, approach_force=30.0).outside[0] == found.outside[0]

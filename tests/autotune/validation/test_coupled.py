@@ -1,5 +1,6 @@
 """Axes on one payload: what optimize certifies of them together, what validate confirms, and what is refused."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -13,7 +14,7 @@ from autotune.errors import InfeasibleError, UsageError
 from autotune.formats.cell import read_cell
 from autotune.formats.controller import read_controller, write_controller
 from autotune.formats.controller_record import Controller
-from autotune.formats.coupled_record import CoupledCertificate
+from autotune.formats.coupled_record import CoupledBody, CoupledCertificate, Vector
 from autotune.formats.identified import read_identified, write_identified
 from autotune.formats.problem import read_problem
 from autotune.tuning.coupled import TogetherAsked, TogetherCheck, check_together, coupled_body
@@ -221,16 +222,22 @@ def test_what_is_not_known_is_named() -> None:
     assert "positive definite" in check_together(*moved(0.25)).unchecked
 
 
+def body_of(identified: Identified, contact_points_m: Sequence[Vector] = ()) -> CoupledBody:
+    controller = tuned()
+    domains = {name: controller.certificate.domain[name] for name in controller.axes}
+    found = coupled_body(domains, controller.payload, identified, contact_points_m)
+    assert found is not None
+    return found
+
+
 def test_products_of_inertia_come_from_the_tensor_or_from_the_centre() -> None:
     third = replace(two_axes(), axes={**two_axes().axes, "rx": turned_axis()})
-    body = coupled_body(tuned(), third)
-    assert body is not None
+    body = body_of(third)
     x, y, _ = tuned().payload.com_m
     assert body.inertia_kg_m2["xy"] == pytest.approx(-16.0 * x * y)
     assert "inertia xy" in body.missing
     tensor = InertiaEstimate(xx=known(0.7), yy=known(0.6), zz=absent(), xy=known(0.011), xz=absent(), yz=absent())
-    seen = coupled_body(tuned(), replace(third, payload=replace(third.payload, inertia_kg_m2=tensor)))
-    assert seen is not None
+    seen = body_of(replace(third, payload=replace(third.payload, inertia_kg_m2=tensor)))
     assert (seen.inertia_kg_m2["xy"], seen.inertia_kg_m2["xx"]) == (0.011, 0.7)
     assert seen.inertia_kg_m2["yy"] == pytest.approx(0.64)  # that of its own loop
 
@@ -250,9 +257,7 @@ def test_contact_points_of_the_cell_are_taken_where_the_problem_names_none(tmp_p
     points = read_cell(path).cell.payload.contact_points_m
     cell_of = two_axes()
     declared = replace(cell_of, payload=replace(cell_of.payload, contact_points_m=points))
-    of_cell, of_problem = coupled_body(tuned(), declared), coupled_body(tuned(), declared, [(0.0, 0.2, 0.3)])
-    assert of_cell is not None
-    assert of_problem is not None
+    of_cell, of_problem = body_of(declared), body_of(declared, [(0.0, 0.2, 0.3)])
     assert (of_cell.contact_points_m, of_problem.contact_points_m) == (((0.1, 0.0, 0.4),), ((0.0, 0.2, 0.3),))
     write_identified(tmp_path / "identified.yaml", declared, {})
     assert read_identified(tmp_path / "identified.yaml").result.payload.contact_points_m == points

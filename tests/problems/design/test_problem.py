@@ -49,7 +49,7 @@ def test_ranges_that_cannot_be_are_refused_by_name(name: str, value: object) -> 
     ("bounds", "must"),
     [
         ({"mas": (5.0, 10.0)}, "mass, damping, lead_s, feedback_damping_s"),
-        ({"mass": (10.0, 5.0)}, "low..high"),
+        ({"mass": (10.0, 5.0)}, "from low to high"),
         ({"mass": (0.0, 5.0)}, "above 0"),
         ({"damping": (0.0, 5.0)}, "above 0"),
         ({"lead_s": (-0.1, 0.1)}, "not below 0"),

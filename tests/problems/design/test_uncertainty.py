@@ -159,7 +159,7 @@ def test_without_spread_there_is_one_point() -> None:
         ({K_E: (1.0, 2.0)}, None, "given as a range"),
         ({**BOX, "mass": (1.0, 2.0)}, None, "one of environment_stiffness_n_per_m"),
         ({**BOX, K_S: (0.0, 2.0)}, None, "above 0"),
-        ({**BOX, K_S: (3.0, 2.0)}, None, "low..high"),
+        ({**BOX, K_S: (3.0, 2.0)}, None, "from low to high"),
         ({K_E: (1.0, 2.0), M_P: (1.0, 2.0)}, CUT, "one of the parameters that vary"),
         ({**BOX, K_S: (1e5, 2e5)}, CUT, "inside the range"),
     ],

@@ -7,13 +7,12 @@ from problems.stability.coupled_margins import (
     coupled_sensitivities,
     find_coupled_margins,
     find_coupled_modulus,
-    largest_sensitivity,
     scaled_norm,
     worst_mode,
 )
 from problems.stability.margins import UnstableLoopError, find_margins
 from tests.problems.axes import PERIOD_S
-from tests.problems.coupled_cases import LAWS, SCALE, cell, single, wall
+from tests.problems.coupled_cases import LAWS, SCALE, cell, largest_sensitivity, single, wall
 
 
 @pytest.mark.parametrize("surface", [None, wall()])
