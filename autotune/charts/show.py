@@ -4,6 +4,7 @@ from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 from autotune.errors import UsageError
+from problems.errors import shown
 
 from .chart import Chart
 
@@ -44,7 +45,7 @@ def show(chart: Chart, ax: "AxesLike | None" = None, *, panel: int = 0) -> "Figu
     said: object = ax
     given = [said] if isinstance(said, Axes) else list(said) if isinstance(said, Iterable) else []
     if not given or not all(isinstance(each, Axes) for each in given):
-        raise UsageError(f"ax must be matplotlib axes, or several of them, found {ax!r}.")
+        raise UsageError(f"ax must be matplotlib axes, or several of them, found {shown(ax)}.")
     if len(given) not in {1, len(chart.panels)}:
         raise UsageError(f"{chart.title!r} takes one axes, or {len(chart.panels)} for its panels; found {len(given)}.")
     one = Chart(key=chart.key, title=chart.title, alternative=chart.alternative, panels=(chart.panels[panel],))

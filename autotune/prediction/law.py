@@ -11,7 +11,7 @@ from autotune.formats.controller_record import Controller, admittance_controller
 from autotune.formats.units import AXES, axis_units
 from identification.result import Identified
 from problems.contact.nonlinearities import Deadband, DeadbandType
-from problems.errors import ParameterError
+from problems.errors import ParameterError, shown
 from problems.model.controller import AdmittanceController
 
 from .contact import Law
@@ -100,7 +100,7 @@ def law_notes(law: Law, axis: str, controller: Controller | None = None) -> Iter
 
 def _number(name: str, value: float | str) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise UsageError(f"The gain {name} must be a number in SI, found {value!r}.")
+        raise UsageError(f"The gain {name} must be a number in SI, found {shown(value)}.")
     return float(value)
 
 

@@ -10,6 +10,7 @@ from problems.design.objectives import Direction
 from problems.design.objectives import Objective as AnyObjective
 from problems.design.problem import DesignProblem
 from problems.design.stable_design import StableDesign
+from problems.errors import shown
 
 Requirement = CustomRequirement
 """One thing that a controller must meet, as required/achieved: ≤ 1 is met. A subclass says its `name`."""
@@ -68,7 +69,7 @@ def _demand(text: str) -> Demand:
     except ValueError:
         value = math.nan
     if not 0.0 < value < math.inf:
-        raise UsageError(f"The limit of {name} must be a finite number above 0, found {number!r}.")
+        raise UsageError(f"The limit of {name} must be a finite number above 0, found {shown(number)}.")
     return ObjectiveLimit(objective=objective, value=value)
 
 
