@@ -1,11 +1,11 @@
-"""Prove the claim of a loop, for every plant of its families at every frequency, or say where that ends."""
+"""Prove what is claimed of a loop, for every plant of its families at every frequency, or say where that ends."""
 
 import itertools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from .balls import Balls, as_series, derivatives_of, enclose
 from .base_plant import fails_at, is_stable
 from .bounds import PlantCell, Verdicts, judge, judge_at_rest
 from .circle import Circle
-from .family import LATE, Family
+from .family import LATE, Claim, Family, families_of
 from .law import law_polynomials
 from .plant_cells import Groups, Raw, coefficients, loop_groups, with_derivatives
 from .plant_polynomials import plant_polynomials
@@ -72,12 +72,106 @@ class ProofOutcome:
 
 
 @dataclass(frozen=True, kw_only=True)
+class CombinedCertificate:
+    """What came of the parts of a claim: one part per family of plants; behind a refuted one they are left out.
+
+    `free_space`, `contact` and `held` (by the spring of a hand alone) hold the parts by where they hold.
+    """
+
+    free_space: tuple[ProofOutcome, ...]
+    contact: tuple[ProofOutcome, ...]
+    held: tuple[ProofOutcome, ...] = ()
+
+    @cached_property
+    def parts(self) -> tuple[ProofOutcome, ...]:
+        """All parts, those of free space first."""
+        return (*self.free_space, *self.held, *self.contact)
+
+    @property
+    def holds(self) -> bool:
+        """Whether all of it is proved."""
+        return all(part.holds for part in self.parts)
+
+    @property
+    def false(self) -> ProofOutcome | None:
+        """Return the part whose claim is false."""
+        return next((part for part in self.parts if part.verdict is Verdict.REFUTED), None)
+
+    @property
+    def failed(self) -> ProofOutcome | None:
+        """Return the part that is false, or else one that is not proved; None where all is."""
+        return self.false or next((part for part in self.parts if not part.holds), None)
+
+    @property
+    def share(self) -> float:
+        """Return the share proved of that part of which least is proved."""
+        return min(part.share for part in self.parts)
+
+    @property
+    def cells(self) -> int:
+        """Return the number of cells of plants that were proved."""
+        return sum(part.cells for part in self.parts)
+
+    @property
+    def arcs(self) -> int:
+        """Return the number of pairs of cell and arc that were proved."""
+        return sum(part.arcs for part in self.parts)
+
+    @property
+    def run_time_s(self) -> float:
+        """Return the work spent in seconds of `WORK_PER_SECOND`, which no clock makes differ from run to run."""
+        return sum(part.work for part in self.parts) / WORK_PER_SECOND
+
+    def up_to(self, lowest: float) -> float:
+        """Return the K_e up to which everything is proved, free space too; `lowest` where nothing is."""
+        open_parts = [part for part in self.parts if not part.holds]
+        ends = [lowest if p.stiffness_up_to_n_per_m is None else p.stiffness_up_to_n_per_m for p in open_parts]
+        return min(ends, default=math.inf)
+
+
+@dataclass(frozen=True, kw_only=True)
 class _Part:
     """A cell of plants (d, 2), the arcs on which it is not proved yet, and its share of the whole set."""
 
     cell: FloatArray
     arcs: IntArray
     share: float
+
+
+def prove(claim: Claim, progress: Callable[[float], None] | None = None) -> CombinedCertificate:
+    """Prove a claim, or find out where that ends.
+
+    Parameters
+    ----------
+    claim
+        What is to be proved; its work is shared by all parts.
+    progress
+        Is passed the share of the work done since the last call.
+
+    Returns
+    -------
+    CombinedCertificate
+        The parts in free space and in contact; the first that is refuted is the last.
+
+    Raises
+    ------
+    ParameterError
+        For parameters that cannot be proved over.
+    """
+    places = families_of(claim)
+    every = [family for of_place in zip(*places.values(), strict=True) for family in of_place]
+
+    def part_done(done: float) -> None:
+        if progress is not None:
+            progress(done / len(every))
+
+    parts: list[ProofOutcome] = []
+    for family in every:
+        left = max(claim.work - sum(part.work for part in parts), 0)
+        parts.append(certify(family, claim.law, claim.modulus, work=left, progress=part_done))
+        if parts[-1].verdict is Verdict.REFUTED:
+            break
+    return CombinedCertificate(**{name: tuple(parts[i :: len(places)]) for i, name in enumerate(places)})
 
 
 def certify(

@@ -1,4 +1,4 @@
-"""The sets of plants that a certificate speaks of."""
+"""What a certificate claims of a sampled loop, and the sets of plants that it speaks of."""
 
 import math
 from collections.abc import Mapping
@@ -8,13 +8,14 @@ from itertools import pairwise
 import numpy as np
 
 from problems.arrays import FloatArray
-from problems.design.uncertainty import ENVIRONMENT_MASS, MASS, STIFFNESS, UNCERTAIN, Scenario
+from problems.design.hand import HandImpedance
+from problems.design.uncertainty import ENVIRONMENT_MASS, MASS, STIFFNESS, UNCERTAIN, PlantSet, Scenario
 from problems.errors import ParameterError
 from problems.frozen import freeze
 from problems.model.plant import FREE_SPACE, Environment, Plant
 from problems.model.plant_parameters import PARAMETERS, with_values
 from problems.model.robot import vary_robot
-from problems.model.sampled import split_delay
+from problems.model.sampled import Controller, split_delay
 
 Interval = tuple[float, float]
 
@@ -22,6 +23,23 @@ LAG, LATE = "wrench_time_constant_s", "wrench_delay_s"
 PROVABLE = tuple(name for name in UNCERTAIN if PARAMETERS[name].is_provable)
 """What is proved over, M_e as part of the mass in contact (`build_families`)."""
 _ENVIRONMENT = frozenset(name for name in UNCERTAIN if PARAMETERS[name].part == "environment")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Claim:
+    """That a sampled loop is stable, with |1 + L| > `modulus` at both break points, in contact and in free space.
+
+    It is claimed of every plant in the box of `plants`, whatever cuts that; with a `hand`, of each of them held by
+    every such hand, with its spring or without. A `modulus` of None claims stability alone. `work` bounds the effort of
+    the proof.
+    """
+
+    plants: PlantSet
+    law: Controller
+    sample_time_s: float
+    modulus: float | None
+    work: int
+    hand: HandImpedance | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -157,6 +175,21 @@ def _parted(whole: float, spans: tuple[Interval, Interval]) -> tuple[float, floa
     width = high - low + other_high - other_low
     share = min(max((whole - low - other_low) / width, 0.0), 1.0) if width > 0.0 else 0.0
     return low + share * (high - low), other_low + share * (other_high - other_low)
+
+
+def families_of(claim: Claim) -> dict[str, list[Family]]:
+    """Return the families of a claim by where they are: the fields of `certify.CombinedCertificate`."""
+    plants, hand = claim.plants, claim.hand
+    if hand is not None:
+        # A hand holds what bears a bumper, and not what touches.
+        plants.nominal.require_one_piece()
+        plants = hand.on_contact(plants)
+    contact = build_families(plants.nominal, plants.ranges, claim.sample_time_s)
+    free = [family.in_free_space() for family in contact]
+    found = {"free_space": free, "contact": list(contact)}
+    if hand is not None and hand.stiffness_n_per_m > 0.0:
+        found["held"] = [family.on_springs_up_to(hand.stiffness_n_per_m) for family in free]
+    return found
 
 
 def build_families(nominal: Plant, ranges: Mapping[str, Interval], sample_time_s: float) -> tuple[Family, ...]:

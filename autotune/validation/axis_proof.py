@@ -6,9 +6,8 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Literal, TypeVar
 
-from autotune.certificate.certify import METHOD, WORK_PER_SECOND, ProofOutcome
-from autotune.certificate.claim import Claim, CombinedCertificate, prove
-from autotune.certificate.family import PROVABLE
+from autotune.certificate.certify import METHOD, WORK_PER_SECOND, CombinedCertificate, ProofOutcome, prove
+from autotune.certificate.family import PROVABLE, Claim
 from autotune.errors import CertificateError
 from autotune.formats.certificate_record import Proof, ProvenRegion
 from autotune.formats.proof_records import BouncingProof, HeldProof, PeakProof

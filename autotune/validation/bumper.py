@@ -13,7 +13,7 @@ from operator import attrgetter
 import numpy as np
 
 from autotune.certificate.certify import METHOD
-from autotune.certificate.claim import Claim
+from autotune.certificate.family import Claim
 from autotune.errors import UsageError
 from autotune.formats.bumper_record import BumperContacts, describe_bumper
 from autotune.formats.controller_record import Controller, admittance_controller

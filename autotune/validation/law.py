@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from autotune.certificate.claim import Claim, CombinedCertificate, prove
+from autotune.certificate.certify import CombinedCertificate, prove
+from autotune.certificate.family import Claim
 from autotune.errors import CertificateError
 from autotune.formats.certificate_record import Asked, AxisDomain, AxisMargins
 from autotune.formats.controller_record import (

@@ -240,7 +240,7 @@ PURE = (
     *("autotune.validation.validate.sweep_margins", "autotune.validation.law.sweep_margins"),
     "autotune.validation.bouncing_proof.search_bouncing",
     *("autotune.validation.bouncing_proof.prove_rest", "autotune.validation.peak_proof.prove_peak"),
-    *("autotune.certificate.claim.certify", "autotune.validation.contacts.find_driven"),
+    *("autotune.certificate.certify.certify", "autotune.validation.contacts.find_driven"),
     *("autotune.validation.law.certify_law", "autotune.validation.dwell.prove_dwell", *OF_TARGETS),
 )
 """What takes long in a command and depends on nothing but its arguments."""

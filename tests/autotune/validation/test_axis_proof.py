@@ -5,8 +5,7 @@ from typing import Any
 
 import pytest
 
-from autotune.certificate.certify import METHOD, ProofOutcome, Verdict
-from autotune.certificate.claim import CombinedCertificate, prove
+from autotune.certificate.certify import METHOD, CombinedCertificate, ProofOutcome, Verdict, prove
 from autotune.errors import CertificateError
 from autotune.formats.certificate_record import AxisDomain, ConfidenceSet
 from autotune.formats.controller_record import admittance_controller

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from autotune.certificate.base_plant import point_polynomials
-from autotune.certificate.certify import METHOD
-from autotune.certificate.claim import Claim, prove
-from autotune.certificate.family import Family, build_families
+from autotune.certificate.certify import METHOD, prove
+from autotune.certificate.family import Claim, Family, build_families
 from autotune.certificate.multiplier_search import find_multiplier
 from autotune.certificate.peaks import prove_peak
 from autotune.errors import UsageError

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from autotune.certificate.claim import Claim, prove
-from autotune.certificate.family import build_families
+from autotune.certificate.certify import prove
+from autotune.certificate.family import Claim, build_families
 from autotune.errors import UsageError
 from autotune.formats.controller import read_controller, write_controller
 from autotune.formats.identified import IdentifiedFile

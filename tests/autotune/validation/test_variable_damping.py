@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from autotune.certificate.claim import Claim
+from autotune.certificate.family import Claim
 from autotune.formats.limits import VariableDampingSettings
 from autotune.validation.axis_proof import Prover
 from autotune.validation.variable_damping import METHOD, _feedback_response, needed_modulus, prove_varied
