@@ -58,7 +58,7 @@ def test_the_table_is_printed_written_and_validates(run_cli: RunCli, tmp_path: P
 @pytest.mark.slow
 def test_infeasible_classes_are_exit_5_and_nothing_is_left(run_cli: RunCli, tmp_path: Path) -> None:
     prepare(tmp_path, "  max_peak_force_n: 31\n")
-    done = run_cli(*BASE, "--schedule", "payload=16,16.5")
+    done = run_cli(*BASE, "--schedule", "payload=16,16.5", "--structure", "gains")
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (5, "", 1)
     assert done.stderr.startswith("autotune: 2 of 2 classes have no controller. m16: Axis x: ")
     assert "; m16.5: Axis x: " in done.stderr
