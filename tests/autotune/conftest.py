@@ -6,8 +6,21 @@ from typing import Any
 import pytest
 
 from tests.autotune.browser import chromium
+from tests.autotune.own_process import FORKED, stop_server
 from tests.autotune.postgresql import Server, running_server
 from tests.autotune.tuning.cases import share_results
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _no_server_left() -> Iterator[None]:
+    yield
+    stop_server()
+
+
+@pytest.fixture
+def forked(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the workers of a pool be forked; tests/autotune/test_processes.py starts them as a user's are."""
+    monkeypatch.setattr("autotune.processes.get_context", lambda _method: FORKED)
 
 
 @pytest.fixture

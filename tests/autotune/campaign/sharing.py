@@ -1,8 +1,6 @@
 """A campaign in a process of its own, each run of which takes a while and is written down once it is worked on."""
 
 import os
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -14,8 +12,7 @@ from autotune.campaign.manifest import read_manifest
 from autotune.campaign.run import work_on_runs
 from autotune.campaign.tables import write_tables
 from autotune.campaign.work import RunOutcome, RunTask
-
-ROOT = Path(__file__).resolve().parents[3]
+from tests.autotune.own_process import OwnProcess
 
 
 def written_logs(folder: Path, count: int) -> Path:
@@ -70,17 +67,9 @@ class Slow(ThreadPoolExecutor):
         return super().submit(do)
 
 
-def start_campaign(logs: Path, out: Path, storage: str, tables: Path, pause_s: float) -> "subprocess.Popen[str]":
+def start_campaign(logs: Path, out: Path, storage: str, tables: Path, pause_s: float) -> OwnProcess:
     """Start it; it begins when the folder `tables` is there, and writes its table there."""
-    words = [str(logs), str(out), storage, str(tables), str(pause_s)]
-    return subprocess.Popen(
-        [sys.executable, "-m", "tests.autotune.campaign.sharing", *words],
-        cwd=ROOT,
-        env={**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    return OwnProcess(out.parent, _work, logs, out, storage, tables, pause_s)
 
 
 def worked(tables: Path) -> list[tuple[int, str]]:
@@ -90,16 +79,11 @@ def worked(tables: Path) -> list[tuple[int, str]]:
     return [(int(line.split(" ", 1)[0]), line.split(" ", 1)[1]) for line in lines]
 
 
-def main(logs: str, out: str, storage: str, tables: str, pause_s: str) -> None:
+def _work(logs: Path, out: Path, storage: str, tables: Path, pause_s: float) -> None:
     work._identify_and_tune = identified_at_once
     print("ready", flush=True)
-    until(Path(tables).is_dir)
-    with Slow(float(pause_s), Path(tables) / "worked") as executor:
-        runs = read_manifest(Path(logs))
-        outcomes = work_on_runs(runs, Path(out), executor=executor, storage=storage or None)
-    (own := Path(tables) / str(os.getpid())).mkdir()
+    until(tables.is_dir)
+    with Slow(pause_s, tables / "worked") as executor:
+        outcomes = work_on_runs(read_manifest(logs), out, executor=executor, storage=storage or None)
+    (own := tables / str(os.getpid())).mkdir()
     write_tables(own, outcomes)
-
-
-if __name__ == "__main__":
-    main(*sys.argv[1:])

@@ -208,9 +208,7 @@ def test_a_run_that_was_killed_is_tried_by_the_next_campaign_and_by_none_that_ru
 def test_two_processes_share_the_runs(logs: Path, tmp_path: Path, storage: str, calm: str) -> None:
     tables = tmp_path / "tables"
     both = [start_campaign(logs, tmp_path / "out", storage, tables, 0.3) for _ in range(2)]
-    for each in both:
-        assert each.stdout is not None
-        assert each.stdout.readline() == "ready\n"
+    until(lambda: all(each.out.read_text(encoding="utf-8") == "ready\n" for each in both))
     tables.mkdir()
     assert [each.communicate(timeout=60)[1] for each in both] == ["", ""]
     assert Counter(name for _, name in worked(tables)) == {run.name: 1 for run in read_manifest(logs)}
@@ -314,6 +312,7 @@ def test_a_state_that_is_restored_from_an_older_copy_claims_nothing_that_is_not_
     assert worked_on() == [run.name for run in runs]
 
 
+@pytest.mark.usefixtures("forked")
 def test_a_run_that_is_refused_leaves_no_files_of_a_former_log(logs: Path, tmp_path: Path) -> None:
     run = read_manifest(logs)[0]
     task = build_task(run, tmp_path / "out", RunOptions())

@@ -1,8 +1,5 @@
 """A problem of two free numbers, quick to judge, with plans and a worker process of a study."""
 
-import os
-import subprocess
-import sys
 from functools import cache
 from pathlib import Path
 
@@ -14,9 +11,8 @@ from autotune.studies.study import StudyPlan, run_study
 from autotune.tuning.search import SearchResult, solve_design
 from problems.design.objectives import Admittance, PeakForce
 from problems.design.problem import DesignProblem
+from tests.autotune.own_process import OwnProcess
 from tests.autotune.tuning.cases import FAST_REQUIREMENTS, FAST_SPEC, design_problem
-
-ROOT = Path(__file__).resolve().parents[3]
 
 
 def small_problem() -> DesignProblem:
@@ -38,23 +34,12 @@ def small_plan(trials: int, seed: int = 3, choices: tuple[str, ...] = ()) -> Stu
     return StudyPlan(objectives=(PeakForce(), Admittance()), trials=trials, seed=seed, choices=choices)
 
 
-def start_worker(url: str, trials: int, heartbeat_s: int = 1) -> "subprocess.Popen[str]":
+def start_worker(folder: Path, url: str, trials: int, heartbeat_s: int = 1) -> OwnProcess:
     """Run the study `shared` in a process of its own."""
-    return subprocess.Popen(
-        [sys.executable, "-m", "tests.autotune.studies.small", url, str(trials), str(heartbeat_s)],
-        cwd=ROOT,
-        env={**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    return OwnProcess(folder, _study, url, trials, heartbeat_s)
 
 
-def main(url: str, trials: str, heartbeat_s: str) -> None:
-    storage = open_storage(url, Path("unused.db"), heartbeat_s=int(heartbeat_s))
-    front = run_study(small_problem(), small_plan(int(trials)), storage, start=START, name="shared")
+def _study(url: str, trials: int, heartbeat_s: int) -> None:
+    storage = open_storage(url, Path("unused.db"), heartbeat_s=heartbeat_s)
+    front = run_study(small_problem(), small_plan(trials), storage, start=START, name="shared")
     print(len(front.points))
-
-
-if __name__ == "__main__":
-    main(*sys.argv[1:])

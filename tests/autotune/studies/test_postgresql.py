@@ -28,7 +28,7 @@ def test_a_server_that_is_started_again_costs_no_finished_trial(postgresql: Serv
     trials, url = 20, postgresql.new_database("restarted")
     with quiet_optuna():
         storage = open_storage(url, tmp_path / "unused.db")
-        worker = start_worker(url, trials)
+        worker = start_worker(tmp_path, url, trials)
         wait_for(storage, 5, worker)
         finished = [(t.number, t.params, t.values) for t in trials_of(storage) if t.state in FINISHED]
         close_storage(storage)

@@ -1,7 +1,6 @@
 """Studies: the same trials from the same seed, gone on with after a kill, shared by processes, on any storage."""
 
 import signal
-import subprocess
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -23,6 +22,7 @@ from autotune.tuning.bounds import LINEAR_VARIABLES, presentable
 from problems.design.evaluation import build_scenarios
 from problems.design.objectives import HandForce, PeakForce
 from problems.design.problem import VARIABLES
+from tests.autotune.own_process import OwnProcess
 from tests.autotune.studies.small import START, small_plan, small_problem, start_worker
 
 FINISHED = (TrialState.COMPLETE, TrialState.PRUNED)
@@ -36,11 +36,11 @@ def url_of(path: Path) -> str:
     return f"sqlite:///{path}"
 
 
-def wait_for(storage: Storage, count: int, worker: "subprocess.Popen[str]", limit_s: float = 60.0) -> None:
+def wait_for(storage: Storage, count: int, worker: OwnProcess, limit_s: float = 60.0) -> None:
     """Return once `count` trials are finished and another one runs."""
     end = time.monotonic() + limit_s
     while time.monotonic() < end:
-        assert worker.poll() is None, worker.communicate()
+        assert worker.returncode is None, worker.communicate()
         try:
             states = [trial.state for trial in trials_of(storage)]
         except KeyError:
@@ -60,7 +60,7 @@ def beats(url: str) -> set[int]:
     return found
 
 
-def stop_in_trial(url: str, storage: Storage, worker: "subprocess.Popen[str]") -> None:
+def stop_in_trial(url: str, storage: Storage, worker: OwnProcess) -> None:
     """Stop the worker in the middle of a trial whose heart has beaten."""
     for _ in range(2000):
         worker.send_signal(signal.SIGSTOP)
@@ -72,7 +72,7 @@ def stop_in_trial(url: str, storage: Storage, worker: "subprocess.Popen[str]") -
     raise AssertionError("no trial was caught")
 
 
-def kill(worker: "subprocess.Popen[str]") -> None:
+def kill(worker: OwnProcess) -> None:
     worker.send_signal(signal.SIGKILL)
     worker.communicate()
     assert worker.returncode == -signal.SIGKILL
@@ -240,7 +240,7 @@ def check_kill_and_resume(url: str, tmp_path: Path) -> None:
     with quiet_optuna():
         storage = open_storage(url, tmp_path / "unused.db", heartbeat_s=1)
         # More than it can do before it is stopped, however quick it is.
-        worker = start_worker(url, 500)
+        worker = start_worker(tmp_path, url, 500)
         wait_for(storage, 4, worker)
         stop_in_trial(url, storage, worker)
         kill(worker)
@@ -334,7 +334,7 @@ def test_a_judge_that_fails_ends_the_study_and_its_trial(tmp_path: Path, monkeyp
 def check_two_workers(url: str, tmp_path: Path) -> None:
     """Two processes share one study, begun by both at once: all trials are done, none twice."""
     trials = 8
-    workers = [start_worker(url, trials) for _ in range(2)]
+    workers = [start_worker(tmp_path, url, trials) for _ in range(2)]
     for worker in workers:
         reported, wrong = worker.communicate(timeout=120)
         assert worker.returncode == 0, wrong

@@ -199,6 +199,7 @@ def uncertain_optimized() -> Optimized:
 _LESS_WORK = {
     "autotune.tuning.structure.DEFAULT": "gains",
     "autotune.studies.front._GENERATIONS": 5,
+    "autotune.limit.limit._TAPS": 75,
     "autotune.validation.bouncing.RUNS": 64,
     "autotune.validation.bouncing._FEWEST_RUNS": 1,
     "autotune.validation.validation_samples._SAMPLES": 8,

@@ -166,6 +166,7 @@ def test_the_dwell_time_is_that_of_the_classes_and_the_common_controller(
     assert dwell_time_s([make_controller(("x",)), make_controller(("y",))]) is None
 
 
+@pytest.mark.usefixtures("forked")
 def test_processes_do_not_change_the_bytes(tmp_path: Path) -> None:
     side_by_side = tune_schedule(PLANT, SPEC, CLASSES, seed=1, processes=2)
     assert side_by_side == small_schedule()
@@ -202,9 +203,7 @@ def test_a_class_that_the_common_controller_beats_is_searched_again(monkeypatch:
 def test_all_infeasible_classes_are_named() -> None:
     limit = 0.5 * sum(each.peaks["x"] for each in small_schedule().tuned)
     # Freer structures, before anything is refused, have tests of their own.
-    asked = replace(
-        BARE_SPEC, structure="gains", requirements=replace(BARE_SPEC.requirements, max_peak_force_n=limit)
-    )
+    asked = replace(BARE_SPEC, structure="gains", requirements=replace(BARE_SPEC.requirements, max_peak_force_n=limit))
     classes = build_classes([(16.0, 16.0)], [(4e4, 5e4), (1e5, 1.2e5), (1.1e5, 1.2e5)])
     with pytest.raises(
         InfeasibleError, match=r"^2 of 3 classes have no controller\. m16_k1e5-1\.2e5: Axis x: .*"
