@@ -45,6 +45,7 @@ def in_one_process(two_logs: list[Path]) -> Identification:
     return identify_log(two_logs, PARTIAL)
 
 
+@pytest.mark.usefixtures("forked")
 def test_recordings_side_by_side_show_what_they_show_one_after_the_other(
     two_logs: list[Path], in_one_process: Identification
 ) -> None:

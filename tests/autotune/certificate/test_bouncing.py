@@ -45,16 +45,21 @@ def damped(robot: object = TWO_POLES, **others: object) -> Plant:
 
 def lifted(plant: Plant, law: AdmittanceController, omega: float, reach: int) -> tuple[Any, ...]:
     """Return ω_k, P, A and W of one plant at the frequencies that the sampler mixes, and D, in plain floats."""
+    return tuple(each[0] for each in all_lifted(plant, law, np.array([omega]), reach))
+
+
+def all_lifted(plant: Plant, law: AdmittanceController, omega: FloatArray, reach: int) -> tuple[Any, ...]:
+    """Return the same of frequencies (n,): a row for each, and D (n,)."""
     h, k = PERIOD_S, np.arange(-reach, reach + 1)
-    held = plant_response(build_sampled_plant(plant.in_contact_with(FREE_SPACE), h), np.array([omega]))
+    held = plant_response(build_sampled_plant(plant.in_contact_with(FREE_SPACE), h), omega)
     forward, feedback = controller_response(law, held.z, h)
     closed = forward / (1.0 + feedback * held.position - forward * held.force)
-    s = 1j * (omega + 2.0 * np.pi * k / h)
+    s = 1j * (omega[:, None] + 2.0 * np.pi * k / h)
     stiff = plant.coupling.stiffness_n_per_m + plant.coupling.damping_n_s_per_m * s
     given = 1.0 / (plant.payload.mass_kg * s**2 + plant.payload.drag_n_s_per_m * s + stiff)
     robot = np.polyval(plant.robot.numerator, s) / np.polyval(plant.robot.denominator, s)
     moved = given * stiff * robot * np.exp(-s * plant.loop_delay_s) * (1.0 - np.exp(-s * h)) / s
-    return s, given, moved, given * stiff / (1.0 + s * plant.wrench_filter.time_constant_s), closed[0]
+    return s, given, moved, given * stiff / (1.0 + s * plant.wrench_filter.time_constant_s), closed
 
 
 @pytest.mark.parametrize("robot", [ROBOTS["whole delay"], ROBOTS["fraction"], TWO_POLES], ids=["whole", "part", "two"])
@@ -265,14 +270,13 @@ def test_a_multiplier_has_no_negative_coefficient(changes: dict[str, object], re
 
 def least_passive(plant: Plant, law: AdmittanceController) -> float:
     """Return the least eigenvalue of the Hermitian part of s G on 31 mixed frequencies, each scaled to Re jωP = 1."""
-    found = []
-    for omega in np.concatenate([np.geomspace(0.05, 3900.0, 400), np.linspace(20.0, 3900.0, 400)]):
-        s, given, moved, sensed, closed = lifted(plant, law, float(omega), 15)
-        answer = s[:, None] * (np.diag(given) + np.outer(moved, sensed) * closed / PERIOD_S)
-        size = 1.0 / np.sqrt(np.real(s * given))
-        matrix = size[:, None] * answer * size[None, :]
-        found.append(np.linalg.eigvalsh(0.5 * (matrix + matrix.conj().T))[0])
-    return float(min(found))
+    omega = np.concatenate([np.geomspace(0.05, 3900.0, 400), np.linspace(20.0, 3900.0, 400)])
+    s, given, moved, sensed, closed = all_lifted(plant, law, omega, 15)
+    mixed = moved[:, :, None] * sensed[:, None, :] * closed[:, None, None] / PERIOD_S
+    answer = s[:, :, None] * (given[:, :, None] * np.eye(31) + mixed)
+    size = 1.0 / np.sqrt(np.real(s * given))
+    matrix = size[:, :, None] * answer * size[:, None, :]
+    return float(np.min(np.linalg.eigvalsh(0.5 * (matrix + matrix.conj().swapaxes(1, 2)))))
 
 
 @pytest.mark.parametrize("filtered", [False, True])

@@ -128,6 +128,7 @@ def test_a_time_that_nobody_waits_is_refused(run_cli: RunCli, fleet: Path, wait:
     assert "must be 1 to 604800 seconds" in done.stderr
 
 
+@pytest.mark.usefixtures("forked")
 def test_a_folder_that_is_watched_says_what_is_new_and_nothing_else(
     run_cli: RunCli, fleet: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -201,7 +201,8 @@ def test_what_cannot_be_met_is_exit_5_with_the_reason_and_no_file(
 ) -> None:
     prepare(tmp_path, FAST_PROBLEM_YAML.split("requirements:")[0] + f"requirements:\n  {requirements}\n")
     (tmp_path / "controller.yaml").write_text("format: autotune/controller\n", encoding="utf-8")
-    done = run_cli("optimize", "identified.yaml", "--problem", "problem.yaml")
+    # What freer structures find has tests of its own, in tests/autotune/tuning/test_beyond_gains.py.
+    done = run_cli("optimize", "identified.yaml", "--problem", "problem.yaml", "--structure", "gains")
     assert (done.returncode, done.stdout) == (5, "")
     said, *lines = done.stderr.splitlines()
     assert named in said
@@ -216,7 +217,7 @@ def test_the_line_that_a_refusal_gives_makes_a_proved_controller_with_the_peak_i
 ) -> None:
     bounds, _, _ = FAST_PROBLEM_YAML.partition("requirements:")
     prepare(tmp_path, bounds + "requirements: {free_space_admittance: {min_m_s_per_n: 1e-2, band_hz: [1, 2]}}\n")
-    refused = run_cli("optimize", "identified.yaml", "--problem", "problem.yaml")
+    refused = run_cli("optimize", "identified.yaml", "--problem", "problem.yaml", "--structure", "gains")
     assert refused.returncode == 5
     assert "instead of 0.01" in refused.stderr
     _, _, checked = refused.stderr.partition("the search finds a controller, peak contact force ")

@@ -42,8 +42,8 @@ from problems.errors import ParameterError
 from problems.model.controller import AdmittanceController
 from problems.stability.noise import command_speed_gain
 from problems.stability.passivity import prepare_port
-from tests.conftest import ROOT
 from tests.autotune.tuning.cases import FAST_PROBLEM_YAML, FAST_SPEC, identified_plant, write_plant
+from tests.conftest import ROOT
 from tests.next_step import is_next_alone
 
 RunCli = Callable[..., "subprocess.CompletedProcess[str]"]
