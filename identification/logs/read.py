@@ -427,7 +427,7 @@ def _about_what_is_left(recording: Recording, logs: OpenedLogs) -> tuple[Finding
             "salvaged-span",
             f"What is left of {logs.name} spans {1e-9 * (last - first):.3f} s: the last wrench is stamped "
             f"{ends:%Y-%m-%d %H:%M:%S}.{last // 10**6 % 1000:03d} UTC.",
-            "What was recorded after that is not in the result.",
+            "What was recorded after that, if anything, is not in the result.",
         ),
     )
 

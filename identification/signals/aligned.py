@@ -242,8 +242,13 @@ def check_regular(topic: str, stamp_ns: StampArray, *, keeps_holes: bool = False
 
 def longest_whole(recording: Recording) -> Recording:
     """Return wrench and pose of the longest time in which neither has a hole, the recording itself if it has none."""
+    return whole_stretches(recording)[0]
+
+
+def whole_stretches(recording: Recording) -> list[Recording]:
+    """Return wrench and pose of the times in which neither has a hole, the longest first."""
     if not recording.keeps_holes:
-        return recording
+        return [recording]
     wrench, pose = recording.wrench, recording.pose
     gaps = [
         (int(stamps[i]), int(stamps[i + 1]))
@@ -251,15 +256,15 @@ def longest_whole(recording: Recording) -> Recording:
         for i in find_gaps(stamps).tolist()
     ]
     if not gaps:
-        return recording
+        return [recording]
     first = int(max(wrench.stamp_ns[0], pose.stamp_ns[0]))
     last = int(min(wrench.stamp_ns[-1], pose.stamp_ns[-1]))
     begins = [first, *(stop for _, stop in gaps)]
     whole = [(min([start for start, stop in gaps if stop > begin], default=last), begin) for begin in begins]
-    stop, start = max(whole, key=lambda each: each[0] - each[1])
-    return replace(
-        recording, wrench=stamped_between(wrench, start, stop + 1), pose=stamped_between(pose, start, stop + 1)
-    )
+    return [
+        replace(recording, wrench=stamped_between(wrench, start, stop + 1), pose=stamped_between(pose, start, stop + 1))
+        for stop, start in sorted({each for each in whole if each[0] > each[1]}, key=lambda each: each[1] - each[0])
+    ]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from problems.arrays import FloatArray
 
 from ...result import Finding
-from ...signals.aligned import longest_whole
+from ...signals.aligned import whole_stretches
 from ...signals.medians import median
 from ...signals.recording import Recording, StampArray
 from .clock_offset import ClockOffset, OffsetVerdict, estimate_clock_offset
@@ -19,6 +19,7 @@ _WINDOWS = 80
 _FEWEST_PER_WINDOW = 10
 _FEWEST_WINDOWS = 4
 _SIDE = 5
+_STRETCHES = 4
 _TRIMMED_DEVIATIONS = 4.0
 _SMALLEST_JUMP_S = 1e-3
 _JUMP_DEVIATIONS = 8.0
@@ -288,8 +289,12 @@ def check_clocks(recording: Recording, times: Sequence[ChannelTimes] = ()) -> Cl
     apart = between[0] if wrench is not None and pose is not None else None
     far = apart is not None and not apart.agree and abs(apart.offset_s) > _CERTAIN_S
     around = apart.offset_s if far and apart is not None else 0.0
-    whole = longest_whole(recording)
-    offset = estimate_clock_offset(whole.wrench, whole.pose, around_s=around)
+    # Where the log has holes: from that of its longest stretches which shows it best.
+    offsets = [
+        estimate_clock_offset(each.wrench, each.pose, around_s=around)
+        for each in whole_stretches(recording)[:_STRETCHES]
+    ]
+    offset = min(offsets, key=lambda each: np.inf if each.std_s is None else each.std_s)
     findings = [each for clock in clocks.values() for each in clock_findings(clock, periods[clock.topic])]
     findings += [_disagreement(each) for each in between if each is not apart and not each.agree]
     findings.append(_offset_finding(recording, offset, apart, far=far))

@@ -271,7 +271,7 @@ def salvaged(name: str, lost: Sequence[str], *, salvage: bool) -> tuple[Finding,
         if salvage
         else "Rests, motions and contacts that such a hole cuts are left out too; record again where one is missed."
     )
-    return (Finding.warning("salvaged", f"{name} is damaged; left out: {'; '.join(lost[:_LISTED])}{more}.", advice),)
+    return (Finding.warning("salvaged", f"{name} is damaged: {'; '.join(lost[:_LISTED])}{more}.", advice),)
 
 
 # Positions become unsigned first: with them the compiler sees one load where eight bytes are put together, with signed

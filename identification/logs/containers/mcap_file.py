@@ -306,7 +306,7 @@ class McapContainer(Container):
         first_ns = min(chunk.start_ns for chunk in chunks if chunk.counts)
         total = total_counts(chunks).total()
         return tuple(
-            f"bytes {chunk.start} to {chunk.stop}, {recorded_text(chunk.start_ns, chunk.end_ns, first_ns)}, "
+            f"bytes {chunk.start} to {chunk.stop} left out, {recorded_text(chunk.start_ns, chunk.end_ns, first_ns)}, "
             f"{sum((chunk.counts or {}).values())} of {total} messages ({self._lost[chunk.start]})"
             for chunk in chunks
             if chunk.start in self._lost

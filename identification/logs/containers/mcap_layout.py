@@ -354,7 +354,7 @@ class Walker:
         if listed != found:
             raise Damage(
                 min(listed ^ found)[0],
-                f"the summary lists {len(listed)} chunks, the data hold {len(found)}, and not these",
+                f"the summary lists {len(listed)} chunks, the data hold {len(found)} of other places, times or sizes",
             )
 
     def check_summary(self, footer: records.Footer, summary_start: int) -> None:

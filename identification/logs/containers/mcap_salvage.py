@@ -44,7 +44,15 @@ class SalvagedMcap(McapContainer):
 
     @staticmethod
     def _walk(file: FileBytes) -> Layout:
-        return salvage_layout(file)
+        layout = salvage_layout(file)
+        if layout.lost:
+            return layout
+        try:
+            # What costs no message, such as a damaged index or another log behind this one, is not passed over.
+            McapContainer._walk(file)  # noqa: SLF001 - of its own base
+        except Damage as damage:
+            return replace(layout, lost=(f"at byte {damage.offset}: {damage.reason}",))
+        return layout
 
     def _usable(self, definitions: Definitions) -> frozenset[int]:
         return definitions.usable
@@ -177,11 +185,14 @@ class _Salvager(Walker):
         ]
         if not spans and chunk is not None and chunk.has_span:
             spans = [(chunk.start_ns, chunk.end_ns)]
-        first_ns = min((index.message_start_time for index in self.chunk_indexes), default=0)
+        starts = [index.message_start_time for index in self.chunk_indexes] or [
+            each.start_ns for each in self.chunks if each.has_span
+        ]
+        first_ns = min(starts, default=min(spans)[0] if spans else 0)
         when = f", {recorded_text(min(spans)[0], max(end for _, end in spans), first_ns)}" if spans else ""
         counts = None if chunk is None else chunk.counts
         many = f", {sum(counts.values())} messages" if counts else ""
-        self._lost.append((start, f"bytes {start} to {stop}{when}{many} ({reason})"))
+        self._lost.append((start, f"bytes {start} to {stop} left out{when}{many} ({reason})"))
 
     def describe_lost(self, layout: Layout, chunks: Sequence[Chunk]) -> tuple[str, ...]:
         """Return what is left out, in order of place, and how many messages of how many that is."""
@@ -192,7 +203,7 @@ class _Salvager(Walker):
             missing_parts.append(f"{orphaned} messages of channels whose definition is lost")
         if self.statistics is not None and self.statistics.message_count != total.total() - orphaned:
             missing = self.statistics.message_count - total.total() + orphaned
-            missing_parts.insert(0, f"altogether {missing} of {self.statistics.message_count} messages")
+            missing_parts.insert(0, f"altogether {missing} of {self.statistics.message_count} messages left out")
         bare = layout.data_crc and not missing_parts and not is_protected(layout)
         if bare and self.file.crc32(0, layout.data_stop) != layout.data_crc:
             missing_parts.append(

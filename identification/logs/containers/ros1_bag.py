@@ -133,7 +133,7 @@ class Ros1BagContainer(Container):
             if record.offset in self._left_out:
                 when = recorded_text(record.start_ns, record.end_ns, first_ns)
                 reason, count = self._left_out[record.offset].reason, sum(record.counts.values())
-                places.append(f"at byte {record.offset}: {reason} ({when}, {count} of {total} messages)")
+                places.append(f"at byte {record.offset}: {reason} (left out, {when}, {count} of {total} messages)")
         return tuple(places)
 
     def close(self) -> None:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from identification.errors import LogError
-from identification.signals.aligned import Span, align, check_regular, longest_whole
+from identification.signals.aligned import Span, align, check_regular, longest_whole, whole_stretches
 from identification.signals.recording import PoseSignal, Recording, WrenchSignal
 from problems.arrays import FloatArray
 
@@ -210,6 +210,10 @@ def test_the_longest_time_without_a_hole_is_cut_out() -> None:
         assert (signal.stamp_ns[0] - START_NS) * 1e-9 == pytest.approx(4.1, abs=0.002)
         assert (signal.stamp_ns[-1] - START_NS) * 1e-9 == pytest.approx(7.0, abs=0.002)
     assert align(cut).holes == ()
+    ends = [
+        [round(1e-9 * float(each.wrench.stamp_ns[k] - START_NS), 1) for k in (0, -1)] for each in whole_stretches(whole)
+    ]
+    assert ends == [[4.1, 7.0], [7.2, 10.0], [0.0, 2.0], [2.5, 4.0]]
     unbroken = salvaged(stamps, stamps)
     assert longest_whole(unbroken) is unbroken
 

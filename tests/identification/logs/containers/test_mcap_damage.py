@@ -251,7 +251,7 @@ SUMMARIES: dict[str, tuple[bytes, str]] = {
         summary(
             HEAD + chunk(GOOD) + END, record(raw.CHUNK_INDEX, raw.chunk_index((5, 5), (99, 9), {}, 0, "zstd", (1, 1)))
         ),
-        "the summary lists 1 chunks, the data hold 1, and not these",
+        "the summary lists 1 chunks, the data hold 1 of other places, times or sizes",
     ),
 }
 

@@ -76,7 +76,7 @@ def test_a_damaged_chunk_in_the_middle_costs_that_chunk_alone(
     if style.statistics and place in (-9, 60, 25, 33):
         beside = read_all(path)
         assert beside.messages == without_chunks(messages, [4])
-        assert f"left out: bytes {writer.chunks[4]} to" in reported(beside)
+        assert f"damaged: bytes {writer.chunks[4]} to" in reported(beside)
         assert "20 of 200 messages (" in reported(beside)
     else:
         with pytest.raises(LogError, match="--salvage"):
@@ -200,6 +200,27 @@ def test_a_damaged_index_costs_no_message(tmp_path: Path) -> None:
             contents = read_all(path, salvage=True)
             assert contents.messages == expected(messages)
             assert "bytes" in reported(contents)
+
+
+@pytest.mark.parametrize("what", ["another log behind it", "time of a chunk", "channel of an index"])
+def test_damage_that_costs_no_message_is_said_too(tmp_path: Path, what: str) -> None:
+    messages, path = some_messages(200), tmp_path / "run.mcap"
+    writer = write_style(path, messages, CHUNKED)
+    data = bytearray(path.read_bytes())
+    start = writer.chunks[4]
+    (length,) = struct.unpack_from("<Q", data, start + 1)
+    if what == "another log behind it":
+        data = data * 2
+    else:
+        # The recorded time in the head of the chunk, or the channel of the first index behind it.
+        data[start + (9 if what == "time of a chunk" else 9 + length + 9)] ^= 0x10
+    path.write_bytes(data)
+    with pytest.raises(LogError, match="--salvage") as refused:
+        read_all(path)
+    contents = read_all(path, salvage=True)
+    assert contents.messages == expected(messages)
+    place = str(refused.value).partition(" at byte ")[2].partition(";")[0]
+    assert f"run.mcap is damaged: at byte {place}." in reported(contents)
 
 
 def test_channels_that_only_the_damaged_chunk_defines_are_reported(tmp_path: Path) -> None:
