@@ -1,7 +1,7 @@
 """What changed in a cell from one identification to the next."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from autotune.formats.units import axis_units
@@ -10,9 +10,11 @@ from problems.model.axis_kind import for_people
 from problems.model.plant_parameters import PARAMETERS
 
 MASS = "payload.mass_kg"
+CLOCK = "clocks.wrench_offset_s"
 _CHANGED_STDS = 3.0
 # Changes below this share of the value matter to no controller, however well they are known.
 _LEAST_CHANGE = 0.002
+_LEAST_OFFSET_S = 1e-4
 
 Values = Mapping[str, tuple[float, float]]
 """Value and standard deviation in SI, by name."""
@@ -43,15 +45,34 @@ def identified_values(result: Identified) -> dict[str, tuple[float, float]]:
 
 
 def differences(cell: str, before: tuple[str, Values], after: tuple[str, Values]) -> Iterator[Change]:
-    """Yield what differs between two named runs by more than three deviations of the difference and 0.2 %."""
+    """Yield what differs between two named runs by more than three deviations of the difference and 0.2 %.
+
+    Clocks differ by more than 0.1 ms: their offset is mostly none.
+    """
     for name in before[1]:
         if name not in after[1]:
             continue
         (old, old_std), (new, new_std) = before[1][name], after[1][name]
         std = math.hypot(old_std, new_std)
         stds = abs(new - old) / std if std > 0.0 else math.inf
-        if stds > _CHANGED_STDS and abs(new - old) > _LEAST_CHANGE * abs(old):
+        least = _LEAST_OFFSET_S if name == CLOCK else _LEAST_CHANGE * abs(old)
+        if stds > _CHANGED_STDS and abs(new - old) > least:
             yield Change(cell=cell, before=before[0], after=after[0], name=name, old=old, new=new, stds=stds)
+
+
+def drifts(cell: str, runs: Sequence[tuple[str, Values]]) -> Iterator[Change]:
+    """Yield what differs between each named run and the one before it, or has crept away since it last changed."""
+    last: dict[str, tuple[str, tuple[float, float]]] = {}
+    since: dict[str, tuple[str, tuple[float, float]]] = {}
+    for run, values in runs:
+        for name, value in values.items():
+            for known, of_known in (each[name] for each in (last, since) if name in each):
+                if change := next(differences(cell, (known, {name: of_known}), (run, {name: value})), None):
+                    since[name] = run, value
+                    yield change
+                    break
+            last[name] = run, value
+            since.setdefault(name, last[name])
 
 
 def parameter_name(name: str) -> tuple[str, float, str]:
@@ -59,6 +80,8 @@ def parameter_name(name: str) -> tuple[str, float, str]:
     axis, _, key = name.rpartition(".")
     if name == MASS:
         label, unit = "payload mass", "kg"
+    elif name == CLOCK:
+        label, unit = "lateness of the wrench's clock", "s"
     elif key in PARAMETERS:
         label, unit = f"{axis}: {PARAMETERS[key].symbol}", axis_units(axis).unit(PARAMETERS[key].kind)
     else:
@@ -75,5 +98,5 @@ def parameter_text(name: str, *values: float) -> tuple[str, ...]:
 def change_text(change: Change) -> str:
     """Say what changed in a cell in a sentence."""
     label, unit, old, new = parameter_text(change.name, change.old, change.new)
-    runs = f"{f'{change.cell}: from' if change.cell else 'From'} {change.before} to {change.after}"
-    return f"{runs}, {label} went from {old} to {new} {unit}, {change.stds:.1f} standard deviations."
+    runs = f"{change.cell}: from {change.before} to" if change.cell else f"Between {change.before} and"
+    return f"{runs} {change.after}, {label} went from {old} to {new} {unit}, {change.stds:.1f} standard deviations."

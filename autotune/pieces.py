@@ -23,12 +23,16 @@ _TARES = ("bias-change", "tare-jump", "bias-step")
 
 @dataclass(frozen=True, kw_only=True)
 class RunSource:
-    """What the provenance keeps of a recording; windows leave the digests of their files to it."""
+    """What the provenance keeps of a recording; windows leave the digests of their files to it.
+
+    `wrench_offset_s` is how late the wrench's clock is against the pose's, value and deviation, None where unknown.
+    """
 
     channels: Mapping[str, str | None]
     clocks: Mapping[str, str]
     sha256: Mapping[str, str]
     span_s: tuple[float, float]
+    wrench_offset_s: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

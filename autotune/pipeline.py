@@ -318,7 +318,7 @@ def _identify_piece(
 
 
 def _source(recording: Recording, files: Sequence[Path]) -> RunSource:
-    wrench, command = recording.wrench, recording.command
+    wrench, command, lag = recording.wrench, recording.command, recording.wrench_lag_s
     others = {"twist": recording.twist, "gains": recording.gains, "desired_force": recording.desired_force}
     return RunSource(
         channels={
@@ -330,6 +330,7 @@ def _source(recording: Recording, files: Sequence[Path]) -> RunSource:
         clocks=dict(recording.clocks),
         sha256=dict(recording.sha256) or dict.fromkeys(map(str, files), ""),
         span_s=(float(wrench.stamp_ns[0]) / 1e9, float(wrench.stamp_ns[-1]) / 1e9),
+        wrench_offset_s=None if lag is None else (recording.wrench_shifted_s + lag[0], lag[1]),
     )
 
 
@@ -346,6 +347,7 @@ def _provenance(sources: Sequence[RunSource], options: IdentifyOptions, windows:
         **({} if joints is None else {"urdf": {"path": str(joints.urdf), "sha256": sha256_of(joints.urdf)}}),
         "channels": dict(first.channels),
         "clocks": dict(first.clocks),
+        **({} if first.wrench_offset_s is None else {"wrench_offset_s": list(first.wrench_offset_s)}),
         "time_span_s": spans[0],
         **({"recordings": spans} if len(spans) > 1 else {}),
         **({"windows": [each.tree() for each in windows]} if windows else {}),

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from autotune.drift import MASS, Change, Values, change_text, differences, parameter_name
+from autotune.drift import MASS, Change, Values, change_text, differences, drifts, parameter_name
 from autotune.quantities import parse_quantity
 from autotune.text import clock_text, with_deviation
 from identification.errors import EstimateError
@@ -22,7 +22,7 @@ HOLE = "hole"
 """The code of the finding that a log has a pause of the recorder, or lost messages."""
 _OF_A_SURFACE = ".stiffness_n_per_m"
 # Contacts of one surface in other places differ by some percent.
-_OTHER_STDS, _OTHER_SHARE = 3.0, 0.1
+_OTHER_STDS, _OTHER_SHARE = 3.0, 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,16 +132,8 @@ def _unsure(values: Values) -> tuple[int, float]:
 
 
 def window_changes(windows: Sequence[Window]) -> tuple[Change, ...]:
-    """Return what changed in the plant from one window that identifies something to the next that does."""
-    named = [(each.name, _own(each)) for each in windows]
-    last: dict[str, tuple[str, tuple[float, float]]] = {}
-    found: list[Change] = []
-    for name, values in named:
-        for key, value in values.items():
-            if key in last:
-                found += differences("", (last[key][0], {key: last[key][1]}), (name, {key: value}))
-            last[key] = name, value
-    return tuple(found)
+    """Return what changed in the plant from a window that identifies something to a later one."""
+    return tuple(drifts("", [(each.name, _own(each)) for each in windows]))
 
 
 def new_surfaces(windows: Sequence[Window]) -> tuple[str, ...]:

@@ -140,7 +140,7 @@ def test_a_damaged_chunk_costs_a_log_that_chunk_alone(run_cli: RunCli, tmp_path:
     check_identified(found)
     said = {finding["code"]: finding["message"] for finding in found["findings"]}
     start = 1e-9 * (damaged.message_start_time - min(each.message_start_time for each in summary.chunk_indexes))
-    assert f"left out: bytes {damaged.chunk_start_offset} to " in said["salvaged"]
+    assert f"damaged: bytes {damaged.chunk_start_offset} to " in said["salvaged"]
     assert f", recorded {start:.3f} to " in said["salvaged"]
     assert {"hole", "salvaged-span"} & said.keys() == {"hole"}
     inspected = json_of(run_cli("inspect", path, "--json"))

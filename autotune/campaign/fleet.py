@@ -8,7 +8,7 @@ from functools import cache
 
 import numpy as np
 
-from autotune.drift import Change, differences
+from autotune.drift import Change, drifts
 from problems.arrays import FloatArray
 
 from .work import RunOutcome
@@ -42,12 +42,11 @@ def by_cell(outcomes: Sequence[RunOutcome]) -> dict[str, tuple[RunOutcome, ...]]
 
 
 def changes(outcomes: Sequence[RunOutcome]) -> tuple[Change, ...]:
-    """Return what differs between each run of a cell and the one before it."""
+    """Return what differs between each run of a cell and the one before it, or has crept away since it last changed."""
     return tuple(
         change
         for cell, runs in by_cell(outcomes).items()
-        for before, after in itertools.pairwise(runs)
-        for change in differences(cell, (before.run, before.values), (after.run, after.values))
+        for change in drifts(cell, [(run.run, run.values) for run in runs])
     )
 
 

@@ -123,7 +123,8 @@ def _of_table(path: Path) -> Iterator[LoggedRun]:
             if unknown or not {"cell", "log"} <= set(reader.fieldnames or ()):
                 raise UsageError(
                     f"{path} must have the columns cell and log, and may have {', '.join(_COLUMNS[2:])}, and the "
-                    f"options {', '.join(OPTION_NAMES)}; found {', '.join(reader.fieldnames or ()) or 'none'}."
+                    f"options {', '.join(OPTION_NAMES)}; found {', '.join(reader.fieldnames or ()) or 'none'}"
+                    f"{'; columns are parted by commas' if ';' in ''.join(reader.fieldnames or ()) else ''}."
                 )
             for row in reader:
                 entry = {key: value for key, value in row.items() if value}

@@ -16,15 +16,19 @@ def campaign_rows(outcomes: Sequence[RunOutcome]) -> tuple[list[str], list[list[
     """Return the columns and a row for each run; None where there is nothing."""
     names = list(dict.fromkeys(name for each in outcomes for name in each.values))
     axes = list(dict.fromkeys(axis for each in outcomes for axis in each.peaks_n))
-    columns = ["cell", "run", "recorded_s", "refused", "reason", "certificate_holds"]
+    columns = ["cell", "run", "recorded_s", "refused", "reason", "damage", "certificate_holds"]
     columns += [f"{name}{end}" for name in names for end in ("", ".std")]
     columns += [f"{axis}.peak_n.{when}" for axis in axes for when in ("before", "after")]
+    replayed = list(dict.fromkeys(axis for each in outcomes for axis in each.log_peaks_n))
+    columns += [f"{axis}.log_peak_n.{when}" for axis in replayed for when in ("before", "after")]
     rows = []
     for each in outcomes:
         holds = None if each.outside is None else not each.outside
-        row: list[Any] = [each.cell, each.run, each.recorded_s, each.refused or None, each.reason or None, holds]
+        said = (each.refused or None, each.reason or None, each.damage or None)
+        row: list[Any] = [each.cell, each.run, each.recorded_s, *said, holds]
         row += [number for name in names for number in each.values.get(name, (None, None))]
         row += [number for axis in axes for number in each.peaks_n.get(axis, (None, None))]
+        row += [number for axis in replayed for number in each.log_peaks_n.get(axis, (None, None))]
         rows.append(row)
     return columns, rows
 

@@ -9,7 +9,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-from autotune.drift import identified_values
+from autotune.drift import CLOCK, identified_values
 from autotune.errors import CertificateError, InfeasibleError, UsageError
 from autotune.formats.atomic import write_folder_atomic
 from autotune.formats.cell import read_cell
@@ -18,6 +18,7 @@ from autotune.formats.identified import identified_tree, parse_identified
 from autotune.formats.problem import ProblemSpec, read_problem
 from autotune.formats.yaml12 import dump_yaml
 from autotune.pipeline import identify_log
+from autotune.results import Identification
 from autotune.version import __version__
 from identification.errors import EstimateError, LogError
 from identification.logs.containers.formats import sha256_of
@@ -38,6 +39,8 @@ class RunOutcome:
     first sample. `peaks_n` are, by axis, the worst predicted peak with the gains of the log (None where they are not
     known) and with the new controller. `refused` says which kind of refusal ended it, "" for none, `reason` why.
     `outside` is what of the plant lies outside of what the controller in the manifest is certified for; None without.
+    `damage` says what of the logs is damaged and was left out. `log_peaks_n` are, by axis, the largest peak that a log
+    shows on its hardest surface, and the one predicted with the new controller at the same speed, at the sensor.
     `files` are the names of what was written in the run's folder, with the SHA-256 of each.
     """
 
@@ -50,6 +53,8 @@ class RunOutcome:
     refused: str = ""
     reason: str = ""
     outside: tuple[str, ...] | None = None
+    damage: str = ""
+    log_peaks_n: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     files: Mapping[str, str] = field(default_factory=dict)
 
     def text(self) -> str:
@@ -85,7 +90,14 @@ def parse_outcome(text: str | None) -> RunOutcome | None:
         values = {name: (float(value), float(std)) for name, (value, std) in tree.pop("values").items()}
         peaks = {name: (before, float(after)) for name, (before, after) in tree.pop("peaks_n").items()}
         outside = tree.pop("outside")
-        return RunOutcome(**tree, values=values, peaks_n=peaks, outside=None if outside is None else tuple(outside))
+        in_log = {name: (float(before), float(after)) for name, (before, after) in tree.pop("log_peaks_n", {}).items()}
+        return RunOutcome(
+            **tree,
+            values=values,
+            peaks_n=peaks,
+            log_peaks_n=in_log,
+            outside=None if outside is None else tuple(outside),
+        )
     except (ValueError, TypeError, KeyError, AttributeError):
         return None
 
@@ -153,15 +165,28 @@ def _identify_and_tune(task: RunTask, files: dict[str, str]) -> RunOutcome:
         found = identify_log(run.logs, task.options.of_identify(cell))
         files["identified.yaml"] = dump_yaml(identified_tree(found.result, found.provenance))
         recorded = float(found.provenance["time_span_s"][0])
-        outcome = replace(outcome, recorded_s=recorded, values=identified_values(found.result))
+        outcome = replace(outcome, recorded_s=recorded, values=_values(found), damage=_damage(found.result))
         if run.controller is not None:
             outcome = replace(outcome, outside=_outside(run.controller, found.result))
         if task.options.optimize:
-            outcome = replace(outcome, peaks_n=_tune(task, files))
+            peaks, in_log = _tune(task, files)
+            outcome = replace(outcome, peaks_n=peaks, log_peaks_n=in_log)
     except AutotuneError as error:
         kind = next((name for of, name in _STEPS.items() if isinstance(error, of)), "usage")
         return replace(outcome, refused=kind, reason=str(error))
     return outcome
+
+
+def _values(found: Identification) -> dict[str, tuple[float, float]]:
+    """Return what is followed from run to run: what was identified, and the offset between the clocks."""
+    offset = found.provenance.get("wrench_offset_s")
+    clock = {} if offset is None else {CLOCK: (float(offset[0]), float(offset[1]))}
+    return identified_values(found.result) | clock
+
+
+def _damage(result: Identified) -> str:
+    """Return what of the logs of a run is damaged and left out."""
+    return " ".join(finding.message for finding in result.findings if finding.code == "salvaged")
 
 
 def _outside(controller: Path, result: Identified) -> tuple[str, ...]:
@@ -175,8 +200,10 @@ def _outside(controller: Path, result: Identified) -> tuple[str, ...]:
     return tuple(f"axis {each.axis}, {each.name}: {each.message}" for each in checks if not each.passed)
 
 
-def _tune(task: RunTask, files: dict[str, str]) -> dict[str, tuple[float | None, float]]:
-    """Search the controller and write it; return the worst peaks before and after, by axis."""
+def _tune(
+    task: RunTask, files: dict[str, str]
+) -> tuple[dict[str, tuple[float | None, float]], dict[str, tuple[float, float]]]:
+    """Search the controller and write it; return `peaks_n` and `log_peaks_n` of the outcome."""
     from autotune.prediction.said_gains import present_gains  # noqa: PLC0415 - compiles
     from autotune.tuning.optimize import optimize  # noqa: PLC0415 - compiles
 
@@ -186,10 +213,13 @@ def _tune(task: RunTask, files: dict[str, str]) -> dict[str, tuple[float | None,
     present = present_gains(None, source, spec.axes)
     found = optimize(source, spec, seed=task.options.seed, problem_path=problem, present=present)
     files["controller.yaml"] = dump_yaml(controller_tree(found.controller))
-    return {
+    peaks = {
         name: (_before(found.before_after, name), max(each.peak_contact_force_n for each in predicted.scenarios))
         for name, predicted in found.controller.predicted.items()
     }
+    hardest = {name: each.surfaces[0] for name, each in found.before_after.items() if each.surfaces}
+    in_log = {name: (each.measured[1], each.after.predicted.peak_sensor_force) for name, each in hardest.items()}
+    return peaks, in_log
 
 
 def _before(before_after: Mapping[str, Any], name: str) -> float | None:

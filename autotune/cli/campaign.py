@@ -152,6 +152,8 @@ def _looks(output: Output, manifest: Path, watch: float | None) -> "Iterator[tup
                 mistake = str(error)
                 output.note(f"{mistake} Nothing is done until it is mended.")
         else:
+            if mistake:
+                output.note("Mended: the campaign goes on.")
             mistake = ""
             yield runs
 
@@ -210,6 +212,8 @@ def _faults(found: "RunOutcome") -> "Iterator[tuple[str, str]]":
     """Yield what is wrong with a run, as verdict and sentence."""
     if found.refused:
         yield f"refused ({found.refused}): ", f"{found.cell}/{found.run}: {found.reason}"
+    if found.damage:
+        yield "warning: ", f"{found.cell}/{found.run}: {found.damage}"
     for what in found.outside or ():
         yield "error: ", f"{found.cell}/{found.run}: the certificate does not hold: {what}."
 
@@ -239,8 +243,9 @@ def _require(outcomes: "Sequence[RunOutcome]") -> None:
     broken = [cell for cell, runs in cells.items() if runs[-1].outside]
     if broken:
         raise CertificateError(
-            f"Not certified for what the newest run of their cell shows are the controllers of {', '.join(broken)}; "
-            "optimize them again (a campaign that optimizes has done so: controller.yaml in the run's folder)."
+            f"The controllers of {', '.join(broken)} are not certified for what the newest run of their cell shows, "
+            "for the reasons above; optimize them again (a campaign that optimizes has done so: controller.yaml in "
+            "the run's folder)."
         )
     if not cells:
         raise EstimateError(f"None of {len(outcomes)} runs was identified; the reasons are above.")

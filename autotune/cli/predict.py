@@ -10,7 +10,17 @@ import click
 from autotune.formats.kinds import LOG, PLANTS
 
 from ._common import Output, output_options
-from ._options import LOGS, SETTINGS, FilePath, GroupedCommand, bumper_option, cell_option, span_options, urdf_options
+from ._options import (
+    LOGS,
+    SETTINGS,
+    FilePath,
+    GroupedCommand,
+    bumper_option,
+    cell_option,
+    salvage_option,
+    span_options,
+    urdf_options,
+)
 from ._report import check_report, print_report_path, report_option, report_refusal, write_report
 from ._terminal import print_message, print_table
 
@@ -30,7 +40,7 @@ Examples:
 """
 _GROUPS = {
     "Contact": ("surface", "approach", "axis", "payload_mass", "bumper", "sample_time"),
-    "Comparison with logs": ("logs", "cell_path", "urdf", "tip", "start", "stop"),
+    "Comparison with logs": ("logs", "cell_path", "urdf", "tip", "start", "stop", "salvage"),
 }
 _SOURCE = FilePath(*SETTINGS, kinds=(*PLANTS, "controller"))
 
@@ -61,6 +71,7 @@ _SOURCE = FilePath(*SETTINGS, kinds=(*PLANTS, "controller"))
 @cell_option
 @urdf_options
 @span_options
+@salvage_option
 @click.option(
     "--plot", type=click.Path(path_type=Path, dir_okay=False), metavar="F.svg", help="Also draw it, .svg or .png."
 )
@@ -230,7 +241,7 @@ def _compared(output: Output, identified: Path, options: dict[str, Any]) -> "Tou
     law = None if controller is None else read_controller(controller).controller
     logs = options["logs"]
     with output.progress(f"comparing with {', '.join(log.name for log in logs)}", 2.0) as advance:
-        reading = {name: options[name] for name in ("urdf", "tip", "start", "stop")}
+        reading = {name: options[name] for name in ("urdf", "tip", "start", "stop", "salvage")}
         # A wall differs from a hand by the speed that the gains make of F^d.
         said = () if options["axis"] in ROTATIONAL_AXES else ("mass", "damping", "lead")
         ran = {name: float(gains[name]) for name in said if name in gains} or None

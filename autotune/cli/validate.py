@@ -22,6 +22,7 @@ from ._options import (
     GroupedCommand,
     bumper_option,
     cell_option,
+    salvage_option,
     span_options,
     urdf_options,
 )
@@ -51,7 +52,7 @@ Examples:
 """
 _KEY = FilePath(*KEYS)
 _GROUPS = {
-    "Comparison with a log": ("logs", "cell_path", "command_topic", "urdf", "tip", "start", "stop"),
+    "Comparison with a log": ("logs", "cell_path", "command_topic", "urdf", "tip", "start", "stop", "salvage"),
     "Simulation of the certified set": ("samples", "seed", "noise", "sensor_range", "speed_limit", "late", "bumper"),
     "Signature": ("public_key", "sign"),
 }
@@ -107,6 +108,7 @@ def _force_limit(ctx: click.Context, param: click.Parameter, value: str | None) 
 @click.option("--command-topic", help="Channel of the commanded pose in the log.")
 @urdf_options
 @span_options
+@salvage_option
 @click.option(
     "--samples",
     type=click.IntRange(0),
@@ -370,7 +372,7 @@ def compare_logs(
     cell = cell.with_topics(wrench=None, pose=None, command=options["command_topic"])
     cell, span = cell.with_urdf(options["urdf"], options["tip"]), LogSpan(start=options["start"], stop=options["stop"])
     with output.progress(f"comparing with {', '.join(log.name for log in logs)}", 1.0) as advance:
-        return compare_with_logs(controller, logs, cell, span, advance)
+        return compare_with_logs(controller, logs, cell, span, advance, salvage=options["salvage"])
 
 
 def comparison_tree(found: "LogComparison") -> dict[str, Any]:

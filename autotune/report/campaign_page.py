@@ -1,7 +1,7 @@
 """The page of a campaign: its cells, what changed in them, which are unlike the others, and why runs were refused."""
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 
 import numpy as np
@@ -9,23 +9,30 @@ import numpy as np
 from autotune.campaign.fleet import Unusual, by_cell, changes, unusual
 from autotune.campaign.text import outcome_text
 from autotune.campaign.work import RunOutcome
-from autotune.charts.chart import Chart, Panel, Points, Scale
+from autotune.charts.chart import Band, Chart, Panel, Points, Scale
 from autotune.drift import Change, parameter_name, parameter_text
 from autotune.formats.units import axis_units
 from autotune.text import with_deviation
 
 from .page import Note, Page, Section, Table, TableCell, build_table
 
+_MOST_CHARTS = 12
+
 
 def build_campaign_page(outcomes: Sequence[RunOutcome], footer: str) -> Page:
     """Build the report of what came of every run."""
     refused = [each for each in outcomes if each.refused]
-    broken = [each for each in outcomes if each.outside]
+    broken, damaged = [each for each in outcomes if each.outside], [each for each in outcomes if each.damage]
     changed, odd = changes(outcomes), unusual(outcomes)
     sections = [
         Section(key="certificates", title="Certificates that no longer hold", blocks=tuple(_broken_notes(broken))),
         Section(key="refused", title="Refused", blocks=(_refused_table(refused),)),
-        Section(key="changes", title="What changed from run to run", blocks=(_change_table(changed),)),
+        Section(key="damaged", title="Damaged logs", blocks=tuple(_damage_notes(damaged))),
+        Section(
+            key="changes",
+            title="What changed from run to run",
+            blocks=(_change_table(changed), *_drift_charts(outcomes, changed)),
+        ),
         Section(key="unusual", title="Cells unlike the others", blocks=(_unusual_table(odd),)),
         Section(key="peaks", title="Peaks", blocks=tuple(_peak_charts(outcomes))),
         Section(key="runs", title="All runs", blocks=(_run_table(outcomes),)),
@@ -33,6 +40,7 @@ def build_campaign_page(outcomes: Sequence[RunOutcome], footer: str) -> Page:
     filled = {
         "certificates": broken,
         "refused": refused,
+        "damaged": damaged,
         "changes": changed,
         "unusual": odd,
         "peaks": [each for each in outcomes if each.peaks_n],
@@ -42,7 +50,7 @@ def build_campaign_page(outcomes: Sequence[RunOutcome], footer: str) -> Page:
         title="Campaign",
         lead=outcome_text(outcomes),
         sections=tuple(section for section in sections if filled[section.key]),
-        tone="bad" if broken else "warn" if refused or changed or odd else "good",
+        tone="bad" if broken else "warn" if refused or damaged or changed or odd else "good",
         footer=footer,
     )
 
@@ -52,13 +60,17 @@ def _broken_notes(broken: Sequence[RunOutcome]) -> Iterator[Note]:
         yield Note(text=f"{each.cell}, {each.run}: {'; '.join(each.outside or ())}.", kind="certificate", tone="bad")
 
 
+def _damage_notes(damaged: Sequence[RunOutcome]) -> Iterator[Note]:
+    for each in damaged:
+        yield Note(text=f"{each.cell}, {each.run}: {each.damage}", kind="damage", tone="warn")
+
+
 def _refused_table(refused: Sequence[RunOutcome]) -> Table:
     counts = Counter(each.refused for each in refused)
     rows = [
-        (kind, str(counts[kind]), each.cell, each.run, each.reason)
+        (kind if not k else "", str(counts[kind]) if not k else "", each.cell, each.run, each.reason)
         for kind, _ in counts.most_common()
-        for each in refused
-        if each.refused == kind
+        for k, each in enumerate(each for each in refused if each.refused == kind)
     ]
     return build_table("By reason", ("refused for", "runs", "cell", "run", "why"), rows, numbers=(1,))
 
@@ -72,6 +84,32 @@ def _change_table(changed: Sequence[Change]) -> Table:
         rows.append((*runs, old, new, unit, share, f"{each.stds:.1f}"))
     columns = ("cell", "from run", "to run", "parameter", "was", "is", "unit", "change", "deviations")
     return build_table("Beyond three standard deviations and 0.2 %", columns, rows, numbers=(4, 5, 7, 8))
+
+
+def _drift_charts(outcomes: Sequence[RunOutcome], changed: Sequence[Change]) -> Iterator[Chart]:
+    """Yield what changed over the runs of its cell, with its deviations."""
+    runs = by_cell(outcomes)
+    for cell, name in list(dict.fromkeys((each.cell, each.name) for each in changed))[:_MOST_CHARTS]:
+        held = [run for run in runs[cell] if name in run.values]
+        label, scale, unit = parameter_name(name)
+        value, std = scale * np.array([run.values[name] for run in held]).T
+        at = np.arange(1.0, len(held) + 1.0)
+        yield Chart(
+            key=f"{cell}-{name}",
+            title=f"{cell}: {label}",
+            alternative=f"{label} of {cell} in {len(held)} runs, from {value[0]:.4g} to {value[-1]:.4g} {unit}.",
+            caption="; ".join(f"{number}: {run.run}" for number, run in enumerate(held, 1)),
+            panels=(
+                Panel(
+                    x=Scale(label="run, in the order of recording", limits=(0.5, len(held) + 0.5), counts=True),
+                    y=Scale(label=f"{label.rpartition(': ')[2]} [{unit}]"),
+                    elements=(
+                        Band(x=at, low=value - 2.0 * std, high=value + 2.0 * std, label="two standard deviations"),
+                        Points(x=at, y=value, label="identified"),
+                    ),
+                ),
+            ),
+        )
 
 
 def _unusual_table(odd: Sequence[Unusual]) -> Table:
@@ -89,29 +127,41 @@ def _unusual_table(odd: Sequence[Unusual]) -> Table:
 def _peak_charts(outcomes: Sequence[RunOutcome]) -> Iterator[Chart]:
     newest = {cell: runs[-1] for cell, runs in by_cell(outcomes).items() if runs[-1].peaks_n}
     for axis in dict.fromkeys(axis for run in newest.values() for axis in run.peaks_n):
-        shown = [(cell, run.peaks_n[axis]) for cell, run in newest.items() if axis in run.peaks_n]
-        unit = axis_units(axis).force
-        after = np.array([peak for _, (_, peak) in shown])
-        known = [(i, before) for i, (_, (before, _)) in enumerate(shown, 1) if before is not None]
-        at = np.arange(1.0, len(shown) + 1.0)
-        points = [Points(x=at, y=after, label="with the new controller", role="after", marker="dot")]
-        if known:
-            at, before = np.array(known, dtype=float).T
-            points.append(Points(x=at, y=before, label="with the gains of the log", role="before", marker="diamond"))
-        yield Chart(
-            key=f"{axis}-cells",
-            title=f"Worst predicted peak of every cell, axis {axis}",
-            alternative=f"The worst predicted peak of {len(shown)} cells with the new controller, from "
-            f"{after.min():.4g} to {after.max():.4g} {unit}, and with the gains of the log where they are known.",
-            caption="; ".join(f"{number}: {cell}" for number, (cell, _) in enumerate(shown, 1)),
-            panels=(
-                Panel(
-                    x=Scale(label="cell, in the order of the list", limits=(0.5, len(shown) + 0.5), counts=True),
-                    y=Scale(label=f"peak [{unit}]"),
-                    elements=tuple(points),
-                ),
+        in_log = {cell: run.log_peaks_n[axis] for cell, run in newest.items() if axis in run.log_peaks_n}
+        if in_log:
+            title = f"Hardest contact of the log of every cell, axis {axis}"
+            yield _peak_chart(axis, "log", title, in_log, ("in the log", "with the new controller at the same speed"))
+        worst = {cell: run.peaks_n[axis] for cell, run in newest.items() if axis in run.peaks_n}
+        title = f"Worst predicted peak of every cell, axis {axis}"
+        yield _peak_chart(axis, "cells", title, worst, ("with the gains of the log", "with the new controller"))
+
+
+def _peak_chart(
+    axis: str, key: str, title: str, peaks: Mapping[str, tuple[float | None, float]], labels: tuple[str, str]
+) -> Chart:
+    """Draw the peaks of every cell before, where they are known, and after."""
+    unit = axis_units(axis).force
+    after = np.array([peak for _, peak in peaks.values()])
+    known = [(i, before) for i, (before, _) in enumerate(peaks.values(), 1) if before is not None]
+    points = [Points(x=np.arange(1.0, len(peaks) + 1.0), y=after, label=labels[1], role="after", marker="dot")]
+    if known:
+        at, before = np.array(known, dtype=float).T
+        points.append(Points(x=at, y=before, label=labels[0], role="before", marker="diamond"))
+    highest = max(float(np.max(each.y)) for each in points)
+    return Chart(
+        key=f"{axis}-{key}",
+        title=title,
+        alternative=f"Peaks of {len(peaks)} cells {labels[1]}, from {after.min():.4g} to {after.max():.4g} {unit}, "
+        f"and {labels[0]} where they are known.",
+        caption="; ".join(f"{number}: {cell}" for number, cell in enumerate(peaks, 1)),
+        panels=(
+            Panel(
+                x=Scale(label="cell, in the order of the list", limits=(0.5, len(peaks) + 0.5), counts=True),
+                y=Scale(label=f"peak [{unit}]", limits=(0.0, 1.1 * highest)),
+                elements=tuple(points),
             ),
-        )
+        ),
+    )
 
 
 def _run_table(outcomes: Sequence[RunOutcome]) -> Table:
@@ -120,7 +170,7 @@ def _run_table(outcomes: Sequence[RunOutcome]) -> Table:
     rows: list[tuple[str | TableCell, ...]] = []
     for each in outcomes:
         values = [_value(each, name) for name in names]
-        verdict = TableCell(text=each.refused or "good", tone="bad" if each.refused else "good")
+        verdict = _verdict(each)
         when = (
             "" if each.recorded_s is None else datetime.fromtimestamp(each.recorded_s, UTC).strftime("%Y-%m-%d %H:%M")
         )
@@ -129,6 +179,12 @@ def _run_table(outcomes: Sequence[RunOutcome]) -> Table:
     return build_table(
         "Value ± standard deviation", ("cell", "run", "recorded", "outcome", *heads), rows, numbers=numbers
     )
+
+
+def _verdict(outcome: RunOutcome) -> TableCell:
+    if outcome.refused or outcome.outside:
+        return TableCell(text=outcome.refused or "certificate no longer holds", tone="bad")
+    return TableCell(text="damaged log", tone="warn") if outcome.damage else TableCell(text="good", tone="good")
 
 
 def _value(outcome: RunOutcome, name: str) -> str:

@@ -26,11 +26,12 @@ _MOST_CUTS = 4
 
 @dataclass(frozen=True, kw_only=True)
 class _Part:
-    """What was compared in a part of a log, and its first and last stamp [ns]."""
+    """What was compared in a part of a log, its first and last stamp [ns], and what of it is damaged."""
 
     found: LogComparison
     start_ns: int
     stop_ns: int
+    damage: tuple[str, ...] = ()
 
     def onset_ns(self, contact: ComparedContact) -> float:
         """Return when a contact was, on the log's clock."""
@@ -47,6 +48,8 @@ def compare_with_logs(
     cell: Cell | None = None,
     span: LogSpan | None = None,
     progress: Callable[[float], None] | None = None,
+    *,
+    salvage: bool = False,
 ) -> LogComparison:
     """Read the parts of one recording and compare every contact, of a long one with a window at a time in memory.
 
@@ -64,6 +67,8 @@ def compare_with_logs(
         The part that is read.
     progress
         Receives the share of the work done since the last call.
+    salvage
+        Whether to read what is left of a log whose end or index is damaged.
 
     Raises
     ------
@@ -73,15 +78,15 @@ def compare_with_logs(
         A file with a collision response or variable damping.
     """
     cell, span, report = cell or Cell(), span or LogSpan(), progress or no_progress
-    windows = windows_of_part(logs, cell, span, overlap_s=_OVERLAP_S)
+    windows = windows_of_part(logs, cell, span, overlap_s=_OVERLAP_S, salvage=salvage)
     if len(windows) < 2:
-        recording = read_checked_recording(logs, cell, span=windows[0].span if windows else span)
+        recording = read_checked_recording(logs, cell, salvage=salvage, span=windows[0].span if windows else span)
         return _compare(controller, recording, cell, report)
     refuse_other_law(controller)
     parts: list[_Part] = []
     faults: list[tuple[WindowSpan, LogError | EstimateError]] = []
     for window in windows:
-        for each in _compared(controller, window, cell, _MOST_CUTS):
+        for each in _compared(controller, window, cell, _MOST_CUTS, salvage=salvage):
             if isinstance(each, LogError | EstimateError):
                 faults.append((window, each))
             else:
@@ -99,24 +104,30 @@ def _compare(
     # Without a command the law cannot be held against it, without the weight no contact be followed.
     is_whole = recording.command is not None and not recording.wrench.gravity_compensated
     compare = compare_with_log if is_whole else compare_touches_of_log
-    return compare(controller, recording, build_frames(cell), report)
+    found = compare(controller, recording, build_frames(cell), report)
+    return replace(found, notes=(*_damage(recording), *found.notes))
+
+
+def _damage(recording: Recording) -> tuple[str, ...]:
+    return tuple(finding.message for finding in recording.findings if finding.code == "salvaged")
 
 
 def _compared(
-    controller: Controller, window: WindowSpan, cell: Cell, most_cuts: int
+    controller: Controller, window: WindowSpan, cell: Cell, most_cuts: int, *, salvage: bool
 ) -> Iterator[_Part | LogError | EstimateError]:
     """Yield what a window holds, of both sides where the payload changes in it."""
     try:
-        recording = read_checked_recording(window.files, cell, span=window.span)
+        recording = read_checked_recording(window.files, cell, salvage=salvage, span=window.span)
         ends = [(stamps[0], stamps[-1]) for stamps in (recording.wrench.stamp_ns, recording.pose.stamp_ns)]
         start, stop = max(int(first) for first, _ in ends), min(int(last) for _, last in ends)
-        yield _Part(found=_compare(controller, recording, cell), start_ns=start, stop_ns=stop)
+        found = _compare(controller, recording, cell)
+        yield _Part(found=found, start_ns=start, stop_ns=stop, damage=_damage(recording))
     except PayloadChangedError as change:
         if not most_cuts:
             yield change
             return
         for half in window.span.split(change.stamp_ns):
-            yield from _compared(controller, replace(window, span=half), cell, most_cuts - 1)
+            yield from _compared(controller, replace(window, span=half), cell, most_cuts - 1, salvage=salvage)
     except (LogError, EstimateError) as error:
         yield error
 
@@ -138,7 +149,7 @@ def _joined(parts: Sequence[_Part], faults: Sequence[tuple[WindowSpan, LogError 
         passed_over=sum(part.found.passed_over for part in parts),
         mass_kg=weighed[0].mass_kg,
         is_weighed=weighed[0].is_weighed,
-        notes=tuple(_notes(faults)),
+        notes=tuple(dict.fromkeys([*(note for part in parts for note in part.damage), *_notes(faults)])),
     )
 
 

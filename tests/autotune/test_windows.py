@@ -128,7 +128,7 @@ def test_a_payload_that_was_swapped_is_named_and_the_windows_that_agree_give_the
     assert change.old == pytest.approx(16.2, rel=5e-3)
     assert change.new == pytest.approx(11.3, rel=5e-3)
     (said,) = (each.message for each in found.result.findings if "payload mass went from" in each.message)
-    assert "From 0:00:40 to 0:01:20 to 0:01:20 to" in said
+    assert "Between 0:00:40 to 0:01:20 and 0:01:20 to" in said
 
 
 def test_a_log_of_which_no_window_says_anything_is_refused_with_the_commonest_reason(long_log: Path) -> None:
@@ -200,7 +200,7 @@ def test_a_window_in_which_the_payload_changes_is_two(shift: Identification) -> 
     assert second.values[MASS][0] == pytest.approx(11.3, abs=3.0 * second.values[MASS][1])
     swap, change, *_ = (each.message for each in shift.result.findings if each.code == "changed-within-log")
     assert re.search(r"^0:00:00 to 0:00:40: The payload of .* changed between 18.* Both sides are identified", swap)
-    assert "From 0:00:00 to 0:00:18 to 0:00:18 to 0:00:40, payload mass went from 16.2" in change
+    assert "Between 0:00:00 to 0:00:18 and 0:00:18 to 0:00:40, payload mass went from 16.2" in change
 
 
 def test_a_window_with_too_few_poses_takes_the_payload_that_its_force_agrees_with(shift: Identification) -> None:

@@ -8,7 +8,7 @@ import pytest
 from autotune.campaign.fleet import _distances, _robust_covariance, changes, unusual
 from autotune.campaign.text import outcome_text, unusual_text
 from autotune.campaign.work import RunOutcome
-from autotune.drift import Change, change_text, parameter_text
+from autotune.drift import CLOCK, Change, change_text, parameter_text
 
 NAMES = ("payload.mass_kg", "x.coupling_stiffness_n_per_m", "x.delay_s")
 TRUE, STD = (16.0, 3e5, 2.4e-3), (0.02, 3e3, 2e-5)
@@ -37,6 +37,27 @@ def test_a_change_beyond_three_deviations_is_named_in_the_order_of_recording() -
     )
     assert found.stds == pytest.approx(3e4 / np.hypot(STD[1], STD[1]))
     assert change_text(found) == "a: from zulu to alpha, x: K_s went from 300 to 330 N/mm, 7.1 standard deviations."
+
+
+def test_what_creeps_is_named_against_the_run_since_which_it_holds() -> None:
+    """Each week 1 % more, 0.7 deviations of the difference: after five weeks it is 3.5 of them."""
+    weeks = [outcome("a", f"w{k}", (16.0, 3e5 * (1 + 0.01 * k), 2.4e-3), at=float(k)) for k in range(11)]
+    assert [(each.before, each.after, each.name) for each in changes(weeks)] == [
+        ("w0", "w5", NAMES[1]),
+        ("w5", "w10", NAMES[1]),
+    ]
+    # A step is no drift as well, and what stays where it went is said once.
+    step = [outcome("a", f"w{k}", (16.0, 3e5 if k < 2 else 3.3e5, 2.4e-3), at=float(k)) for k in range(6)]
+    assert [(each.before, each.after) for each in changes(step)] == [("w1", "w2")]
+
+
+def test_clocks_differ_where_their_offset_went_by_more_than_a_tenth_of_a_millisecond() -> None:
+    runs = [
+        replace(outcome("a", f"w{k}", TRUE, at=float(k)), values={CLOCK: (offset, 1e-6)})
+        for k, offset in enumerate((0.0, 9e-5, 2.1e-3))
+    ]
+    (found,) = changes(runs)
+    assert change_text(found).startswith("a: from w1 to w2, lateness of the wrench's clock went from 0.09 to 2.1 ms")
 
 
 def test_a_change_that_is_known_too_well_to_matter_is_none() -> None:

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from mcap.reader import make_reader
 
 from autotune.campaign import run
 from autotune.formats.controller import write_controller
@@ -74,7 +75,7 @@ def test_a_controller_that_is_not_certified_for_its_cell_is_exit_code_6(
     assert "1 certificate no longer valid" in done.stdout
     assert "press/mon: the certificate does not hold: axis x, identified plant" in done.stdout.replace("\n", " ")
     assert (
-        "Not certified for what the newest run of their cell shows are the controllers of press; optimize them again"
+        "The controllers of press are not certified for what the newest run of their cell shows, for the reasons above"
         in done.stderr.replace("\n", " ")
     )
     assert (tmp_path / "out" / "campaign.csv").is_file()
@@ -97,6 +98,24 @@ def test_a_controller_file_that_certifies_nothing_is_exit_code_6(
 
 
 @pytest.mark.usefixtures("in_this_process")
+def test_a_log_with_a_damaged_chunk_is_said_to_have_one(run_cli: RunCli, fleet: Path, tmp_path: Path) -> None:
+    (fleet / "press" / "tue.mcap").unlink()
+    log = fleet / "press" / "mon.mcap"
+    data = bytearray(log.read_bytes())
+    with log.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    chunk = summary.chunk_indexes[len(summary.chunk_indexes) // 2]
+    data[chunk.chunk_start_offset + chunk.chunk_length // 2] ^= 0x10
+    log.write_bytes(data)
+    done = run_cli("campaign", fleet, "-o", "out", "--no-optimize", "--allow-partial", "--jobs", "1")
+    assert done.returncode == 0, done.stderr
+    assert "warning: press/mon: mon.mcap is damaged: bytes " in done.stdout.replace("\n", " ")
+    with (tmp_path / "out" / "campaign.csv").open(newline="") as stream:
+        (row,) = csv.DictReader(stream)
+    assert (row["refused"], row["damage"].partition(": ")[0]) == ("", "mon.mcap is damaged")
+
+
 def test_a_cut_log_is_read_with_salvage_as_its_refusal_says(run_cli: RunCli, fleet: Path) -> None:
     log = fleet / "press" / "mon.mcap"
     log.write_bytes(log.read_bytes()[: -log.stat().st_size // 10])
@@ -186,6 +205,7 @@ def test_a_mistake_in_a_file_that_runs_share_costs_no_result(
         1,
         1,
     )
+    assert said.count("Mended: the campaign goes on.") == 1
     cell.write_text("format: autotune/cell\nversion: 1\nwrnch: {topic: /ft}\n", encoding="utf-8")
     done = run_cli(*words)
     assert (done.returncode, "cell.yaml, line 3" in done.stderr) == (2, True)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from autotune.campaign.work import RunOutcome
-from autotune.charts.chart import Chart, Points
+from autotune.charts.chart import Band, Chart, Points
 from autotune.formats.schedule import Schedule, read_schedule, write_schedule
 from autotune.report.campaign_page import build_campaign_page
 from autotune.report.page import Note, Page, Table
@@ -49,13 +49,19 @@ def test_a_campaign_with_a_refusal_a_change_and_a_lost_certificate() -> None:
         replace(
             outcome("a", "tue", (16.0, 3.3e5, 2.4e-3), at=TUE), peaks_n={"x": (60.0, 45.0)}, outside=("K_s is 330",)
         ),
-        replace(outcome("b", "mon", TRUE, at=MON), peaks_n={"x": (None, 42.0), "rz": (None, 2.0)}),
+        replace(
+            outcome("b", "mon", TRUE, at=MON),
+            peaks_n={"x": (None, 42.0), "rz": (None, 2.0)},
+            damage="b.mcap is damaged.",
+        ),
         RunOutcome(cell="b", run="tue", key="", refused="log", reason="it is cut"),
         RunOutcome(cell="c", run="mon", key="", refused="estimate", reason="it stands still"),
         RunOutcome(cell="d", run="mon", key="", refused="log", reason="it is empty"),
     ]
     page = build_campaign_page(runs, "a footer")
-    assert [each.key for each in page.sections] == ["certificates", "refused", "changes", "peaks", "runs"]
+    assert [each.key for each in page.sections] == [
+        "certificates", "refused", "damaged", "changes", "peaks", "runs",
+    ]  # fmt: skip
     assert (page.tone, page.footer) == ("bad", "a footer")
     assert page.lead.startswith("6 runs of 4 cells, 3 refused, 1 certificate no longer valid; 1 change")
     (note,) = (each for each in section(page, "certificates") if isinstance(each, Note))
@@ -63,7 +69,7 @@ def test_a_campaign_with_a_refusal_a_change_and_a_lost_certificate() -> None:
     # What is refused most often comes first.
     assert texts(table(page, "refused")) == [
         ["log", "2", "b", "tue", "it is cut"],
-        ["log", "2", "d", "mon", "it is empty"],
+        ["", "", "d", "mon", "it is empty"],
         ["estimate", "1", "c", "mon", "it stands still"],
     ]
     assert texts(table(page, "changes")) == [
@@ -73,7 +79,18 @@ def test_a_campaign_with_a_refusal_a_change_and_a_lost_certificate() -> None:
     assert every.columns == ("cell", "run", "recorded", "outcome", "payload mass [kg]", "x: K_s [N/mm]", "x: T_d [ms]")
     assert texts(every)[0] == ["a", "mon", "2019-12-20 00:00", "good", "16.000 ± 0.020", "300.0 ± 3.0", "2.400 ± 0.020"]
     assert texts(every)[3] == ["b", "tue", "", "log", "", "", ""]
-    assert [row[3].tone for row in every.rows] == ["good"] * 3 + ["bad"] * 3
+    assert [(row[3].text, row[3].tone) for row in every.rows[:3]] == [
+        ("good", "good"), ("certificate no longer holds", "bad"), ("damaged log", "warn"),
+    ]  # fmt: skip
+    assert [row[3].tone for row in every.rows[3:]] == ["bad"] * 3
+    (drift,) = (each for each in section(page, "changes") if isinstance(each, Chart))
+    assert (drift.title, drift.caption) == ("a: x: K_s", "1: mon; 2: tue")
+    assert points(drift)["identified"].y.tolist() == [300.0, 330.0]
+    band = drift.panels[0].elements[0]
+    assert isinstance(band, Band)
+    assert (band.low.tolist(), band.high.tolist()) == ([294.0, 324.0], [306.0, 336.0])
+    (damage,) = (each for each in section(page, "damaged") if isinstance(each, Note))
+    assert damage.text == "b, mon: b.mcap is damaged."
     for key in ("refused", "changes", "runs"):
         check_sides(table(page, key))
 
@@ -82,12 +99,16 @@ def test_peaks_are_those_of_each_cells_newest_run_by_axis() -> None:
     runs = [
         replace(outcome("a", "mon", TRUE, at=1.0), peaks_n={"x": (50.0, 40.0)}),
         replace(outcome("a", "tue", TRUE, at=2.0), peaks_n={"x": (60.0, 45.0), "rz": (None, 3.0)}),
-        replace(outcome("b", "mon", TRUE, at=1.0), peaks_n={"x": (None, 42.0)}),
+        replace(outcome("b", "mon", TRUE, at=1.0), peaks_n={"x": (None, 42.0)}, log_peaks_n={"x": (70.0, 33.0)}),
         outcome("c", "mon", TRUE, at=1.0),
     ]
     page = build_campaign_page(runs, "")
     assert page.tone == "good"
-    straight, turning = (each for each in section(page, "peaks") if isinstance(each, Chart))
+    in_log, straight, turning = (each for each in section(page, "peaks") if isinstance(each, Chart))
+    shown = points(in_log)
+    assert shown["in the log"].y.tolist() == [70.0]
+    assert shown["with the new controller at the same speed"].y.tolist() == [33.0]
+    assert (in_log.caption, in_log.panels[0].y.limits) == ("1: b", (0.0, 1.1 * 70.0))
     shown = points(straight)
     assert (shown["with the new controller"].x.tolist(), shown["with the new controller"].y.tolist()) == (
         [1.0, 2.0],
@@ -96,7 +117,7 @@ def test_peaks_are_those_of_each_cells_newest_run_by_axis() -> None:
     before = shown["with the gains of the log"]
     assert (before.x.tolist(), before.y.tolist()) == ([1.0], [60.0])
     assert straight.caption == "1: a; 2: b"
-    assert "of 2 cells with the new controller, from 42 to 45 N" in straight.alternative
+    assert "Peaks of 2 cells with the new controller, from 42 to 45 N" in straight.alternative
     assert straight.panels[0].x.limits == (0.5, 2.5)
     assert list(points(turning)) == ["with the new controller"]
     assert turning.panels[0].y.label == "peak [N·m]"

@@ -4,6 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from mcap.reader import make_reader
 
 from autotune.simulation.simulate import made_later, simulate_cell
 from autotune.simulation.write import write_mcap
@@ -67,6 +68,33 @@ def test_windows_hold_the_contacts_of_the_whole_log_each_once(
         assert one.predicted_peak_n == pytest.approx(other.predicted_peak_n, rel=0.02)
         assert one.desired_force_n == pytest.approx(other.desired_force_n, rel=0.005)
     assert found.is_weighed
+
+
+def test_damage_of_a_log_is_a_note_and_what_is_left_of_a_cut_one_is_compared_with_salvage(
+    long_log: Path, whole: LogComparison, tmp_path: Path
+) -> None:
+    path, data = tmp_path / "run.mcap", bytearray(long_log.read_bytes())
+    with long_log.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    start = min(each.message_start_time for each in summary.chunk_indexes)
+    onset = start + 1e9 * whole.contacts[3].onset_s
+    hit = next(each for each in summary.chunk_indexes if each.message_start_time <= onset < each.message_end_time)
+    data[hit.chunk_start_offset + hit.chunk_length // 2] ^= 0x10
+    path.write_bytes(data)
+    beside = compare_with_logs(small_controller(), [path])
+    assert beside.notes[0].startswith(f"run.mcap is damaged: bytes {hit.chunk_start_offset} to ")
+    peaks = [each.measured_peak_n for each in whole.contacts]
+    kept = [min(peaks, key=lambda peak: abs(peak - each.measured_peak_n)) for each in beside.contacts]
+    assert 0 < len(kept) < len(peaks)
+    assert [each.measured_peak_n for each in beside.contacts] == pytest.approx(kept, rel=1e-3)
+    path.write_bytes(long_log.read_bytes()[: hit.chunk_start_offset + 100])
+    with pytest.raises(LogError, match="--salvage"):
+        compare_with_logs(small_controller(), [path])
+    cut = compare_with_logs(small_controller(), [path], salvage=True)
+    assert [each.measured_peak_n for each in cut.contacts] == pytest.approx(peaks[: len(cut.contacts)], rel=0.005)
+    assert 0 < len(cut.contacts) < 4
+    assert "the end was cut off" in cut.notes[0]
 
 
 def test_a_part_of_a_long_log_holds_the_contacts_in_it(
