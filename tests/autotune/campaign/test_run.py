@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
 from contextlib import closing, contextmanager
 from dataclasses import replace
-from itertools import cycle
 from multiprocessing import active_children
 from pathlib import Path
 from typing import Any
@@ -193,17 +192,15 @@ def test_what_was_not_foreseen_ends_the_run_and_not_the_campaign(
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("forked")
 def test_the_same_tables_come_of_a_campaign_whose_workers_are_killed(logs: Path, tmp_path: Path) -> None:
     """Thirty times kill -9, in the midst of work or of starting; each run has one result at the end, and the same."""
     runs = read_manifest(logs)
     calm = work_on_runs(runs, tmp_path / "calm", executor=ThreadPoolExecutor(1))
-    # Workers begin within some 50 ms, and have done their runs after some more.
-    killed, over, pauses = 0, threading.Event(), cycle((0.02, 0.05, 0.1, 0.2))
+    killed, over = 0, threading.Event()
 
     def kill() -> None:
         nonlocal killed
-        while killed < 30 and not over.wait(next(pauses)):
+        while killed < 30 and not over.wait(0.4):
             for process in active_children()[:1]:
                 if process.pid is not None:
                     os.kill(process.pid, signal.SIGKILL)
