@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from autotune.drift import MASS, identified_values
-from autotune.windows import HOLE, Window, most_telling
+from autotune.windows import HOLE, Window, axes_shown, most_telling
 from identification.errors import EstimateError, FewPosesError, LogError, OutsideSpanError, PayloadChangedError
 from identification.evidence import Evidence
 from identification.known_payload import KnownPayload
@@ -176,7 +176,7 @@ def telling(done: _Worked) -> tuple[list[PieceRun], tuple[Window, ...]]:
     windows = [_described(piece.window or Window(start_s=0.0, stop_s=0.0), each) for piece, each in done]
     used = most_telling(windows)
     windows = [replace(each, is_used=k in used) for k, each in enumerate(windows)]
-    known = {name.partition(".")[0] for k in used for name in windows[k].values}
+    known, _ = axes_shown([windows[k] for k in used])
     own = any(MASS in windows[k].values and not windows[k].payload_from for k in used)
     runs = []
     for k, (_, each) in enumerate(done):

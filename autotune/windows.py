@@ -20,7 +20,7 @@ _SHORTEST_S = 20.0
 _MOST_USED = 8
 HOLE = "hole"
 """The code of the finding that a log has a pause of the recorder, or lost messages."""
-_OF_A_SURFACE = ".stiffness_n_per_m"
+_OF_A_SURFACE, _OF_A_COUPLING = ".stiffness_n_per_m", ".coupling_stiffness_n_per_m"
 # Contacts of one surface in other places differ by some percent.
 _OTHER_STDS, _OTHER_SHARE = 3.0, 0.05
 
@@ -121,6 +121,18 @@ def most_telling(windows: Sequence[Window]) -> tuple[int, ...]:
     return tuple(sorted(chosen[:_MOST_USED]))
 
 
+def axes_shown(used: Sequence[Window]) -> tuple[frozenset[str], tuple[str, ...]]:
+    """Return the axes of which windows show coupling or a surface, and those of which they show less.
+
+    A motion among hundreds of windows can look like the sweep of an axis that nobody swept. Where no axis shows its
+    coupling or a surface, all are of the first kind.
+    """
+    names = [name for window in used for name in window.values if name != MASS]
+    every = dict.fromkeys(name.partition(".")[0] for name in names)
+    shown = {name.partition(".")[0] for name in names if name.endswith((_OF_A_COUPLING, _OF_A_SURFACE))}
+    return frozenset(shown or every), tuple(axis for axis in every if shown and axis not in shown)
+
+
 def _plant(values: Values) -> dict[str, tuple[float, float]]:
     return {name: each for name, each in values.items() if not name.endswith(_OF_A_SURFACE)}
 
@@ -200,9 +212,19 @@ def window_findings(windows: Sequence[Window]) -> tuple[Finding, ...]:
     shared = f" {taken} have too few poses: their payload is that of the nearest that shows it." if taken else ""
     seen = [each.changed for each in windows if each.changed]
     changed = [*seen, *map(change_text, window_changes(windows))]
+    left_out = [
+        Finding.warning(
+            "axis-left-out",
+            f"Axis {axis}: a motion like a sweep is in a window, but none of those that give the result identifies its "
+            "coupling or a surface, so that it is left out.",
+            "Sweep about this axis, or press along it, where it is to be tuned.",
+        )
+        for axis in axes_shown(used)[1]
+    ]
     advice = "Record each payload on its own where this was no drift; the result is of the windows that agree."
     return (
         *(Finding.warning("changed-within-log", text, advice) for text in changed),
+        *left_out,
         *(Finding.info("surface-within-log", text, "") for text in new_surfaces(windows)),
         Finding.info(
             "windows",

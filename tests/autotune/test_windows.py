@@ -39,8 +39,9 @@ from identification.logs.inspect import inspect_log
 from identification.logs.read import LogSpan, read_checked_recording, read_recording, window_bounds
 from identification.logs.roles.cell import Cell
 from identification.merging.combine import NamedResult
-from identification.result import CONTACT_UNEXPLAINED, Finding
+from identification.result import CONTACT_UNEXPLAINED, AxisEstimate, Finding
 from identification.signals.recording import Recording, join_recordings
+from identification.verdicts import unidentifiable
 from tests.autotune.simulation.runs import SHORT
 
 PROGRAM = replace(SHORT, pose_count=5, pose_hold_s=1.0, jogging_s=2.0, sweep_s=2.0, contact_count=0)
@@ -322,6 +323,34 @@ def test_a_contact_that_a_border_cuts_is_no_error_where_a_surface_is_known() -> 
     run = PieceRun(named=NamedResult(name="w", result=found), source=source, evidence=None)
     (kept,), _ = telling([(LogPiece(files=(), span=LogSpan(), window=window(0)), run)])
     assert [(each.axis, each.severity) for each in kept.named.result.findings] == [("x", "warning"), ("y", "error")]
+
+
+def test_an_axis_of_which_the_windows_show_no_coupling_and_no_surface_is_left_out_and_said() -> None:
+    """One motion of a day that looks like a sweep costs no result of the axis that was swept."""
+    result = identify_cell(simulate_cell(SimulatedCell(), PROGRAM, seed=1).recording)
+    turned = replace(
+        result.axes["x"],
+        coupling=replace(result.axes["x"].coupling, stiffness_n_per_m=unidentifiable(note="no spring")),
+    )
+    source = RunSource(channels={}, clocks={}, sha256={}, span_s=(0.0, 1.0))
+    fault = Finding.error("axis-unidentifiable", "Axis rx: K_s: not identified from the log.", "")
+
+    def of_a_day(axes: dict[str, AxisEstimate]) -> tuple[PieceRun, tuple[Window, ...]]:
+        found = replace(result, axes=axes, findings=(fault,))
+        run = PieceRun(named=NamedResult(name="w", result=found), source=source, evidence=None)
+        (kept,), windows = telling([(LogPiece(files=(), span=LogSpan(), window=window(0)), run)])
+        return kept, windows
+
+    kept, windows = of_a_day({"x": result.axes["x"], "rx": turned})
+    assert list(kept.named.result.axes) == ["x"]
+    assert kept.named.result.findings == ()
+    (said,) = (each for each in window_findings(windows) if each.code == "axis-left-out")
+    assert (said.severity, said.message[:24]) == ("warning", "Axis rx: a motion like a")
+    # Where it is all that there is, what is missing of it is an error.
+    kept, windows = of_a_day({"rx": turned})
+    assert list(kept.named.result.axes) == ["rx"]
+    assert kept.named.result.findings == (fault,)
+    assert "axis-left-out" not in {each.code for each in window_findings(windows)}
 
 
 @pytest.mark.parametrize(("length_s", "count"), [(10.0, 1), (59.0, 1), (61.0, 2), (120.0, 3), (139.0, 3), (141.0, 4)])
