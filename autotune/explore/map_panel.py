@@ -1,5 +1,6 @@
 """The map of a page: a coarse one as soon as another is due, and finer ones while the hand rests."""
 
+from collections.abc import Callable
 from typing import Any
 
 from bokeh.document import Document
@@ -90,7 +91,7 @@ class MapPanel:
         if self._run is None:
             return
         if not self._run.is_done:
-            self._timer = self._after(_LOOKS_MS, self.look)
+            self._after(_LOOKS_MS, self.look)
             return
         self._finish(self._run)
         self._show_own()
@@ -101,10 +102,17 @@ class MapPanel:
         self.map = run.collect()
         self._figures.show_map(self.map, self._sender)
         if self._refined < len(_FINER_AFTER_MS):
-            self._timer = self._after(_FINER_AFTER_MS[self._refined][1], self.refine)
+            self._after(_FINER_AFTER_MS[self._refined][1], self.refine)
 
-    def _after(self, waits_ms: int, call: Any) -> Any:
-        return self._document.add_timeout_callback(call, waits_ms)
+    def _after(self, waits_ms: int, call: Callable[[], None]) -> None:
+        """Call later, unless `stop` comes first: one that is due may wait for the document and be called after it."""
+
+        def due() -> None:
+            if self._timer is timer:
+                self._timer = None
+                call()
+
+        timer = self._timer = self._document.add_timeout_callback(due, waits_ms)
 
     def _show_own(self) -> None:
         """Show what the design itself is, on the plants of the map: a cell is judged elsewhere than at the star."""

@@ -1,6 +1,7 @@
 """The page without a browser: what happens in its document when something is turned."""
 
 import json
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import pytest
 from bokeh.document import Document
 from bokeh.document.events import ModelChangedEvent
 from bokeh.events import DocumentReady
+from bokeh.server.callbacks import TimeoutCallback
 
 from autotune.explore.page import ExplorePage, build_page
 from autotune.explore.saving import Target, refused_line
@@ -69,6 +71,28 @@ def test_a_finer_map_follows_when_the_hand_rests(page: ExplorePage) -> None:
     while page.map_panel.map is None or page.map_panel.map.window.rows == rows:
         page.map_panel.look()
     assert page.figures.sources["map"].data["peak"][0].shape == (2 * rows, 2 * columns)
+
+
+def test_a_finer_map_that_was_due_before_the_next_turn_is_not_begun_after_it(page: ExplorePage) -> None:
+    def due() -> list[TimeoutCallback]:
+        return [each for each in page.document.session_callbacks if isinstance(each, TimeoutCallback)]
+
+    (before,) = due()
+    turn(page, "feedback_damping_s", 0.008)
+    assert before not in due()
+    coarse = page.map_panel.map
+    before.callback()
+    assert page.map_panel.map is coarse
+    for _ in range(1000):
+        for callback in due():
+            callback.callback()
+        if not due():
+            break
+        time.sleep(0.01)
+    assert page.map_panel.map is not None
+    assert coarse is not None
+    assert page.map_panel.map.window.rows == 5 * coarse.window.rows
+    before.callback()
 
 
 def test_a_page_that_is_shown_gets_one_message_for_all_that_a_turn_changes(page: ExplorePage) -> None:
