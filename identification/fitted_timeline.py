@@ -53,7 +53,9 @@ def account_for_log(cell: CellSignals, results: Mapping[str, AxisResult], mass_k
     contacts, period = [axis.contacts for axis in results.values()], cell.log.period_s
     payloads = [observe_payload(of, period) for of in contacts]
     pressed = [find_contacts(of, seen, cell.motion, period) for of, seen in zip(contacts, payloads, strict=True)]
-    phases = build_timeline(cell.log, cell.motion, cell.force_S_n, contacts, cell.recording.command, mass_kg, pressed)
+    phases = build_timeline(
+        cell.log, cell.motion, cell.force_S_n, contacts, cell.recording.command, mass_kg, pressed, payloads
+    )
     axes = []
     for (name, axis), payload, found in zip(results.items(), payloads, pressed, strict=True):
         surfaces = () if axis.fit is None else axis.fit.surfaces

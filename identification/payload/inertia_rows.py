@@ -61,6 +61,8 @@ def build_motion_rows(
     attenuation = _attenuation(columns, signals, motion, 2 * edge, step)
     columns[:, :, attenuation > _MOST_NOISE] = 0.0
     every = np.concatenate(inner)
+    # Of a long log each of these, and what follows, is much of what is in memory.
+    del linear, turning, rate, signals
     wrench = _smooth_wrench(log, motion, gravity, every)
     nuisance = np.broadcast_to(np.eye(6), (len(every), 6, 6))
     return MotionRows(
@@ -95,6 +97,7 @@ def _smooth_wrench(log: AlignedLog, motion: MotionSpans, gravity: GravityFit, at
             noise[first + i] = np.median([np.std(smooth[rest.slice]) for rest in motion.still])
             raw = low_pass(measured[:, i], log.period_s, _BAND_HZ)
             lag[:, first + i] = -np.gradient(raw, log.period_s)[at]
+        del free
     return _SmoothWrench(values=values, lag=lag, noise=noise)
 
 
@@ -135,9 +138,14 @@ def _acceleration_B(log: AlignedLog) -> FloatArray:
 def _turn_rate_S(log: AlignedLog) -> FloatArray:
     """Return ω (n, 3) of the tool in S, smoothed without phase shift."""
     quaternions = log.orientation_BS.as_quat()
-    between = turn_vectors_rad(quaternions[:-1], quaternions[1:]) / log.period_s
+    between = turn_vectors_rad(quaternions[:-1], quaternions[1:])
+    del quaternions
+    between /= log.period_s
     # Differences lie between samples; their means lie on them again.
-    rate = np.concatenate([between[:1], 0.5 * (between[1:] + between[:-1]), between[-1:]])
+    rate = np.empty((len(log), 3))
+    rate[0], rate[-1] = between[0], between[-1]
+    rate[1:-1] = 0.5 * (between[1:] + between[:-1])
+    del between
     return low_pass(rate, log.period_s, _RATE_BAND_HZ)
 
 

@@ -14,7 +14,7 @@ from ..signals.recording import PoseSignal
 from ..signals.segments import MotionSpans
 from .contacts import ContactTimes, Pressed, find_contacts
 from .moves import Scene, judge_moves, settle_moves
-from .payload import AxisContacts, observe_payload
+from .payload import AxisContacts, PayloadMotion, observe_payload
 
 _SAME_ONSET_S = 0.3
 _OFFSET_FACTOR = 3.0
@@ -29,18 +29,20 @@ def build_timeline(
     command: PoseSignal | None,
     mass_kg: float,
     pressed: Sequence[Pressed] | None = None,
+    payloads: Sequence[PayloadMotion] | None = None,
 ) -> tuple[LogPhase, ...]:
     """Label the whole log, without gaps or overlaps, from 0 to its length.
 
-    `force_S_n` (n, 3) is free of weight and bias, `axes` hold the rests under force of each axis that moved,
-    `pressed` what `find_contacts` found on them, where that is known already. Contacts are cut out first. Of the
-    motion that is left, `turning` changes the orientation by more than 2 degrees, in a `hand-led-motion` the force
-    does work on the flange, in a `commanded-motion` the flange follows a command that no admittance explains by the
-    force, and `free-motion` is the rest, approaches under a desired force among them. Unknown is what a hole of the
-    log hides, a rest under force whose beginning and end are not shown, and motion against a force that is neither
-    the payload's nor a contact with a hold. A rest in a hand is a rest.
+    `force_S_n` (n, 3) is free of weight and bias, `axes` hold the rests under force of each axis that moved, `payloads`
+    and `pressed` what `observe_payload` and `find_contacts` found on them, where that is known already. Contacts are
+    cut out first. Of the motion that is left, `turning` changes the orientation by more than 2 degrees, in a `hand-led-
+    motion` the force does work on the flange, in a `commanded-motion` the flange follows a command that no admittance
+    explains by the force, and `free-motion` is the rest, approaches under a desired force among them. Unknown is what a
+    hole of the log hides, a rest under force whose beginning and end are not shown, and motion against a force that is
+    neither the payload's nor a contact with a hold. A rest in a hand is a rest.
     """
-    payloads = [observe_payload(of, log.period_s) for of in axes]
+    if payloads is None:
+        payloads = [observe_payload(of, log.period_s) for of in axes]
     if pressed is None:
         pressed = [find_contacts(of, payload, motion, log.period_s) for of, payload in zip(axes, payloads, strict=True)]
     held = {hold for of in axes for hold in of.holds}

@@ -261,9 +261,8 @@ def _travel(pose: PoseSignal, stamps: StampArray) -> FloatArray:
 def gains_of(gains: GainsSignal | None, stamps: StampArray, axis: int) -> tuple[FloatArray, FloatArray]:
     """Return M_a and B_a of the axis with that number as they hold at stamps (n,), NaN where they are not known."""
     if gains is None:
-        return np.full(len(stamps), np.nan), np.full(len(stamps), np.nan)
-    rows = np.maximum(np.searchsorted(gains.stamp_ns, stamps, side="right") - 1, 0)
-    return gains.mass[rows, axis], gains.damping[rows, axis]
+        return _one_value(np.nan, stamps), _one_value(np.nan, stamps)
+    return _held(gains.stamp_ns, gains.mass[:, axis], stamps), _held(gains.stamp_ns, gains.damping[:, axis], stamps)
 
 
 def lead_of(gains: GainsSignal | None, axis: int) -> float | None:
@@ -274,6 +273,16 @@ def lead_of(gains: GainsSignal | None, axis: int) -> float | None:
 def desired_force_of(desired: WrenchSignal | None, stamps: StampArray, axis: int) -> FloatArray:
     """Return F^d of the axis with that number as it holds at stamps (n,), NaN where it is not known."""
     if desired is None:
-        return np.full(len(stamps), np.nan)
-    rows = np.maximum(np.searchsorted(desired.stamp_ns, stamps, side="right") - 1, 0)
-    return np.asarray(desired.force_n[rows, axis] if axis < 3 else desired.torque_n_m[rows, axis - 3])
+        return _one_value(np.nan, stamps)
+    return _held(desired.stamp_ns, desired.force_n[:, axis] if axis < 3 else desired.torque_n_m[:, axis - 3], stamps)
+
+
+def _held(stamp_ns: StampArray, values: FloatArray, at_ns: StampArray) -> FloatArray:
+    """Return values (k,), each from its stamp on, at stamps (n,); one that never changes takes no memory."""
+    if len(values) == 1:
+        return _one_value(float(values[0]), at_ns)
+    return np.asarray(values[np.maximum(np.searchsorted(stamp_ns, at_ns, side="right") - 1, 0)])
+
+
+def _one_value(value: float, at_ns: StampArray) -> FloatArray:
+    return np.broadcast_to(value, at_ns.shape)
