@@ -10,8 +10,8 @@ from dataclasses import replace
 import numpy as np
 
 import autotune as at
-from autotune.certificate.certify import WORK_PER_SECOND, prove
-from autotune.certificate.family import Claim
+from autotune.certificate.certify import prove
+from autotune.certificate.family import WORK_PER_SECOND, Claim
 from problems.design.uncertainty import PlantSet
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Bumper

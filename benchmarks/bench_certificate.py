@@ -4,8 +4,8 @@ import time
 
 import numpy as np
 
-from autotune.certificate.certify import WORK_PER_SECOND, certify, prove
-from autotune.certificate.family import Claim, Family, build_families
+from autotune.certificate.certify import certify, prove
+from autotune.certificate.family import WORK_PER_SECOND, Claim, Family, build_families
 from autotune.certificate.peaks import prove_peak
 from autotune.validation.margins import sweep_margins
 from problems.contact.transient import Approach, build_sampled_contact, simulate_contact, transient_from

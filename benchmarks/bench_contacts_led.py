@@ -6,8 +6,8 @@ Processor time on the demo's kind of cell, each beside what it says.
 import time
 from collections.abc import Callable
 
-from autotune.certificate.certify import WORK_PER_SECOND, prove
-from autotune.certificate.family import Claim
+from autotune.certificate.certify import prove
+from autotune.certificate.family import WORK_PER_SECOND, Claim
 from problems.contact.transient import build_sampled_contact
 from problems.design.driving_hand import largest_driven_peak
 from problems.design.hand import HandImpedance

@@ -4,9 +4,9 @@ import time
 
 import numpy as np
 
-from autotune.certificate.certify import WORK_PER_SECOND
 from autotune.certificate.coupled import prove_coupled
 from autotune.certificate.coupled_system import BREAK_POINTS, CoupledFamily
+from autotune.certificate.family import WORK_PER_SECOND
 from autotune.formats.certificate_record import AxisDomain
 from autotune.formats.coupled_record import CoupledBody
 from autotune.validation.coupled_cell import CoupledCell

@@ -3,14 +3,12 @@
 import itertools
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from enum import Enum
-from functools import cached_property, lru_cache
+from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
 from problems.arrays import FloatArray, IntArray
-from problems.design.uncertainty import STIFFNESS, Scenario
 from problems.errors import ParameterError
 from problems.model.sampled import Controller, build_loop, build_sampled_plant, stability_matrix
 
@@ -19,7 +17,7 @@ from .balls import Balls, as_series, derivatives_of, enclose
 from .base_plant import fails_at, is_stable
 from .bounds import PlantCell, Verdicts, judge, judge_at_rest
 from .circle import Circle
-from .family import LATE, Claim, Family, families_of
+from .family import LATE, Claim, CombinedCertificate, Family, ProofOutcome, Verdict, families_of
 from .law import law_polynomials
 from .plant_cells import Groups, Raw, coefficients, loop_groups, with_derivatives
 from .plant_polynomials import plant_polynomials
@@ -34,99 +32,6 @@ _NEAR_REST = 0.02
 _MOST_CORNERS = 4  # of more coordinates the corners are left to the cells
 
 METHOD = "zero exclusion on the unit circle in ball arithmetic"
-# A proof's work is counted, not timed, so that the same input gives the same file; this many are done in a second.
-WORK_PER_SECOND = 40_000
-
-
-class Verdict(Enum):
-    """How an attempt to prove a claim ended; the text says what that means."""
-
-    PROVED = "holds for every plant of the set at every frequency"
-    REFUTED = "is false at the plant and frequency named"
-    RAN_OUT = "is proved for the share of the set that is named, and the rest was not decided"
-
-
-@dataclass(frozen=True, kw_only=True)
-class ProofOutcome:
-    """The outcome: `cells` of plants and `arcs` that were proved, the `work` spent, the `share` of the set proved.
-
-    `modulus` is 0 where the claim was stability alone. Where it is false, `plant` and `frequency_rad_per_s` name the
-    point; where the work ran out, everything below `stiffness_up_to_n_per_m` is proved (None if K_e does not vary), and
-    `plant` lies in a part that is not.
-    """
-
-    verdict: Verdict
-    modulus: float
-    cells: int
-    arcs: int
-    work: int
-    share: float
-    plant: Scenario | None = None
-    frequency_rad_per_s: float | None = None
-    stiffness_up_to_n_per_m: float | None = None
-
-    @property
-    def holds(self) -> bool:
-        """Whether the claim is proved for the whole set."""
-        return self.verdict is Verdict.PROVED
-
-
-@dataclass(frozen=True, kw_only=True)
-class CombinedCertificate:
-    """What came of the parts of a claim: one part per family of plants; behind a refuted one they are left out.
-
-    `free_space`, `contact` and `held` (by the spring of a hand alone) hold the parts by where they hold.
-    """
-
-    free_space: tuple[ProofOutcome, ...]
-    contact: tuple[ProofOutcome, ...]
-    held: tuple[ProofOutcome, ...] = ()
-
-    @cached_property
-    def parts(self) -> tuple[ProofOutcome, ...]:
-        """All parts, those of free space first."""
-        return (*self.free_space, *self.held, *self.contact)
-
-    @property
-    def holds(self) -> bool:
-        """Whether all of it is proved."""
-        return all(part.holds for part in self.parts)
-
-    @property
-    def false(self) -> ProofOutcome | None:
-        """Return the part whose claim is false."""
-        return next((part for part in self.parts if part.verdict is Verdict.REFUTED), None)
-
-    @property
-    def failed(self) -> ProofOutcome | None:
-        """Return the part that is false, or else one that is not proved; None where all is."""
-        return self.false or next((part for part in self.parts if not part.holds), None)
-
-    @property
-    def share(self) -> float:
-        """Return the share proved of that part of which least is proved."""
-        return min(part.share for part in self.parts)
-
-    @property
-    def cells(self) -> int:
-        """Return the number of cells of plants that were proved."""
-        return sum(part.cells for part in self.parts)
-
-    @property
-    def arcs(self) -> int:
-        """Return the number of pairs of cell and arc that were proved."""
-        return sum(part.arcs for part in self.parts)
-
-    @property
-    def run_time_s(self) -> float:
-        """Return the work spent in seconds of `WORK_PER_SECOND`, which no clock makes differ from run to run."""
-        return sum(part.work for part in self.parts) / WORK_PER_SECOND
-
-    def up_to(self, lowest: float) -> float:
-        """Return the K_e up to which everything is proved, free space too; `lowest` where nothing is."""
-        open_parts = [part for part in self.parts if not part.holds]
-        ends = [lowest if p.stiffness_up_to_n_per_m is None else p.stiffness_up_to_n_per_m for p in open_parts]
-        return min(ends, default=math.inf)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -270,7 +175,7 @@ class _Search:
 
     def _reaches_zero(self, cell: FloatArray) -> bool:
         """Return whether plants of a cell (d, 2) come as near as one likes to those that nothing holds."""
-        return self.at_rest is not None and bool(cell[self.family.varying.index(STIFFNESS), 0] == 0.0)
+        return self.at_rest is not None and self.family.is_held_by_nothing(cell)
 
     def unstable_base(self) -> ProofOutcome | None:
         """Return the refutation, or the lack of proof, by the plant in the middle; None if it is stable.
@@ -390,10 +295,10 @@ class _Search:
 
     def _cell_at_rest(self, cell: FloatArray, found: tuple[Raw, Raw]) -> PlantCell:
         """Return the coefficients for `judge_at_rest`: the last is ½ K₂ n_F'(K) at z = 1, where n_F is 0 for K = 0."""
-        place = self.family.varying.index(STIFFNESS)
         _, (_, force, _) = found
-        slope = enclose(derivatives_of(force[:1], len(cell))[place])
-        slope = slope.times(0.5 * cell[place, 1] * (1.0 + 1e-12))
+        along, stiffest = self.family.springs_of(cell)
+        slope = enclose(derivatives_of(force[:1], len(cell))[along])
+        slope = slope.times(0.5 * stiffest * (1.0 + 1e-12))
         padding = ((0, 0), (0, len(cell)))
         pull = Balls(mid=np.pad(slope.mid[:, None], padding), rad=np.pad(slope.rad[:, None], padding))
         rest = with_derivatives(cell, *map(self._groups_at_rest, found))
@@ -415,12 +320,8 @@ class _Search:
         """Return what is proved now that nothing waits or the work is spent."""
         if self.waiting:
             middle = np.mean(self.waiting[-1].cell, axis=1)
-            out = self._ended(Verdict.RAN_OUT, middle, None)
-            if STIFFNESS not in self.family.varying:
-                return out
-            place = self.family.varying.index(STIFFNESS)
-            up_to = min(float(part.cell[place, 0]) for part in self.waiting)
-            return ProofOutcome(**{**vars(out), "stiffness_up_to_n_per_m": up_to})
+            up_to = self.family.softest_of([part.cell for part in self.waiting])
+            return replace(self._ended(Verdict.RAN_OUT, middle, None), stiffness_up_to_n_per_m=up_to)
         return ProofOutcome(
             verdict=Verdict.PROVED, modulus=self.modulus, cells=self.cells, arcs=self.arcs, work=self.work, share=1.0
         )

@@ -1,8 +1,10 @@
-"""What a certificate claims of a sampled loop, and the sets of plants that it speaks of."""
+"""What a certificate claims of a sampled loop, the sets of plants that it speaks of, and what came of the proof."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from enum import Enum
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -19,6 +21,8 @@ from problems.model.sampled import Controller, split_delay
 
 Interval = tuple[float, float]
 
+# A proof's work is counted, not timed, so that the same input gives the same file; this many are done in a second.
+WORK_PER_SECOND = 40_000
 LAG, LATE = "wrench_time_constant_s", "wrench_delay_s"
 PROVABLE = tuple(name for name in UNCERTAIN if PARAMETERS[name].is_provable)
 """What is proved over, M_e as part of the mass in contact (`build_families`)."""
@@ -149,6 +153,21 @@ class Family:
             low, high = float(np.nextafter(low - part, 0.0)), float(np.nextafter(high - part, np.inf))
         return float(np.nextafter(1.0 / high, 0.0)), float(np.nextafter(1.0 / low, np.inf))
 
+    def is_held_by_nothing(self, cell: FloatArray) -> bool:
+        """Return whether plants of a cell (d, 2) come as near as one likes to those on no spring at all."""
+        return self.is_soft and bool(cell[self.varying.index(STIFFNESS), 0] == 0.0)
+
+    def springs_of(self, cell: FloatArray) -> tuple[int, float]:
+        """Return which coordinate of a cell (d, 2) is K_e, which varies, and the largest in the cell [N/m]."""
+        place = self.varying.index(STIFFNESS)
+        return place, float(cell[place, 1])
+
+    def softest_of(self, cells: Sequence[FloatArray]) -> float | None:
+        """Return the least K_e in cells (d, 2) [N/m], None where it does not vary."""
+        if STIFFNESS not in self.varying:
+            return None
+        return min(float(cell[self.varying.index(STIFFNESS), 0]) for cell in cells)
+
     def scenario(self, point: FloatArray) -> Scenario:
         """Return the plant at coordinates (d,) as a point of the uncertainty."""
         values = dict(zip(self.varying, np.asarray(point).tolist(), strict=True))
@@ -178,7 +197,7 @@ def _parted(whole: float, spans: tuple[Interval, Interval]) -> tuple[float, floa
 
 
 def families_of(claim: Claim) -> dict[str, list[Family]]:
-    """Return the families of a claim by where they are: the fields of `certify.CombinedCertificate`."""
+    """Return the families of a claim by where they are: the fields of `CombinedCertificate`."""
     plants, hand = claim.plants, claim.hand
     if hand is not None:
         # A hand holds what bears a bumper, and not what touches.
@@ -232,3 +251,94 @@ def _with_joined_masses(
     own = ranges.get(MASS, (nominal.payload.mass_kg,) * 2)
     kept[MASS] = float(np.nextafter(own[0] + moved[0], 0.0)), float(np.nextafter(own[1] + moved[1], np.inf))
     return with_values(nominal, {ENVIRONMENT_MASS: 0.0}), kept, (own, moved)
+
+
+class Verdict(Enum):
+    """How an attempt to prove a claim ended; the text says what that means."""
+
+    PROVED = "holds for every plant of the set at every frequency"
+    REFUTED = "is false at the plant and frequency named"
+    RAN_OUT = "is proved for the share of the set that is named, and the rest was not decided"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProofOutcome:
+    """The outcome: `cells` of plants and `arcs` that were proved, the `work` spent, the `share` of the set proved.
+
+    `modulus` is 0 where the claim was stability alone. Where it is false, `plant` and `frequency_rad_per_s` name the
+    point; where the work ran out, everything below `stiffness_up_to_n_per_m` is proved (None if K_e does not vary), and
+    `plant` lies in a part that is not.
+    """
+
+    verdict: Verdict
+    modulus: float
+    cells: int
+    arcs: int
+    work: int
+    share: float
+    plant: Scenario | None = None
+    frequency_rad_per_s: float | None = None
+    stiffness_up_to_n_per_m: float | None = None
+
+    @property
+    def holds(self) -> bool:
+        """Whether the claim is proved for the whole set."""
+        return self.verdict is Verdict.PROVED
+
+
+@dataclass(frozen=True, kw_only=True)
+class CombinedCertificate:
+    """What came of the parts of a claim: one part per family of plants; behind a refuted one they are left out.
+
+    `free_space`, `contact` and `held` (by the spring of a hand alone) hold the parts by where they hold.
+    """
+
+    free_space: tuple[ProofOutcome, ...]
+    contact: tuple[ProofOutcome, ...]
+    held: tuple[ProofOutcome, ...] = ()
+
+    @cached_property
+    def parts(self) -> tuple[ProofOutcome, ...]:
+        """All parts, those of free space first."""
+        return (*self.free_space, *self.held, *self.contact)
+
+    @property
+    def holds(self) -> bool:
+        """Whether all of it is proved."""
+        return all(part.holds for part in self.parts)
+
+    @property
+    def false(self) -> ProofOutcome | None:
+        """Return the part whose claim is false."""
+        return next((part for part in self.parts if part.verdict is Verdict.REFUTED), None)
+
+    @property
+    def failed(self) -> ProofOutcome | None:
+        """Return the part that is false, or else one that is not proved; None where all is."""
+        return self.false or next((part for part in self.parts if not part.holds), None)
+
+    @property
+    def share(self) -> float:
+        """Return the share proved of that part of which least is proved."""
+        return min(part.share for part in self.parts)
+
+    @property
+    def cells(self) -> int:
+        """Return the number of cells of plants that were proved."""
+        return sum(part.cells for part in self.parts)
+
+    @property
+    def arcs(self) -> int:
+        """Return the number of pairs of cell and arc that were proved."""
+        return sum(part.arcs for part in self.parts)
+
+    @property
+    def run_time_s(self) -> float:
+        """Return the work spent in seconds of `WORK_PER_SECOND`, which no clock makes differ from run to run."""
+        return sum(part.work for part in self.parts) / WORK_PER_SECOND
+
+    def up_to(self, lowest: float) -> float:
+        """Return the K_e up to which everything is proved, free space too; `lowest` where nothing is."""
+        open_parts = [part for part in self.parts if not part.holds]
+        ends = [lowest if p.stiffness_up_to_n_per_m is None else p.stiffness_up_to_n_per_m for p in open_parts]
+        return min(ends, default=math.inf)

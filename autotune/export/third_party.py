@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from autotune.certificate.certify import ProofOutcome
+from autotune.certificate.family import ProofOutcome
 from autotune.errors import CertificateError, InfeasibleError, UsageError
 from autotune.formats.canonical import short
 from autotune.formats.controller import ControllerFile

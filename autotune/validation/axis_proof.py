@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Literal, TypeVar
 
-from autotune.certificate.certify import METHOD, WORK_PER_SECOND, CombinedCertificate, ProofOutcome, prove
-from autotune.certificate.family import PROVABLE, Claim
+from autotune.certificate.certify import METHOD, prove
+from autotune.certificate.family import PROVABLE, WORK_PER_SECOND, Claim, CombinedCertificate, ProofOutcome
 from autotune.errors import CertificateError
 from autotune.formats.certificate_record import Proof, ProvenRegion
 from autotune.formats.proof_records import BouncingProof, HeldProof, PeakProof

@@ -5,8 +5,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from autotune.certificate.bouncing import DAMPING, RestOutcome, prove_rest
-from autotune.certificate.certify import WORK_PER_SECOND
-from autotune.certificate.family import PROVABLE, build_families
+from autotune.certificate.family import PROVABLE, WORK_PER_SECOND, build_families
 from autotune.certificate.multiplier_search import find_multiplier
 from autotune.formats.certificate_record import AxisDomain
 from autotune.formats.controller_record import Controller

@@ -4,9 +4,9 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 
-from autotune.certificate.certify import WORK_PER_SECOND
 from autotune.certificate.coupled import METHOD, CoupledOutcome, prove_coupled
 from autotune.certificate.coupled_system import BREAK_POINTS, CoupledFamily
+from autotune.certificate.family import WORK_PER_SECOND
 from autotune.formats.certificate_record import AxisDomain
 from autotune.formats.controller_record import AxisGains, Controller
 from autotune.formats.coupled_record import CoupledBody, CoupledCertificate, CoupledProof, Vector

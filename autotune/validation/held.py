@@ -5,8 +5,8 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 
-from autotune.certificate.certify import METHOD, WORK_PER_SECOND
-from autotune.certificate.family import Claim
+from autotune.certificate.certify import METHOD
+from autotune.certificate.family import WORK_PER_SECOND, Claim
 from autotune.formats.controller_record import Controller
 from autotune.formats.proof_records import HeldProof
 from autotune.formats.units import ROTATIONAL_AXES, axis_units

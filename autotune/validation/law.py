@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from autotune.certificate.certify import CombinedCertificate, prove
-from autotune.certificate.family import Claim
+from autotune.certificate.certify import prove
+from autotune.certificate.family import Claim, CombinedCertificate
 from autotune.errors import CertificateError
 from autotune.formats.certificate_record import Asked, AxisDomain, AxisMargins
 from autotune.formats.controller_record import (

@@ -4,8 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 
-from autotune.certificate.certify import WORK_PER_SECOND
-from autotune.certificate.family import build_families
+from autotune.certificate.family import WORK_PER_SECOND, build_families
 from autotune.certificate.peaks import PeakOutcome, prove_peak
 from autotune.formats.controller_record import Controller, is_linear
 from autotune.formats.proof_records import PeakProof

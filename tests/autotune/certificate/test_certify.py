@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from autotune.certificate.base_plant import is_stable
-from autotune.certificate.certify import CELL_WORK, ProofOutcome, Verdict, certify
-from autotune.certificate.family import Family, build_families
+from autotune.certificate.certify import CELL_WORK, certify
+from autotune.certificate.family import Family, ProofOutcome, Verdict, build_families
 from autotune.validation.margins import sweep_margins
 from problems.design.uncertainty import MASS, STIFFNESS, PlantSet
 from problems.errors import ParameterError

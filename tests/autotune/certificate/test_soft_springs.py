@@ -7,8 +7,8 @@ import pytest
 
 from autotune.certificate import certify as certify_module
 from autotune.certificate.bounds import judge_at_rest
-from autotune.certificate.certify import Verdict, certify, prove
-from autotune.certificate.family import Claim, Family
+from autotune.certificate.certify import certify, prove
+from autotune.certificate.family import Claim, Family, Verdict
 from examples.paper.continuous import plant_blocks
 from problems.design.hand import HandImpedance
 from problems.design.uncertainty import MASS, STIFFNESS, PlantSet

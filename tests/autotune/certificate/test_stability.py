@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from autotune.certificate import certify as certify_module
-from autotune.certificate.certify import CELL_WORK, CombinedCertificate, ProofOutcome, Verdict, certify, prove
-from autotune.certificate.family import Claim, Family, build_families
+from autotune.certificate.certify import CELL_WORK, certify, prove
+from autotune.certificate.family import Claim, CombinedCertificate, Family, ProofOutcome, Verdict, build_families
 from problems.arrays import FloatArray
 from problems.design.uncertainty import MASS, STIFFNESS, PlantSet
 from problems.errors import ParameterError

@@ -8,8 +8,8 @@ import pytest
 from autotune.certificate import certify as certify_module
 from autotune.certificate.base_plant import fails_at
 from autotune.certificate.bounds import judge
-from autotune.certificate.certify import ProofOutcome, Verdict, certify
-from autotune.certificate.family import LAG, LATE, Family, build_families
+from autotune.certificate.certify import certify
+from autotune.certificate.family import LAG, LATE, Family, ProofOutcome, Verdict, build_families
 from autotune.validation.margins import SweptMargins, sweep_margins
 from problems.design.uncertainty import MASS, STIFFNESS, PlantSet
 from problems.errors import ParameterError

@@ -5,7 +5,8 @@ from typing import Any
 
 import pytest
 
-from autotune.certificate.certify import METHOD, CombinedCertificate, ProofOutcome, Verdict, prove
+from autotune.certificate.certify import METHOD, prove
+from autotune.certificate.family import CombinedCertificate, ProofOutcome, Verdict
 from autotune.errors import CertificateError
 from autotune.formats.certificate_record import AxisDomain, ConfidenceSet
 from autotune.formats.controller_record import admittance_controller
