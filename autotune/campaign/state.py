@@ -20,6 +20,7 @@ from sqlalchemy import (
     Row,
     Table,
     Text,
+    and_,
     create_engine,
     func,
     inspect,
@@ -148,8 +149,9 @@ class CampaignState:
         held = [] if self._is_left(row) else [or_(_RUNS.c.state != "running", _RUNS.c.lease <= now)]
         values = {"key": task.key, "state": "running", "attempts": row.attempts + 1, "started": now, "ended": None}
         mine = {"owner": self._owner, "host": platform.node(), "lease": now + _LEASE, "result": None}
-        as_seen = (_RUNS.c.attempts == row.attempts, _RUNS.c.state == row.state, *held)
-        if not self._changed(update(_RUNS).where(*self._of(task), *as_seen).values(**values, **mine)):
+        as_seen = and_(_RUNS.c.attempts == row.attempts, _RUNS.c.state == row.state, *held)
+        free = or_(as_seen, self._is_claimed(row.attempts + 1))
+        if not self._changed(update(_RUNS).where(*self._of(task), free).values(**values, **mine)):
             return False
         self._held[name] = row.attempts + 1
         return True
@@ -159,8 +161,8 @@ class CampaignState:
         attempt = self._held.pop(task.run.name)
         state = outcome.refused if outcome.refused in TRIED_AGAIN else "refused" if outcome.refused else "done"
         values = {"state": state, "lease": None, "ended": self._now(), "result": outcome.text()}
-        mine = (_RUNS.c.attempts == attempt, _RUNS.c.state == "running")
-        return bool(self._changed(update(_RUNS).where(*self._of(task), *mine).values(**values)))
+        mine = and_(_RUNS.c.attempts == attempt, _RUNS.c.owner == self._owner, _RUNS.c.state.in_(["running", state]))
+        return bool(self._changed(update(_RUNS).where(*self._of(task), mine).values(**values)))
 
     def renew(self) -> bool:
         """Renew the claims if it is time to; return whether it was."""
@@ -182,6 +184,10 @@ class CampaignState:
     def _is_left(self, row: Row[Any]) -> bool:
         """Return whether nobody works on a run that is claimed: its process has ended, or this one has given it up."""
         return row.owner == self._owner or row.owner in _ENDED or has_ended(row.owner)
+
+    def _is_claimed(self, attempt: int) -> Any:
+        """Return the condition that this process has a run by this attempt: the server's answer may have been lost."""
+        return and_(_RUNS.c.attempts == attempt, _RUNS.c.owner == self._owner, _RUNS.c.state == "running")
 
     def _of(self, task: RunTask) -> tuple[Any, ...]:
         return (_RUNS.c.folder == self._folder, _RUNS.c.cell == task.run.cell, _RUNS.c.run == task.run.run)

@@ -14,14 +14,19 @@ from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 
 import pytest
+from sqlalchemy import Connection, Engine
+from sqlalchemy.exc import OperationalError
 
 from autotune.campaign.dask_pool import dask_executor
 from autotune.campaign.manifest import read_manifest
+from autotune.campaign.options import RunOptions
 from autotune.campaign.result import run_campaign
 from autotune.campaign.run import work_on_runs
-from autotune.campaign.state import STATE
+from autotune.campaign.state import STATE, open_state
+from autotune.campaign.work import build_task
 from autotune.errors import UsageError
 from tests.autotune.campaign.sharing import campaign, identified_at_once, table, until, written_logs
+from tests.autotune.postgresql import Server
 
 
 def results(folder: Path) -> dict[str, tuple[int, str, str]]:
@@ -197,3 +202,29 @@ def run_campaign_of(logs: Path, out: Path, *, limit: int) -> "subprocess.Complet
         resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
 
     return subprocess.run(command, check=False, capture_output=True, text=True, preexec_fn=limited)
+
+
+def test_a_server_that_goes_away_after_a_change_and_before_its_answer_costs_no_attempt(
+    postgresql: Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (run, *_), out = read_manifest(written_logs(tmp_path / "logs", 1)), tmp_path / "out"
+    task, lost, begin = build_task(run, out, RunOptions()), list[str](), Engine.begin
+
+    @contextmanager
+    def changed_without_an_answer(engine: Engine) -> Iterator[Connection]:
+        with begin(engine) as connection:
+            yield connection
+        if lost:
+            raise OperationalError(lost.pop(), {}, Exception("server closed the connection unexpectedly"))
+
+    monkeypatch.setattr(Engine, "begin", changed_without_an_answer)
+    with open_state(postgresql.new_database("answer"), out) as state:
+        outcome = task.refused("log", "no log")
+        assert state.look([task]).free == [task]
+        lost.append("claim")
+        assert state.claim(task)
+        lost.append("finish")
+        assert state.finish(task, outcome)
+        assert not lost
+        assert state.look([task]).known == [(task, outcome)]
+        assert [row.attempts for row in state._seen.values()] == [1]
