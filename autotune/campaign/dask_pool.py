@@ -1,5 +1,6 @@
 """A Dask cluster as an executor of `concurrent.futures` that notices when the scheduler is gone."""
 
+import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, Executor, Future
 from contextlib import ExitStack, contextmanager
@@ -70,7 +71,11 @@ def dask_executor(scheduler: str, jobs: int) -> Iterator[tuple[Executor, str]]:
     with ExitStack() as stack:
         try:
             if scheduler == "dask":
-                cluster = stack.enter_context(LocalCluster(n_workers=jobs, threads_per_worker=1, processes=True))  # type: ignore[no-untyped-call]
+                with warnings.catch_warnings():
+                    # The dashboard of another cluster has the usual port; where this one's is, is printed.
+                    warnings.filterwarnings("ignore", message=r"(?s).*Port \d+ is already in use")
+                    cluster = LocalCluster(n_workers=jobs, threads_per_worker=1, processes=True)  # type: ignore[no-untyped-call]
+                    stack.enter_context(cluster)
                 client = stack.enter_context(Client(cluster))  # type: ignore[no-untyped-call]
             else:
                 client = stack.enter_context(Client(scheduler, timeout=_ANSWERS_WITHIN_S))  # type: ignore[no-untyped-call]
