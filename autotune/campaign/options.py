@@ -111,7 +111,7 @@ def read_options(place: str, said: Mapping[str, Any], folder: Path) -> dict[str,
         try:
             found[key] = read(value)
         except (ValueError, UsageError) as error:
-            raise UsageError(f"{place}, option {name}: {str(error).replace('--given', 'it')}") from error
+            raise UsageError(f"{place}, option {name}: {str(error).replace('--given ', '')}") from error
     if found.get("urdf") is not None:
         found["urdf"] = folder / found["urdf"]
         if not found["urdf"].is_file():

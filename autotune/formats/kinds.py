@@ -104,10 +104,12 @@ def unknown_file(path: Path, message: str) -> UsageError:
     """Return the error of a file of no kind that is wanted; raises UsageError for a text that is no valid YAML."""
     from .yaml12 import load_yaml  # noqa: PLC0415 - imports a YAML library
 
-    with path.open("rb") as stream:
-        is_text = b"\0" not in stream.read(HEAD_BYTES)
-    if is_text and not is_log(path):
-        load_yaml(path, error=UsageError)
+    # A table of a log may end in .txt too.
+    if not is_log(path) and path.suffix.lower() != ".txt":
+        with path.open("rb") as stream:
+            is_text = b"\0" not in stream.read(HEAD_BYTES)
+        if is_text:
+            load_yaml(path, error=UsageError)
     return UsageError(message)
 
 

@@ -112,6 +112,8 @@ def load_document(path: Path | str, *, error: type[AutotuneError] = CertificateE
 def parse_document(data: bytes, path: Path, *, error: type[AutotuneError], exact: bool) -> Document:
     """Do the work of `load_document` on bytes; `path` is for messages only."""
     text = _text(data, path, error)
+    if not text.strip():
+        raise error(f"{path}, line 1: the file is empty.")
     if exact and not text.endswith("\n"):
         raise error(f"{path}, line {text.count(chr(10)) + 1}: the last line has no end; the file is truncated.")
     reader = _Reader(path, error, exact)

@@ -10,6 +10,7 @@ from autotune.formats.cell import CellFile, read_cell
 from autotune.formats.controller import ControllerFile, read_controller
 from autotune.formats.controller_record import Controller
 from autotune.formats.identified import IdentifiedFile, read_identified
+from autotune.formats.kinds import unknown_file
 from autotune.formats.schedule import read_schedule
 from autotune.formats.schema import check_document, check_format
 from autotune.formats.yaml12 import kind_of_file, load_document
@@ -111,8 +112,9 @@ def report_files(
         if kind != "controller":
             report(part)
     if not pages:
-        raise UsageError(
-            f"{paths[0]} is no file that autotune wrote; if it is a log, give the identified.yaml that came from it."
+        raise unknown_file(
+            paths[0],
+            f"{paths[0]} is no file that autotune wrote; if it is a log, give the identified.yaml that came from it.",
         )
     return FilesReport(page=join_pages("Report", pages), kinds=kinds, reports=tuple(reports), refusals=tuple(refusals))
 

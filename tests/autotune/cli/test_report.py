@@ -148,6 +148,10 @@ def test_files_that_have_no_report_are_refused_in_a_sentence(folder: Path, capsy
     assert "notes.txt is no file that autotune wrote; if it is a log, give the identified.yaml" in refused(
         capsys, ["report", "notes.txt"], 2
     )
+    (folder / "broken.yaml").write_text("payload: [1, 2\naxes: {}\n", encoding="utf-8")
+    assert "broken.yaml, line 2: not readable as YAML" in refused(capsys, ["report", "broken.yaml"], 2)
+    (folder / "bag").mkdir()
+    assert "bag is no file that autotune wrote; if it is a log" in refused(capsys, ["report", "bag"], 2)
     assert "none.yaml cannot be read" in refused(capsys, ["report", "none.yaml"], 2)
     assert not (folder / "report.html").exists()
     assert "schedule.yaml" in refused(capsys, ["report", "schedule.yaml", "altered.yaml"], 6)

@@ -145,7 +145,8 @@ REFUSED = {
     "mapping as key": ("? {a: 1}\n: b\n", 1, "a key must be text"),
     "list": ("- 1\n", 1, "must hold a mapping"),
     "text": ("hello\n", 1, "must hold a mapping"),
-    "empty": ("", 1, "must hold a mapping"),
+    "empty": ("", 1, "the file is empty."),
+    "blank": (" \n\n", 1, "the file is empty."),
     "comments only": ("# a\n", 1, "must hold a mapping"),
     "deep flow lists": ("a: " + "[" * 500 + "]" * 500 + "\n", 1, "levels deep"),
     "deep flow mappings": ("a: " + "{a: " * 500 + "}" * 500 + "\n", 1, "levels deep"),
@@ -231,6 +232,8 @@ def test_a_missing_last_line_end_is_refused_where_a_program_wrote_the_file() -> 
     assert read("a: 1\nb: 2") == {"a": 1, "b": 2}
     with pytest.raises(CertificateError, match="line 2: the last line has no end; the file is truncated"):
         read("a: 1\nb: 2", exact=True)
+    with pytest.raises(CertificateError, match="line 1: the file is empty"):
+        read("", exact=True)
 
 
 @given(st.binary(max_size=60) | st.text(alphabet="ab:-[]{},'\"&*!|>%#?@`\\ \n01e.~<", max_size=40).map(str.encode))
