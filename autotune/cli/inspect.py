@@ -1,5 +1,6 @@
 """`autotune inspect`: channels of a log, their roles, and what is missing for `identify`."""
 
+import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict
@@ -21,6 +22,11 @@ if TYPE_CHECKING:
 
 _NEEDED = ("wrench", "pose", "command")
 _MATRIX = 16
+# Errors that an entry of cell.yaml mends; of the others the log has to be recorded again.
+_DECLARED = frozenset(
+    {"time-undeclared", "turn-unit", "length-unit", "force-unit", "stamp-unit", "no-rotation", "matrix-order"}
+    | {"undecodable", "unusable"}
+)
 _EPILOG = """\b
 Examples:
   autotune inspect run7.mcap
@@ -58,7 +64,8 @@ def command(
     """List the channels of LOG and what is missing for `identify`; several LOGs are parts of one recording.
 
     Reads MCAP, rosbag2 folders, ROS 1 bags, CSV and Parquet. Shows types, rates, gaps, clocks and the role of each
-    channel.
+    channel. Exit code 3: the log cannot be read, or has errors; with --write-cell only the former, since what is
+    written may mend them.
     """
     from autotune.formats.cell import check_new, read_cell, write_cell_start
     from identification.errors import LogError, UntimedError
@@ -94,6 +101,17 @@ def command(
     output.result(summary_tree(summary), lambda: print_summary(summary))
     reading = _reading_words(urdf, tip, start, stop, salvage=salvage)
     _name_next(output, logs, summary, reading, cell=cell_path, begun=start_path)
+    if start_path is None:
+        _require_no_errors(logs, summary)
+
+
+def _require_no_errors(logs: Sequence[Path], summary: "LogSummary") -> None:
+    from identification.errors import LogError
+
+    errors = sum(finding.severity == "error" for finding in summary.findings)
+    if errors:
+        what = "1 error, which is" if errors == 1 else f"{errors} errors, which are"
+        raise LogError(f"{', '.join(map(str, logs))}: {what} said above; the log cannot be used as it is.")
 
 
 def _name_next(
@@ -105,16 +123,16 @@ def _name_next(
     cell: Path | None,
     begun: Path | None,
 ) -> None:
-    from identification.logs.tables.read import TIME_UNDECLARED
-
     has_cell = Path("cell.yaml").exists()
-    untimed = any(finding.code == TIME_UNDECLARED for finding in summary.findings)
-    known = cell or begun or (Path("cell.yaml") if untimed and has_cell else None)
-    declared = () if known is None else ("--cell", known)
     errors = {finding.code for finding in summary.findings if finding.severity == "error"}
-    if begun is None and (errors if known is not None else errors - {TIME_UNDECLARED}):
-        output.next_command("inspect", *logs, *declared, *reading)  # once what the error names is mended
-    elif summary.missing and known is None and not has_cell:
+    known = cell or begun or (Path("cell.yaml") if has_cell and errors & _DECLARED else None)
+    declared = () if known is None else ("--cell", known)
+    if begun is None and errors - _DECLARED:
+        output.next_line("autotune plan  # says what to record, once what the errors above name is mended")
+    elif begun is None and errors and known is not None:
+        words = shlex.join(["autotune", "identify", *map(str, (*logs, *declared, *reading))])
+        output.next_line(f"{words}  # once {known} declares what the errors above ask for")
+    elif (errors or summary.missing) and known is None and not has_cell:
         output.next_command("inspect", *logs, "--write-cell", "cell.yaml", *reading)
     elif begun is not None and any(role.entry == "wrench" and role.topic is None for role in summary.roles):
         output.next_command("inspect", *logs, *declared, *reading)  # once the questions are answered

@@ -89,7 +89,15 @@ def test_an_axis_that_is_constant_zero_is_to_be_corrected_first(
         "wrench: {topic: run.csv, fields: {force: [fx, fy, fz], torque: [tx, ty, tz]}, exerted_by: payload}\n"
         f"pose: {{topic: run.csv, {pose}}}\ncommand: {{topic: run.csv, {pose}}}\n"
     )
-    assert main(["inspect", str(tmp_path / "run.csv"), "--cell", str(cell)]) == 0
-    output = capsys.readouterr().out
-    assert "error: " in output
-    assert output.splitlines()[-1] == "Every channel that identify needs is there; correct the errors above first."
+    log = str(tmp_path / "run.csv")
+    assert main(["inspect", log, "--cell", str(cell)]) == 3
+    output = capsys.readouterr()
+    assert "error: " in output.out
+    assert output.out.splitlines()[-1] == "Every channel that identify needs is there; correct the errors above first."
+    following, last = output.err.replace("\n  ", " ").splitlines()
+    assert following.startswith("next: autotune plan  # ")
+    assert last.startswith(f"autotune: {log}: ")
+    assert last.endswith("said above; the log cannot be used as it is.")
+    # Programs read the same code, and the whole description.
+    assert main(["inspect", log, "--cell", str(cell), "--json"]) == 3
+    assert "error" in {each["severity"] for each in json.loads(capsys.readouterr().out)["findings"]}
