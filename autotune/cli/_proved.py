@@ -152,7 +152,7 @@ def print_worst_plants(simulated: "Sequence[AxisMonteCarlo]") -> None:
 
 def noise_lines(found: "Optimized", name: str) -> Iterator[str]:
     """Yield how to have the noise of the command in the place of bounds that hold the design."""
-    if name in found.structures:
+    if name not in found.noise_limitable:
         return
     active = found.optimality_reports[name].active
     held = {entry.name.partition(" bound of ")[2] for entry in active if entry.price > 0.0}

@@ -153,6 +153,9 @@ def design_command(target: ExportTarget, controller: Controller, problem: str | 
     made = controller.provenance
     said, plant = made.get("options", {}), made.get("identified", {}).get("path", "identified.yaml")
     words = ["autotune", "optimize", plant, *(["--problem", problem] if problem else []), "--for", target.name]
+    is_freer = any(each.biquad is not None for each in controller.axes.values())
+    if problem and (is_freer or "structure" in said):
+        words += ["--structure", "gains"]  # in the place of what the problem may say
     for flag, joint, name in (("--payload-mass", ",", MASS), ("--environment-stiffness", ":", STIFFNESS)):
         if said.get(name):
             words += [flag, joint.join(f"{each:.15g}" for each in said[name])]

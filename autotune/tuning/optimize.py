@@ -56,7 +56,8 @@ class Optimized:
     of the log; `compliance` holds the stiffness that was chosen for the axis, where the problem left it open;
     `defaults` what was asked by default and followed the cell. What the user should know is in the provenance, as
     `notes`. `unchecked_together` says why the axes were not checked on their common payload, `structures` what further
-    structures of the law do.
+    structures of the law do, `noise_limitable` names the axes of which a limit of the command's noise could take the
+    place of bounds.
     """
 
     controller: Controller
@@ -69,6 +70,7 @@ class Optimized:
     before_after: Mapping[str, BeforeAndAfter] = field(default_factory=dict)
     unchecked_together: str = ""
     structures: Mapping[str, StructureChoice] = field(default_factory=dict)
+    noise_limitable: frozenset[str] = frozenset()
 
 
 def optimize(
@@ -137,10 +139,10 @@ def optimize(
     notes = [*lowered, *beside.notes(searches), *soft.notes(searches), *structures.notes(searches)]
     notes += design_notes(identified, controller, problems, spec, has_compliance=bool(chosen))
     return Optimized(
-        controller=with_notes(controller, notes, before_after), searches=searches, report=checked,
+        controller=with_notes(controller, notes, before_after), searches=searches, report=checked, compared=compared,
         optimality_reports={name: each.optimality for name, each in settled.items()},
-        compared=compared, compliance=chosen, defaults=defaults, before_after=before_after,
-        unchecked_together=together.unchecked, structures=structures.choices,
+        compliance=chosen, defaults=defaults, before_after=before_after, unchecked_together=together.unchecked,
+        structures=structures.choices, noise_limitable=structures.noise_limitable(problems),
     )  # fmt: skip
 
 

@@ -118,6 +118,7 @@ def make_provenance(
         "options": {
             "problem": None if problem_path is None else str(problem_path),
             **said,
+            **({} if spec.structure is None else {"structure": spec.structure}),
             "seed": seed,
             "slack": proof.slack,
             "proof_budget_s": proof.further_s,

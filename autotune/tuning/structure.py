@@ -98,6 +98,16 @@ class StructureSearch:
             self.suggested[name] = found
         return None
 
+    def noise_limitable(self, problems: Mapping[str, DesignProblem]) -> frozenset[str]:
+        """Return the axes of which a limit of the command's noise, which was not asked, could take the place of bounds.
+
+        None of a sensor without noise.
+        """
+        if self._structure != "gains":
+            return frozenset()
+        weighed = [name for name, problem in problems.items() if self._is_weighed(name, problem)]
+        return frozenset(name for name in weighed if measured_noise(self._identified, name).force != 0.0)
+
     def suggestion(self, name: str) -> dict[str, Any]:
         """Return the part of problem.yaml with which an axis has a design that four gains have not; empty without."""
         return {"structure": "biquad"} if name in self.suggested else {}

@@ -1,15 +1,26 @@
 """What of the requirements is enough to ease for another controller, and a design for it from the start."""
 
 import re
+import shlex
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import click
 import pytest
 
 from autotune.cli._terminal import set_apart, wrap_lines
+from autotune.cli.optimize import command as optimize_command
 from autotune.errors import InfeasibleError, UsageError
-from autotune.export.designing import certify_for, lines_for, lowered_default, plant_for, raised_default, specs_for
+from autotune.export.designing import (
+    certify_for,
+    design_command,
+    lines_for,
+    lowered_default,
+    plant_for,
+    raised_default,
+    specs_for,
+)
 from autotune.export.easing import find_easing, heavier_hand, merged
 from autotune.export.export import export_controller
 from autotune.export.fzi_cartesian import FZI_CARTESIAN
@@ -17,6 +28,7 @@ from autotune.export.retune import retune
 from autotune.export.ros2_axis import Ros2Axis
 from autotune.export.ros2_control import ROS2_CONTROL
 from autotune.export.target import ExportRequest, Rendered
+from autotune.export.targets import TARGETS
 from autotune.export.urscript import URSCRIPT
 from autotune.formats.canonical import lines_to_paste
 from autotune.formats.controller import write_controller
@@ -129,6 +141,23 @@ def test_an_export_without_an_orientation_names_all_that_leads_to_it_for_a_tool_
     assert str(caught.value).endswith(
         f"run {plain}; where this law is beyond that controller, design in the law that it runs: {design}; {designed}"
     )
+
+
+def test_the_command_that_is_named_takes_a_problem_that_asks_for_a_structure(tmp_path: Path) -> None:
+    made, problem, source = peer_controller({"x": PLAIN}, EASY), tmp_path / "problem.yaml", tmp_path / "controller.yaml"
+    problem.write_text("structure: biquad\n", encoding="utf-8")
+    options = {"problem": str(problem), "structure": "biquad"}
+    write_controller(source, replace(made, provenance={**made.provenance, "options": options}))
+    with pytest.raises(UsageError) as caught:
+        export_controller(source, "crisp", tmp_path / "crisp.yaml")
+    program, command, *words = shlex.split(caught.value.to_paste[1])
+    assert (program, command) == ("autotune", "optimize")
+    said = optimize_command.make_parser(click.Context(optimize_command)).parse_args(words)[0]
+    assert said["problem"] == str(problem)
+    (*_, asked) = specs_for(TARGETS[said["target"]], read_problem(problem).with_options(structure=said["structure"]))
+    assert asked.structure == "gains"
+    # Of a problem that asks for none, as of none, nothing is said.
+    assert "--structure" not in design_command(URSCRIPT, made, str(problem))
 
 
 def test_a_design_for_a_target_has_no_gains_that_it_lacks() -> None:

@@ -160,6 +160,28 @@ def test_nothing_is_looked_for_beyond_gains_that_are_asked_or_that_nothing_weigh
     assert not unweighed.suggested
 
 
+@pytest.mark.parametrize(
+    ("structure", "force", "position", "may"),
+    [
+        ("gains", 0.1, 2e-6, True),
+        ("gains", None, None, True),
+        ("gains", None, 2e-6, False),
+        ("gains", 0.0, None, False),
+        ("gains", 0.0, 2e-6, False),
+        ("noise", 0.1, 2e-6, False),
+    ],
+)
+def test_a_limit_of_the_noise_is_proposed_where_it_was_not_asked_and_there_is_noise_to_weigh(
+    structure: Structure, force: float | None, position: float | None, may: bool
+) -> None:
+    plant = identified_plant()
+    of_force = replace(plant.sensor.force_noise_rms_n, value=force)
+    of_pose = None if position is None else known(position)
+    sensor = replace(plant.sensor, position_noise_rms_m=of_pose, force_noise_rms_n=of_force)
+    found = search(structure, replace(plant, sensor=sensor)).noise_limitable({"x": refused()})
+    assert found == ({"x"} if may else set())
+
+
 def test_where_no_structure_meets_it_that_is_an_infeasible_problem() -> None:
     start = nearest_gains(draw_problem(12), 0)
     assert start is not None

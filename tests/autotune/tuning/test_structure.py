@@ -362,10 +362,10 @@ def test_what_saves_less_than_its_price_is_not_taken(monkeypatch: pytest.MonkeyP
 def test_the_noise_in_the_place_of_bounds_is_proposed_where_it_was_not_searched() -> None:
     active = [SimpleNamespace(name="lower bound of mass", price=1.0)]
     reports, searches = {"x": SimpleNamespace(active=active)}, {"x": plain()}
-    found: Any = SimpleNamespace(structures={}, optimality_reports=reports, searches=searches)
+    found: Any = SimpleNamespace(noise_limitable={"x"}, optimality_reports=reports, searches=searches)
     (line,) = noise_lines(found, "x")
     assert "--structure noise" in line
-    found.structures = {"x": "searched, and four gains taken"}
+    found.noise_limitable = frozenset()
     assert not list(noise_lines(found, "x"))
 
 
