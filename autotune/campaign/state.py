@@ -4,7 +4,7 @@ import platform
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any, TypeVar
@@ -123,8 +123,10 @@ class CampaignState:
         if row.state == "running" and row.is_held and not self._is_left(row):
             sight.hosts.add(row.host)
         elif outcome is None or (self._failed or {}).get(task.run.name) == row.attempts:
-            sight.free.append(task)
-            if row.key != task.key and (older := parse_outcome(row.result)) is not None and older.files:
+            older = None if row.key == task.key else parse_outcome(row.result)
+            lacks_check = older is not None and older.own_key == task.own_key and older.has_files(task.folder)
+            sight.free.append(replace(task, known=older) if lacks_check else task)
+            if older is not None and older.files and not lacks_check:
                 sight.older.append((task, older))
         elif outcome.has_files(task.folder):
             sight.known.append((task, outcome))

@@ -14,7 +14,7 @@ from autotune.errors import CertificateError, InfeasibleError, UsageError
 from autotune.formats.atomic import write_folder_atomic
 from autotune.formats.cell import read_cell
 from autotune.formats.controller import controller_tree, read_controller
-from autotune.formats.identified import identified_tree, parse_identified
+from autotune.formats.identified import identified_tree, parse_identified, read_identified
 from autotune.formats.problem import ProblemSpec, read_problem
 from autotune.formats.yaml12 import dump_yaml
 from autotune.pipeline import identify_log
@@ -28,6 +28,7 @@ from problems.errors import AutotuneError
 from .manifest import LoggedRun
 from .options import RunOptions
 
+_IDENTIFIED = "identified.yaml"
 _STEPS = {LogError: "log", EstimateError: "estimate", InfeasibleError: "requirements", CertificateError: "certificate"}
 
 
@@ -41,7 +42,8 @@ class RunOutcome:
     `outside` is what of the plant lies outside of what the controller in the manifest is certified for; None without.
     `damage` says what of the logs is damaged and was left out. `log_peaks_n` are, by axis, the largest peak that a log
     shows on its hardest surface, and the one predicted with the new controller at the same speed, at the sensor.
-    `files` are the names of what was written in the run's folder, with the SHA-256 of each.
+    `files` are the names of what was written in the run's folder, with the SHA-256 of each. `own_key` is the key of all
+    but `outside`: without the controller in the manifest.
     """
 
     cell: str
@@ -56,6 +58,7 @@ class RunOutcome:
     damage: str = ""
     log_peaks_n: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     files: Mapping[str, str] = field(default_factory=dict)
+    own_key: str = ""
 
     def text(self) -> str:
         """Return the outcome as JSON."""
@@ -71,12 +74,18 @@ class RunOutcome:
 
 @dataclass(frozen=True, kw_only=True)
 class RunTask:
-    """A run, where its results belong, and the key of all that they follow from."""
+    """A run, where its results belong, and the key of all that they follow from.
+
+    `own_key` is the key without the controller in the manifest, and `known` a result of that key which lacks nothing
+    but the check of that controller.
+    """
 
     run: LoggedRun
     folder: Path
     key: str
+    own_key: str
     options: RunOptions
+    known: RunOutcome | None = None
 
     def refused(self, kind: str, reason: str) -> RunOutcome:
         """Return the outcome of a run of which nothing else is known."""
@@ -119,18 +128,23 @@ def build_task(run: LoggedRun, folder: Path, options: RunOptions, of_log: Callab
 
     Raises UsageError where a file cannot be read.
     """
-    files = {key: getattr(run, key) for key in ("cell_file", "problem", "controller")}
+    files = {"cell_file": run.cell_file, "problem": run.problem}
     options = replace(options, **run.options)
     if options.urdf is not None:
         files["urdf"] = options.urdf
     try:
         digests = {key: None if path is None else digest_of(path) for key, path in files.items()}
+        controller = None if run.controller is None else digest_of(run.controller)
         logs = [of_log(log) for log in run.logs]
     except OSError as error:
         raise UsageError(f"{error.filename} cannot be read: {error.strerror or error}.") from error
     said = {"version": __version__, "options": options.tree(), "logs": logs, **digests}
-    key = sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()
-    return RunTask(run=run, folder=folder / "cells" / run.cell / run.run, key=key, options=options)
+    own_key, key = (_key_of(each) for each in (said, {**said, "controller": controller}))
+    return RunTask(run=run, folder=folder / "cells" / run.cell / run.run, key=key, own_key=own_key, options=options)
+
+
+def _key_of(said: Mapping[str, Any]) -> str:
+    return sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()
 
 
 def work_on(task: RunTask) -> RunOutcome:
@@ -142,6 +156,8 @@ def work_on(task: RunTask) -> RunOutcome:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
+            if task.known is not None:
+                return _check_again(task, task.known)
             outcome = _identify_and_tune(task, files)
         except Exception as error:  # noqa: BLE001 - one log must not end the work on all others
             return task.refused("unforeseen", f"Unforeseen {type(error).__name__}: {error}")
@@ -153,7 +169,16 @@ def work_on(task: RunTask) -> RunOutcome:
             shutil.rmtree(task.folder)  # of another log, or other options
     except OSError as error:
         raise UsageError(f"{task.folder} cannot be written: {error.strerror or error}.") from error
-    return replace(outcome, files={name: sha256(text.encode()).hexdigest() for name, text in files.items()})
+    digests = {name: sha256(text.encode()).hexdigest() for name, text in files.items()}
+    return replace(outcome, files=digests, own_key=task.own_key)
+
+
+def _check_again(task: RunTask, known: RunOutcome) -> RunOutcome:
+    """Return a result that is known with the controller that the manifest names now; what was written stays."""
+    outside = None
+    if task.run.controller is not None and _IDENTIFIED in known.files:
+        outside = _outside(task.run.controller, read_identified(task.folder / _IDENTIFIED).result)
+    return replace(known, key=task.key, outside=outside)
 
 
 def _identify_and_tune(task: RunTask, files: dict[str, str]) -> RunOutcome:
@@ -163,7 +188,7 @@ def _identify_and_tune(task: RunTask, files: dict[str, str]) -> RunOutcome:
     try:
         cell = None if run.cell_file is None else read_cell(run.cell_file)
         found = identify_log(run.logs, task.options.of_identify(cell))
-        files["identified.yaml"] = dump_yaml(identified_tree(found.result, found.provenance))
+        files[_IDENTIFIED] = dump_yaml(identified_tree(found.result, found.provenance))
         recorded = float(found.provenance["time_span_s"][0])
         outcome = replace(outcome, recorded_s=recorded, values=_values(found), damage=_damage(found.result))
         if run.controller is not None:
@@ -195,7 +220,7 @@ def _outside(controller: Path, result: Identified) -> tuple[str, ...]:
 
     try:
         checks = check_domain(read_controller(controller).controller, result)
-    except CertificateError as error:
+    except AutotuneError as error:
         return (str(error).rstrip("."),)
     return tuple(f"axis {each.axis}, {each.name}: {each.message}" for each in checks if not each.passed)
 
@@ -209,7 +234,7 @@ def _tune(
 
     problem = task.run.problem
     spec = ProblemSpec() if problem is None else read_problem(problem)
-    source = parse_identified(files["identified.yaml"], task.folder / "identified.yaml")
+    source = parse_identified(files[_IDENTIFIED], task.folder / _IDENTIFIED)
     present = present_gains(None, source, spec.axes)
     found = optimize(source, spec, seed=task.options.seed, problem_path=problem, present=present)
     files["controller.yaml"] = dump_yaml(controller_tree(found.controller))

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from mcap.reader import make_reader
 
-from autotune.campaign import run
+from autotune.campaign import run, work
 from autotune.formats.controller import write_controller
 from tests.autotune.campaign.test_run import Counting
 from tests.autotune.tuning.cases import small_controller
@@ -95,6 +95,28 @@ def test_a_controller_file_that_certifies_nothing_is_exit_code_6(
     assert f"press/mon: the certificate does not hold: {file}" in done.stdout.replace("\n", " ")
     # The cell itself is identified all the same.
     assert (tmp_path / "out" / "cells" / "press" / "mon" / "identified.yaml").is_file()
+
+
+@pytest.mark.usefixtures("in_this_process")
+def test_of_another_controller_only_the_check_is_done_again(
+    run_cli: RunCli, fleet: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked, folder = ("campaign", fleet, "-o", "out", "--no-optimize"), tmp_path / "out" / "cells" / "press" / "mon"
+    first = json.loads(run_cli(*asked, "--json").stdout)["runs"]
+    monkeypatch.setattr(work, "identify_log", lambda *_: pytest.fail("identified again"))
+    made, file = (folder / "identified.yaml").stat(), fleet / "press" / "controller.yaml"
+    for content, outside in ((None, "axis x, identified plant"), ("a: b\n", "line 1")):
+        if content is None:
+            write_controller(file, small_controller())
+        else:
+            file.write_text(content)
+        done = run_cli(*asked)
+        assert (done.returncode, "replaced" in done.stderr) == (6, False)
+        assert outside in done.stdout
+    file.unlink()
+    last = json.loads(run_cli(*asked, "--json").stdout)["runs"]
+    assert last == first
+    assert (folder / "identified.yaml").stat() == made
 
 
 @pytest.mark.usefixtures("in_this_process")
