@@ -11,12 +11,14 @@ from autotune.campaign.text import outcome_text
 from autotune.campaign.work import RunOutcome
 from autotune.charts.chart import Band, Chart, Panel, Points, Scale
 from autotune.drift import Change, parameter_name, parameter_text
-from autotune.formats.units import axis_units
+from autotune.formats.units import AXES, axis_units
 from autotune.text import with_deviation
 
 from .page import Note, Page, Section, Table, TableCell, build_table
 
 _MOST_CHARTS = 12
+# Names of so many letters stay in one line.
+_LONGEST_WHOLE = 24
 
 
 def build_campaign_page(outcomes: Sequence[RunOutcome], footer: str) -> Page:
@@ -35,7 +37,7 @@ def build_campaign_page(outcomes: Sequence[RunOutcome], footer: str) -> Page:
         ),
         Section(key="unusual", title="Cells unlike the others", blocks=(_unusual_table(odd),)),
         Section(key="peaks", title="Peaks", blocks=tuple(_peak_charts(outcomes))),
-        Section(key="runs", title="All runs", blocks=(_run_table(outcomes),)),
+        Section(key="runs", title="All runs", blocks=tuple(_run_tables(outcomes))),
     ]
     filled = {
         "certificates": broken,
@@ -57,7 +59,8 @@ def build_campaign_page(outcomes: Sequence[RunOutcome], footer: str) -> Page:
 
 def _broken_notes(broken: Sequence[RunOutcome]) -> Iterator[Note]:
     for each in broken:
-        yield Note(text=f"{each.cell}, {each.run}: {'; '.join(each.outside or ())}.", kind="certificate", tone="bad")
+        for what in each.outside or ():
+            yield Note(text=f"{each.cell}, {each.run}: {what}.", kind="certificate", tone="bad")
 
 
 def _damage_notes(damaged: Sequence[RunOutcome]) -> Iterator[Note]:
@@ -68,7 +71,7 @@ def _damage_notes(damaged: Sequence[RunOutcome]) -> Iterator[Note]:
 def _refused_table(refused: Sequence[RunOutcome]) -> Table:
     counts = Counter(each.refused for each in refused)
     rows = [
-        (kind if not k else "", str(counts[kind]) if not k else "", each.cell, each.run, each.reason)
+        (kind if not k else "", str(counts[kind]) if not k else "", *_named(each), each.reason)
         for kind, _ in counts.most_common()
         for k, each in enumerate(each for each in refused if each.refused == kind)
     ]
@@ -76,12 +79,12 @@ def _refused_table(refused: Sequence[RunOutcome]) -> Table:
 
 
 def _change_table(changed: Sequence[Change]) -> Table:
-    rows = []
+    rows: list[tuple[str | TableCell, ...]] = []
     for each in changed:
         label, unit, old, new = parameter_text(each.name, each.old, each.new)
         share = f"{100.0 * (each.new / each.old - 1.0):+.2g} %" if each.old else ""
-        runs = (each.cell, each.before, each.after, label)
-        rows.append((*runs, old, new, unit, share, f"{each.stds:.1f}"))
+        runs = map(_name, (each.cell, each.before, each.after))
+        rows.append((*runs, label, old, new, unit, share, f"{each.stds:.1f}"))
     columns = ("cell", "from run", "to run", "parameter", "was", "is", "unit", "change", "deviations")
     return build_table("Beyond three standard deviations and 0.2 %", columns, rows, numbers=(4, 5, 7, 8))
 
@@ -113,13 +116,13 @@ def _drift_charts(outcomes: Sequence[RunOutcome], changed: Sequence[Change]) -> 
 
 
 def _unusual_table(odd: Sequence[Unusual]) -> Table:
-    rows = []
+    rows: list[tuple[str | TableCell, ...]] = []
     for each in odd:
         if each.name:
             label, unit, value, median = parameter_text(each.name, each.value, each.median)
         else:
             label, unit, value, median = "all together", "squared distance", f"{each.value:.3g}", f"{each.median:.3g}"
-        rows.append((each.cell, label, value, median, unit, f"{each.score:.1f}"))
+        rows.append((_name(each.cell), label, value, median, unit, f"{each.score:.1f}"))
     columns = ("cell", "parameter", "value", "median of the cells", "unit", "robust deviations")
     return build_table("The newest run of each cell; all together beside its limit", columns, rows, numbers=(2, 3, 5))
 
@@ -164,21 +167,40 @@ def _peak_chart(
     )
 
 
-def _run_table(outcomes: Sequence[RunOutcome]) -> Table:
-    names = list(dict.fromkeys(name for each in outcomes for name in each.values))
-    heads = [f"{label} [{unit}]" for label, unit in (parameter_text(name)[:2] for name in names)]
-    rows: list[tuple[str | TableCell, ...]] = []
-    for each in outcomes:
-        values = [_value(each, name) for name in names]
-        verdict = _verdict(each)
-        when = (
-            "" if each.recorded_s is None else datetime.fromtimestamp(each.recorded_s, UTC).strftime("%Y-%m-%d %H:%M")
-        )
-        rows.append((each.cell, each.run, when, verdict, *values))
-    numbers = tuple(range(4, 4 + len(names)))
-    return build_table(
-        "Value ± standard deviation", ("cell", "run", "recorded", "outcome", *heads), rows, numbers=numbers
-    )
+def _run_tables(outcomes: Sequence[RunOutcome]) -> Iterator[Table]:
+    """Yield what came of every run, then a table for each axis: all of them side by side are wider than a page."""
+    names = dict.fromkeys(name for each in outcomes for name in each.values)
+    axes = dict.fromkeys(axis for name in names if (axis := name.partition(".")[0]) in AXES)
+    own = [name for name in names if name.partition(".")[0] not in axes]
+    rows = [(*_named(each), _recorded(each), _verdict(each), *_values(each, own)) for each in outcomes]
+    yield _value_table("Value ± standard deviation", ("recorded", "outcome"), own, rows)
+    for axis in axes:
+        of_axis = [name for name in names if name.partition(".")[0] == axis]
+        held = [each for each in outcomes if each.values.keys() & set(of_axis)]
+        rows = [(*_named(each), *_values(each, of_axis)) for each in held]
+        yield _value_table(f"Axis {axis}, value ± standard deviation", (), of_axis, rows)
+
+
+def _value_table(
+    caption: str, others: tuple[str, ...], names: Sequence[str], rows: Sequence[tuple[TableCell, ...]]
+) -> Table:
+    """Return a table of cell, run, `others` and the values of names, whose axis is in the caption."""
+    heads = [f"{label.partition(': ')[2] or label} [{unit}]" for label, _, unit in map(parameter_name, names)]
+    columns = ("cell", "run", *others, *heads)
+    return build_table(caption, columns, rows, numbers=range(len(columns) - len(heads), len(columns)))
+
+
+def _named(outcome: RunOutcome) -> tuple[TableCell, TableCell]:
+    return _name(outcome.cell), _name(outcome.run)
+
+
+def _name(text: str) -> TableCell:
+    return TableCell(text=text, is_whole=len(text) <= _LONGEST_WHOLE)
+
+
+def _recorded(outcome: RunOutcome) -> TableCell:
+    at = None if outcome.recorded_s is None else datetime.fromtimestamp(outcome.recorded_s, UTC)
+    return TableCell(text="" if at is None else at.strftime("%Y-%m-%d %H:%M"), is_whole=True)
 
 
 def _verdict(outcome: RunOutcome) -> TableCell:
@@ -187,7 +209,9 @@ def _verdict(outcome: RunOutcome) -> TableCell:
     return TableCell(text="damaged log", tone="warn") if outcome.damage else TableCell(text="good", tone="good")
 
 
-def _value(outcome: RunOutcome, name: str) -> str:
-    if name not in outcome.values:
-        return ""
-    return " ± ".join(with_deviation(*outcome.values[name], parameter_name(name)[1]))
+def _values(outcome: RunOutcome, names: Sequence[str]) -> list[TableCell]:
+    shown = (
+        with_deviation(*outcome.values[name], parameter_name(name)[1]) if name in outcome.values else ()
+        for name in names
+    )
+    return [TableCell(text=" ± ".join(each)) for each in shown]

@@ -23,11 +23,12 @@ _GRAVITY: tuple[Tone, ...] = ("", "quiet", "good", "warn", "bad")
 
 @dataclass(frozen=True, kw_only=True)
 class TableCell:
-    """One entry of a table; `tone` colours it, and `is_number` sets it to the right."""
+    """One entry of a table; `tone` colours it, `is_number` sets it to the right, `is_whole` keeps it in one line."""
 
     text: str
     tone: Tone = ""
     is_number: bool = False
+    is_whole: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)

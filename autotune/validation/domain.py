@@ -55,16 +55,16 @@ def _compensated(name: str, payload: RuntimePayload, identified: Identified) -> 
         status=mass.status,
     )
     problems = [
-        *_same_vector("payload.mass_kg", alone, (payload.mass_kg,)),
-        *_same_vector("payload.com_m", com, payload.com_m),
-        *_same_vector("payload.force_bias_n", sensor.force_bias_n, payload.force_bias_n),
-        *_same_vector("payload.torque_bias_n_m", sensor.torque_bias_n_m, payload.torque_bias_n_m),
+        *_same_vector("payload mass [kg]", alone, (payload.mass_kg,)),
+        *_same_vector("centre of mass [mm]", com, payload.com_m, scale=1e3),
+        *_same_vector("force bias [N]", sensor.force_bias_n, payload.force_bias_n),
+        *_same_vector("torque bias [N·m]", sensor.torque_bias_n_m, payload.torque_bias_n_m),
     ]
     message = "; ".join(problems) or "mass, centre of mass and bias that the runtime takes off are those identified"
     return Check(axis=name, name="gravity compensation", passed=not problems, message=message)
 
 
-def _same_vector(what: str, estimate: VectorEstimate, said: Sequence[float]) -> list[str]:
+def _same_vector(what: str, estimate: VectorEstimate, said: Sequence[float], *, scale: float = 1.0) -> list[str]:
     if estimate.value is None:
         return [f"{what} is not identified"]
     stds = estimate.std or (0.0,) * len(estimate.value)
@@ -73,11 +73,10 @@ def _same_vector(what: str, estimate: VectorEstimate, said: Sequence[float]) -> 
         for one, value, std in zip(said, estimate.value, stds, strict=True)
     ):
         return []
-    return [f"{what} is {_listed(said)}, identified as {_listed(estimate.value)} with deviations of {_listed(stds)}"]
-
-
-def _listed(numbers: Sequence[float]) -> str:
-    return ", ".join(f"{number:.6g}" for number in numbers)
+    file, found, deviations = (
+        ", ".join(f"{scale * number:.6g}" for number in numbers) for numbers in (said, estimate.value, stds)
+    )
+    return [f"{what} is {file} in the file, identified as {found} with deviations of {deviations}"]
 
 
 def _carried_mass(mass: Estimate, interval: tuple[float, float]) -> list[str]:

@@ -10,11 +10,18 @@ from autotune.campaign.work import RunOutcome
 from autotune.charts.chart import Band, Chart, Points
 from autotune.formats.schedule import Schedule, read_schedule, write_schedule
 from autotune.report.campaign_page import build_campaign_page
-from autotune.report.page import Note, Page, Table
+from autotune.report.page import Note, Page, Table, render_page
 from autotune.report.schedule_page import build_schedule_page
 from tests.autotune.campaign.test_fleet import TRUE, fleet, outcome
 from tests.autotune.formats.test_schedule import make_schedule
 
+SEVERAL_AXES = {
+    "payload.mass_kg": (16.0, 0.02),
+    "clocks.wrench_offset_s": (1e-3, 1e-5),
+    "x.coupling_stiffness_n_per_m": (3e5, 3e3),
+    "rz.coupling_stiffness_n_per_m": (3e3, 30.0),
+    "x.table.stiffness_n_per_m": (1e5, 1e3),
+}
 MON, TUE = (1.0 * 86400.0 * 365.0 * 50.0, 86400.0 * (365.0 * 50.0 + 1.0))
 
 
@@ -47,7 +54,9 @@ def test_a_campaign_with_a_refusal_a_change_and_a_lost_certificate() -> None:
     runs = [
         replace(outcome("a", "mon", TRUE, at=MON), peaks_n={"x": (50.0, 40.0), "rz": (None, 3.0)}),
         replace(
-            outcome("a", "tue", (16.0, 3.3e5, 2.4e-3), at=TUE), peaks_n={"x": (60.0, 45.0)}, outside=("K_s is 330",)
+            outcome("a", "tue", (16.0, 3.3e5, 2.4e-3), at=TUE),
+            peaks_n={"x": (60.0, 45.0)},
+            outside=("K_s is 330", "K_e too"),
         ),
         replace(
             outcome("b", "mon", TRUE, at=MON),
@@ -64,8 +73,8 @@ def test_a_campaign_with_a_refusal_a_change_and_a_lost_certificate() -> None:
     ]  # fmt: skip
     assert (page.tone, page.footer) == ("bad", "a footer")
     assert page.lead.startswith("6 runs of 4 cells, 3 refused, 1 certificate no longer valid; 1 change")
-    (note,) = (each for each in section(page, "certificates") if isinstance(each, Note))
-    assert note.text == "a, tue: K_s is 330."
+    notes = [each.text for each in section(page, "certificates") if isinstance(each, Note)]
+    assert notes == ["a, tue: K_s is 330.", "a, tue: K_e too."]
     # What is refused most often comes first.
     assert texts(table(page, "refused")) == [
         ["log", "2", "b", "tue", "it is cut"],
@@ -75,10 +84,16 @@ def test_a_campaign_with_a_refusal_a_change_and_a_lost_certificate() -> None:
     assert texts(table(page, "changes")) == [
         ["a", "mon", "tue", "x: K_s", "300", "330", "N/mm", "+10 %", f"{3e4 / np.hypot(3e3, 3e3):.1f}"]
     ]
-    every = table(page, "runs")
-    assert every.columns == ("cell", "run", "recorded", "outcome", "payload mass [kg]", "x: K_s [N/mm]", "x: T_d [ms]")
-    assert texts(every)[0] == ["a", "mon", "2019-12-20 00:00", "good", "16.000 ± 0.020", "300.0 ± 3.0", "2.400 ± 0.020"]
-    assert texts(every)[3] == ["b", "tue", "", "log", "", "", ""]
+    every, of_x = (each for each in section(page, "runs") if isinstance(each, Table))
+    assert every.columns == ("cell", "run", "recorded", "outcome", "payload mass [kg]")
+    assert texts(every)[0] == ["a", "mon", "2019-12-20 00:00", "good", "16.000 ± 0.020"]
+    assert texts(every)[3] == ["b", "tue", "", "log", ""]
+    assert (of_x.caption, of_x.columns) == (
+        "Axis x, value ± standard deviation", ("cell", "run", "K_s [N/mm]", "T_d [ms]"),
+    )  # fmt: skip
+    assert texts(of_x)[0] == ["a", "mon", "300.0 ± 3.0", "2.400 ± 0.020"]
+    # What was refused has no values.
+    assert [row[:2] for row in texts(of_x)] == [["a", "mon"], ["a", "tue"], ["b", "mon"]]
     assert [(row[3].text, row[3].tone) for row in every.rows[:3]] == [
         ("good", "good"), ("certificate no longer holds", "bad"), ("damaged log", "warn"),
     ]  # fmt: skip
@@ -91,8 +106,22 @@ def test_a_campaign_with_a_refusal_a_change_and_a_lost_certificate() -> None:
     assert (band.low.tolist(), band.high.tolist()) == ([294.0, 324.0], [306.0, 336.0])
     (damage,) = (each for each in section(page, "damaged") if isinstance(each, Note))
     assert damage.text == "b, mon: b.mcap is damaged."
-    for key in ("refused", "changes", "runs"):
-        check_sides(table(page, key))
+    for each in (table(page, "refused"), table(page, "changes"), every, of_x):
+        check_sides(each)
+
+
+def test_dates_and_short_names_stay_in_one_line_and_no_table_has_two_axes() -> None:
+    long = "the-recording-of-a-name-beyond-all-measure"
+    runs = [replace(outcome("press-3", run, TRUE, at=MON), values=SEVERAL_AXES) for run in ("2026-11-01-mon", long)]
+    page = build_campaign_page(runs, "")
+    every, *of_axes = (each for each in section(page, "runs") if isinstance(each, Table))
+    assert [[cell.is_whole for cell in row[:3]] for row in every.rows] == [[True, True, True], [True, False, True]]
+    assert [each.caption.partition(",")[0] for each in of_axes] == ["Axis x", "Axis rz"]
+    assert every.columns[4:] == ("payload mass [kg]", "lateness of the wrench's clock [ms]")
+    assert [each.columns[2:] for each in of_axes] == [
+        ("K_s [N/mm]", "table: K_e [N/mm]"), ("K_s [N·m/rad]",),
+    ]  # fmt: skip
+    assert 'class="whole" data-label="recorded">2019-12-20 00:00<' in render_page(page)
 
 
 def test_peaks_are_those_of_each_cells_newest_run_by_axis() -> None:

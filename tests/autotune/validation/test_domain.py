@@ -136,10 +136,16 @@ def compensated(controller: Controller, identified: Identified) -> Check:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"mass_kg": 16.2}, "payload.mass_kg is 16.2, identified as 16"),
-        ({"com_m": (5.0, 5.0, 5.0)}, "payload.com_m is 5, 5, 5, identified as 0.01, -0.02, 0.15"),
-        ({"force_bias_n": (400.0, -0.25, 3.0)}, "payload.force_bias_n is 400, -0.25, 3, identified as 1.5, -0.25, 3"),
-        ({"torque_bias_n_m": (0.1, 9.0, -0.1)}, "payload.torque_bias_n_m is 0.1, 9, -0.1, identified as 0.1, 0.2"),
+        ({"mass_kg": 16.2}, "payload mass [kg] is 16.2 in the file, identified as 16"),
+        ({"com_m": (5.0, 5.0, 5.0)}, "centre of mass [mm] is 5000, 5000, 5000 in the file, identified as 10, -20, 150"),
+        (
+            {"force_bias_n": (400.0, -0.25, 3.0)},
+            "force bias [N] is 400, -0.25, 3 in the file, identified as 1.5, -0.25, 3",
+        ),
+        (
+            {"torque_bias_n_m": (0.1, 9.0, -0.1)},
+            "torque bias [N·m] is 0.1, 9, -0.1 in the file, identified as 0.1, 0.2",
+        ),
     ],
 )
 def test_a_compensation_that_was_not_identified_is_reported(change: dict[str, Any], message: str) -> None:
