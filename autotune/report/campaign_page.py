@@ -168,17 +168,24 @@ def _peak_chart(
 
 
 def _run_tables(outcomes: Sequence[RunOutcome]) -> Iterator[Table]:
-    """Yield what came of every run, then a table for each axis: all of them side by side are wider than a page."""
-    names = dict.fromkeys(name for each in outcomes for name in each.values)
-    axes = dict.fromkeys(axis for name in names if (axis := name.partition(".")[0]) in AXES)
-    own = [name for name in names if name.partition(".")[0] not in axes]
-    rows = [(*_named(each), _recorded(each), _verdict(each), *_values(each, own)) for each in outcomes]
-    yield _value_table("Value ± standard deviation", ("recorded", "outcome"), own, rows)
-    for axis in axes:
-        of_axis = [name for name in names if name.partition(".")[0] == axis]
-        held = [each for each in outcomes if each.values.keys() & set(of_axis)]
-        rows = [(*_named(each), *_values(each, of_axis)) for each in held]
-        yield _value_table(f"Axis {axis}, value ± standard deviation", (), of_axis, rows)
+    """Yield what came of every run, then tables for each axis: all of them side by side are wider than a page."""
+    groups: dict[str, list[str]] = {"": []}
+    for name in dict.fromkeys(name for each in outcomes for name in each.values):
+        groups.setdefault(_group(name), []).append(name)
+    rows = [(*_named(each), _recorded(each), _verdict(each), *_values(each, groups[""])) for each in outcomes]
+    yield _value_table("Value ± standard deviation", ("recorded", "outcome"), groups.pop(""), rows)
+    for group in sorted(groups, key=lambda group: AXES.index(group.partition(",")[0])):
+        names = groups[group]
+        rows = [(*_named(each), *_values(each, names)) for each in outcomes if each.values.keys() & set(names)]
+        yield _value_table(f"Axis {group}: value ± standard deviation", (), names, rows)
+
+
+def _group(name: str) -> str:
+    """Return which table holds a parameter: of an axis, of its surfaces, or "" for what is of the whole cell."""
+    axis, *others = name.split(".")
+    if axis not in AXES:
+        return ""
+    return axis if len(others) == 1 else f"{axis}, surfaces"
 
 
 def _value_table(

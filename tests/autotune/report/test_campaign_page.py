@@ -21,6 +21,7 @@ SEVERAL_AXES = {
     "x.coupling_stiffness_n_per_m": (3e5, 3e3),
     "rz.coupling_stiffness_n_per_m": (3e3, 30.0),
     "x.table.stiffness_n_per_m": (1e5, 1e3),
+    "x.wall.stiffness_n_per_m": (1e6, 1e4),
 }
 MON, TUE = (1.0 * 86400.0 * 365.0 * 50.0, 86400.0 * (365.0 * 50.0 + 1.0))
 
@@ -89,7 +90,7 @@ def test_a_campaign_with_a_refusal_a_change_and_a_lost_certificate() -> None:
     assert texts(every)[0] == ["a", "mon", "2019-12-20 00:00", "good", "16.000 ± 0.020"]
     assert texts(every)[3] == ["b", "tue", "", "log", ""]
     assert (of_x.caption, of_x.columns) == (
-        "Axis x, value ± standard deviation", ("cell", "run", "K_s [N/mm]", "T_d [ms]"),
+        "Axis x: value ± standard deviation", ("cell", "run", "K_s [N/mm]", "T_d [ms]"),
     )  # fmt: skip
     assert texts(of_x)[0] == ["a", "mon", "300.0 ± 3.0", "2.400 ± 0.020"]
     # What was refused has no values.
@@ -116,10 +117,10 @@ def test_dates_and_short_names_stay_in_one_line_and_no_table_has_two_axes() -> N
     page = build_campaign_page(runs, "")
     every, *of_axes = (each for each in section(page, "runs") if isinstance(each, Table))
     assert [[cell.is_whole for cell in row[:3]] for row in every.rows] == [[True, True, True], [True, False, True]]
-    assert [each.caption.partition(",")[0] for each in of_axes] == ["Axis x", "Axis rz"]
+    assert [each.caption.partition(":")[0] for each in of_axes] == ["Axis x", "Axis x, surfaces", "Axis rz"]
     assert every.columns[4:] == ("payload mass [kg]", "lateness of the wrench's clock [ms]")
     assert [each.columns[2:] for each in of_axes] == [
-        ("K_s [N/mm]", "table: K_e [N/mm]"), ("K_s [N·m/rad]",),
+        ("K_s [N/mm]",), ("table: K_e [N/mm]", "wall: K_e [N/mm]"), ("K_s [N·m/rad]",),
     ]  # fmt: skip
     assert 'class="whole" data-label="recorded">2019-12-20 00:00<' in render_page(page)
 
