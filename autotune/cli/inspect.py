@@ -64,8 +64,7 @@ def command(
     """List the channels of LOG and what is missing for `identify`; several LOGs are parts of one recording.
 
     Reads MCAP, rosbag2 folders, ROS 1 bags, CSV and Parquet. Shows types, rates, gaps, clocks and the role of each
-    channel. Exit code 3: the log cannot be read, or has errors; with --write-cell only the former, since what is
-    written may mend them.
+    channel. Exit code 3: the log cannot be read; errors that are listed are what `identify` would refuse it for.
     """
     from autotune.formats.cell import check_new, read_cell, write_cell_start
     from identification.errors import LogError, UntimedError
@@ -101,17 +100,6 @@ def command(
     output.result(summary_tree(summary), lambda: print_summary(summary))
     reading = _reading_words(urdf, tip, start, stop, salvage=salvage)
     _name_next(output, logs, summary, reading, cell=cell_path, begun=start_path)
-    if start_path is None:
-        _require_no_errors(logs, summary)
-
-
-def _require_no_errors(logs: Sequence[Path], summary: "LogSummary") -> None:
-    from identification.errors import LogError
-
-    errors = sum(finding.severity == "error" for finding in summary.findings)
-    if errors:
-        what = "1 error, which is" if errors == 1 else f"{errors} errors, which are"
-        raise LogError(f"{', '.join(map(str, logs))}: {what} said above; the log cannot be used as it is.")
 
 
 def _name_next(
