@@ -1,11 +1,12 @@
 """Log files opened side by side: what they hold, and the numbers of the chosen roles, whatever the format."""
 
 import math
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,7 @@ from ..errors import LogError
 from ..result import Finding
 from ..signals.recording import StampArray
 from .checks.samples import ExaminedRoles
-from .containers.channel import Batch, Channel, ChannelInfo, Container, salvaged
+from .containers.channel import Batch, Channel, ChannelInfo, Container, LeaveOut, salvaged
 from .containers.formats import is_table, open_container
 from .messages.decode import JointNames, MessageError, Series, Wanted
 from .messages.first import build_infos
@@ -347,21 +348,49 @@ def gather(
     gatherings = {channel: _Gathering(each, rooms.get(channel, 0)) for channel, each in wanted.items()}
     counts = dict.fromkeys(wanted, 0)
 
-    def handle(batch: Batch) -> tuple[int, Series]:
+    def handle(batch: Batch) -> tuple[int, LeaveOut | None, Series | MessageError]:
         asked = _holding(container.recorded(batch), wanted[batch.channel].only)
-        return batch.count, decoders[batch.channel](asked)
+        try:
+            return batch.count, batch.leave_out, decoders[batch.channel](asked)
+        except MessageError as fault:
+            return batch.count, batch.leave_out, fault
 
-    try:
-        for channel, (count, part) in container.read(tuple(wanted), handle):
+    faults: list[_Undecodable] = []
+    batches: Counter[Channel] = Counter()
+    for channel, (count, leave_out, part) in container.read(tuple(wanted), handle):
+        batches[channel] += 1
+        if isinstance(part, MessageError):
+            faults.append(_Undecodable(counts[channel] + part.index + 1, part, leave_out))
+        else:
             gatherings[channel].add(part)
-            counts[channel] += count
-    except MessageError as fault:
-        number = counts[fault.channel] + fault.index + 1
-        raise LogError(
-            f"Message {number} of topic {fault.channel.topic} is damaged or no {fault.channel.type_name}: "
-            f"{fault.reason}; record again or leave this topic out."
-        ) from fault
+        counts[channel] += count
+    if faults:
+        _leave_out(faults, batches)
+        return gather(container, decoders, wanted)
     return {channel: gatherings.pop(channel).finish(channel) for channel in wanted}
+
+
+class _Undecodable(NamedTuple):
+    number: int
+    fault: MessageError
+    leave_out: LeaveOut | None
+
+
+def _leave_out(faults: Sequence[_Undecodable], batches: Mapping[Channel, int]) -> None:
+    """Leave out the chunks of messages that cannot be decoded, where most other chunks show that their type is right.
+
+    Raises LogError where not, and where a checksum says that a message is as it was recorded.
+    """
+    faulty = Counter(each.fault.channel for each in faults)
+    for number, fault, leave_out in faults:
+        if leave_out is None or 2 * faulty[fault.channel] >= batches[fault.channel]:
+            raise LogError(
+                f"Message {number} of topic {fault.channel.topic} is damaged or no {fault.channel.type_name}: "
+                f"{fault.reason}; record again or leave this topic out."
+            ) from fault
+    for number, fault, leave_out in faults:
+        if leave_out is not None:
+            leave_out(f"message {number} of topic {fault.channel.topic} cannot be decoded: {fault.reason}")
 
 
 def _holding(batch: Batch, block: bytes) -> Batch:

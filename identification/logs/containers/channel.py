@@ -21,6 +21,8 @@ from ...signals.recording import StampArray
 
 ByteArray = NDArray[np.uint8]
 T = TypeVar("T")
+LeaveOut = Callable[[str], object]
+"""Leave out the chunk that some messages are from, for a reason."""
 
 CHUNK_LIMIT_BYTES = 256 * 2**20
 """Largest size a compressed chunk may unpack to; recorders use a few MiB."""
@@ -115,7 +117,9 @@ class Batch:
     """Some messages of one channel in the order of the file.
 
     `log_ns` (n,) is the recording clock; message i is `data[starts[i] : starts[i] + sizes[i]]`. `data` may be shared
-    with other batches and is valid only while the batch is being handled.
+    with other batches and is valid only while the batch is being handled. `leave_out` makes the container leave out the
+    chunk that the messages are from, for the reason that it is called with; None where a checksum agrees with the
+    content, or nothing says what the chunk holds.
     """
 
     channel: Channel
@@ -123,6 +127,7 @@ class Batch:
     data: ByteArray
     starts: StampArray
     sizes: StampArray
+    leave_out: LeaveOut | None = None
 
     @property
     def count(self) -> int:

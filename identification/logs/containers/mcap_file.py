@@ -6,11 +6,11 @@ two threads. Counts in the file's summary and indexes have to agree with the mes
 
 import threading
 from collections import Counter, deque
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TypeVar
 
@@ -22,7 +22,6 @@ from zlib_ng import zlib_ng
 
 from ...errors import LogError
 from ...result import Finding
-from ...signals.recording import StampArray
 from .channel import (
     CHUNK_LIMIT_BYTES,
     Batch,
@@ -37,15 +36,15 @@ from .channel import (
     recorded_text,
     worked_out,
 )
-from .mcap_kernel import FRAME, FRAME_BYTES, Chunk, Definition, RecordCounter, RecordCounts, gather
-from .mcap_layout import KNOWN, Definitions, Layout, Walker
+from .mcap_indexed import walk
+from .mcap_kernel import FRAME, FRAME_BYTES, Chunk, Definition, RecordCounter, RecordCounts, Selection
+from .mcap_layout import KNOWN, Definitions, Layout
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 THREADS = 2
 AHEAD = 4
 """Results that may wait: enough that no thread is idle, few enough that they weigh nothing."""
-_IDS = 2**16
 
 
 class _Space(threading.local):
@@ -67,6 +66,8 @@ class ChunkReader:
 
     def open(self, chunk: Chunk) -> Chunk:
         """Return a chunk with its content, counted and checked; raise Damage when anything about it is wrong."""
+        if chunk.fault:
+            raise Damage(chunk.start, chunk.fault)
         if chunk.declared > CHUNK_LIMIT_BYTES:
             what = f"a chunk unpacks to {chunk.declared}" if chunk.is_chunk else f"a message has {chunk.declared}"
             raise Damage(chunk.start, f"{what} bytes, more than the {CHUNK_LIMIT_BYTES} that are allowed")
@@ -209,7 +210,7 @@ def complete(layout: Layout, file: FileBytes, opener: ChunkReader) -> Layout:
 
 def is_protected(layout: Layout) -> bool:
     """Return whether all that matters has a CRC of its own, so that the one of the whole data section is not needed."""
-    return bool(layout.chunks) and layout.summary_crc != 0 and all(chunk.crc for chunk in layout.chunks)
+    return bool(layout.chunks) and layout.summary_crc != 0 and all(chunk.crc or chunk.fault for chunk in layout.chunks)
 
 
 def without_data(opened: Chunk) -> Chunk:
@@ -268,7 +269,7 @@ def file_findings(layout: Layout) -> tuple[Finding, ...]:
     """Report messages without a checksum, and a file without a summary."""
     found = []
     total = sum(sum((chunk.counts or {}).values()) for chunk in layout.chunks)
-    bare = sum(sum((chunk.counts or {}).values()) for chunk in layout.chunks if not chunk.crc)
+    bare = sum(sum((chunk.counts or {}).values()) for chunk in layout.chunks if not (chunk.crc or chunk.fault))
     if bare and not layout.data_crc:
         found.append(
             Finding.info(
@@ -343,7 +344,7 @@ class McapContainer(Container):
 
     @staticmethod
     def _walk(file: FileBytes) -> Layout:
-        layout = Walker(file).walk()
+        layout = walk(file)
         return complete(layout, file, ChunkReader(file, layout.definitions))
 
     @cached_property
@@ -399,7 +400,7 @@ class McapContainer(Container):
 
         def work(chunk: Chunk) -> tuple[tuple[Definition, ...], list[tuple[Channel, T]]]:
             opened = self._opened(opener, chunk)
-            return opened.definitions, [(batch.channel, handle(batch)) for batch in selection.batches(opened)]
+            return opened.definitions, [(batch.channel, handle(batch)) for batch in self._batches(selection, opened)]
 
         chunks = (chunk for chunk in layout.chunks if selection.is_in(chunk))
         asked = (chunk for chunk in chunks if self.may_want(chunk.start_ns, chunk.end_ns))
@@ -410,38 +411,16 @@ class McapContainer(Container):
 
     def _opened(self, opener: ChunkReader, chunk: Chunk) -> Chunk:
         """Return a chunk with its content, or without where that is damaged."""
+        if chunk.start in self._lost:
+            return chunk
         try:
             return opener.open(chunk)
         except Damage as damage:
             self._lost[chunk.start] = damage.reason
             return chunk
 
-
-class Selection:
-    """The channels that are wanted of a file, each with its ids."""
-
-    def __init__(self, ids: Mapping[Channel, Collection[int]]) -> None:
-        self._ids = ids
-        self._slot_of: StampArray = np.full(_IDS, -1, dtype=np.int64)
-        for slot, group in enumerate(ids.values()):
-            self._slot_of[list(group)] = slot
-
-    def is_in(self, chunk: Chunk) -> bool:
-        """Return whether a chunk holds any of them."""
-        return any(self._slot_of[channel_id] >= 0 for channel_id in chunk.counts or ())
-
-    def batches(self, opened: Chunk) -> Iterator[Batch]:
-        """Yield their messages in an opened chunk, a batch for each channel that has any."""
-        counts, data = opened.counts or {}, opened.data
-        if data is None:
-            return
-        sizes = [sum(counts.get(channel_id, 0) for channel_id in group) for group in self._ids.values()]
-        stops: StampArray = np.cumsum(sizes, dtype=np.int64)
-        next_row: StampArray = stops - np.array(sizes, dtype=np.int64)
-        table: StampArray = np.empty((3, sum(sizes)), dtype=np.int64)
-        log_ns, starts, lengths = table
-        gather(data, 0, data.size, self._slot_of, next_row, log_ns, starts, lengths)
-        for channel, size, stop in zip(self._ids, sizes, stops.tolist(), strict=True):
-            if size:
-                rows = slice(stop - size, stop)
-                yield Batch(channel=channel, log_ns=log_ns[rows], data=data, starts=starts[rows], sizes=lengths[rows])
+    def _batches(self, selection: Selection, opened: Chunk) -> Iterator[Batch]:
+        # What a CRC agrees with is as it was recorded.
+        can_leave_out = opened.is_chunk and not opened.crc
+        leave_out = partial(self._lost.setdefault, opened.start) if can_leave_out else None
+        return (replace(batch, leave_out=leave_out) for batch in selection.batches(opened))

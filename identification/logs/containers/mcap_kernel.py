@@ -1,7 +1,7 @@
 """Chunks of records in memory, walked at machine speed and without the interpreter's lock."""
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +9,7 @@ import numpy as np
 from problems.compiled import inlined, unlocked
 
 from ...signals.recording import StampArray
-from .channel import ByteArray, u16, u32, u64
+from .channel import Batch, ByteArray, Channel, u16, u32, u64
 
 FINE, NO_FIT, SHORT_MESSAGE, BAD_TIME, FULL = range(5)
 MESSAGE_HEAD_BYTES = 22
@@ -38,7 +38,7 @@ class Chunk:
 
     Of a chunk that was opened, `data` is the content, valid until the same thread opens the next one, `definitions` are
     those in it that were not known, and `has_unknown_kinds` says whether it has records of kinds that the format does
-    not name.
+    not name. `fault` says why its content cannot be read, empty where nothing is known against it.
     """
 
     start: int
@@ -55,6 +55,7 @@ class Chunk:
     data: ByteArray | None = None
     definitions: tuple[Definition, ...] = ()
     has_unknown_kinds: bool = False
+    fault: str = ""
 
     @property
     def has_span(self) -> bool:
@@ -254,3 +255,33 @@ def _fault(code: int, data: ByteArray, position: int) -> str:
         return f"a record does not fit into its chunk, {where}"
     kind, length = FRAME.unpack_from(data.data, position)
     return f"a record of kind {kind} and {length} bytes does not fit into its chunk, {where}"
+
+
+class Selection:
+    """The channels that are wanted of a file, each with its ids."""
+
+    def __init__(self, ids: Mapping[Channel, Collection[int]]) -> None:
+        self._ids = ids
+        self._slot_of: StampArray = np.full(_IDS, -1, dtype=np.int64)
+        for slot, group in enumerate(ids.values()):
+            self._slot_of[list(group)] = slot
+
+    def is_in(self, chunk: Chunk) -> bool:
+        """Return whether a chunk holds any of them."""
+        return any(self._slot_of[channel_id] >= 0 for channel_id in chunk.counts or ())
+
+    def batches(self, opened: Chunk) -> Iterator[Batch]:
+        """Yield their messages in an opened chunk, a batch for each channel that has any."""
+        counts, data = opened.counts or {}, opened.data
+        if data is None:
+            return
+        sizes = [sum(counts.get(channel_id, 0) for channel_id in group) for group in self._ids.values()]
+        stops: StampArray = np.cumsum(sizes, dtype=np.int64)
+        next_row: StampArray = stops - np.array(sizes, dtype=np.int64)
+        table: StampArray = np.empty((3, sum(sizes)), dtype=np.int64)
+        log_ns, starts, lengths = table
+        gather(data, 0, data.size, self._slot_of, next_row, log_ns, starts, lengths)
+        for channel, size, stop in zip(self._ids, sizes, stops.tolist(), strict=True):
+            if size:
+                rows = slice(stop - size, stop)
+                yield Batch(channel=channel, log_ns=log_ns[rows], data=data, starts=starts[rows], sizes=lengths[rows])

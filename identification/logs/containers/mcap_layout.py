@@ -368,6 +368,22 @@ class Walker:
             raise Damage(summary_start, "the CRC of the summary does not agree with its content")
 
 
+def read_summary(file: FileBytes) -> tuple[Walker, int]:
+    """Return what the summary holds that a file ends with, and where it starts; raise Damage where it is not sound."""
+    walker, footer_start = Walker(file), file.size - len(MAGIC) - FRAME_BYTES - FOOTER_BYTES
+    if footer_start < len(MAGIC) or walker.peek(file.size - len(MAGIC), len(MAGIC)) != MAGIC:
+        raise Damage(file.size, "the file does not end as a log does")
+    if walker.frame(footer_start)[0] != Opcode.FOOTER:
+        raise Damage(footer_start, "no footer is before the end")
+    _, footer = walker.walk_summary(footer_start)
+    start = offset = footer_start if footer is None or not footer.summary_start else footer.summary_start
+    footer = None
+    while footer is None:
+        offset, footer = walker.walk_summary(offset)
+    walker.check_summary(footer, start)
+    return walker, start
+
+
 def message_chunk(start: int, stop: int, record_counts: RecordCounts) -> Chunk:
     """Return the chunk of the messages outside of chunks at bytes `start` to `stop`."""
     return Chunk(

@@ -16,7 +16,6 @@ from .mcap_file import ChunkReader, McapContainer, is_protected, map_in_order, t
 from .mcap_kernel import FRAME, FRAME_BYTES, Chunk, RecordCounter, find_chunk, find_messages
 from .mcap_layout import (
     CHUNK_HEAD_BYTES,
-    FOOTER_BYTES,
     KNOWN,
     MAGIC,
     Definitions,
@@ -24,6 +23,7 @@ from .mcap_layout import (
     Walker,
     message_chunk,
     parse_chunk,
+    read_summary,
 )
 
 _WINDOW_BYTES = 4 * 2**20
@@ -40,7 +40,7 @@ class SalvagedMcap(McapContainer):
 
     def lost(self) -> tuple[str, ...]:
         """Name what is left out."""
-        return self._known[0].lost
+        return (*self._known[0].lost, *super().lost())
 
     @staticmethod
     def _walk(file: FileBytes) -> Layout:
@@ -49,10 +49,12 @@ class SalvagedMcap(McapContainer):
             return layout
         try:
             # What costs no message, such as a damaged index or another log behind this one, is not passed over.
-            McapContainer._walk(file)  # noqa: SLF001 - of its own base
+            checked = McapContainer._walk(file)  # noqa: SLF001 - of its own base
         except Damage as damage:
             return replace(layout, lost=(f"at byte {damage.offset}: {damage.reason}",))
-        return layout
+        return replace(
+            layout, lost=tuple(f"at byte {chunk.start}: {chunk.fault}" for chunk in checked.chunks if chunk.fault)
+        )
 
     def _usable(self, definitions: Definitions) -> frozenset[int]:
         return definitions.usable
@@ -279,13 +281,8 @@ class _Salvager(Walker):
 
     def _take_summary(self) -> None:
         """Take in the summary if the file still ends with a sound one."""
-        probe, footer_start = Walker(self.file), self.file.size - len(MAGIC) - FRAME_BYTES - FOOTER_BYTES
         try:
-            start = self._summary_start(probe, footer_start)
-            offset, footer = start, None
-            while footer is None:
-                offset, footer = probe.walk_summary(offset)
-            probe.check_summary(footer, start)
+            probe, start = read_summary(self.file)
         except Damage as damage:
             cut = self.file.size >= len(MAGIC) and self.peek(self.file.size - len(MAGIC), len(MAGIC)) != MAGIC
             lost = (
@@ -295,11 +292,3 @@ class _Salvager(Walker):
             return
         self.definitions, self.chunk_indexes, self._stop = probe.definitions, probe.chunk_indexes, start
         self.statistics, self.summary_crc = probe.statistics, probe.summary_crc
-
-    def _summary_start(self, probe: Walker, footer_start: int) -> int:
-        if footer_start < len(MAGIC) or self.peek(self.file.size - len(MAGIC), len(MAGIC)) != MAGIC:
-            raise Damage(self.file.size, "the file does not end as a log does")
-        if probe.frame(footer_start)[0] != Opcode.FOOTER:
-            raise Damage(footer_start, "no footer is before the end")
-        _, footer = probe.walk_summary(footer_start)
-        return footer_start if footer is None or not footer.summary_start else footer.summary_start

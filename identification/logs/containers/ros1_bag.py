@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
@@ -131,9 +132,9 @@ class Ros1BagContainer(Container):
         total = sum(sum(record.counts.values()) for record in self._chunks)
         for record in self._chunks:
             if record.offset in self._left_out:
-                when = recorded_text(record.start_ns, record.end_ns, first_ns)
                 reason, count = self._left_out[record.offset].reason, sum(record.counts.values())
-                places.append(f"at byte {record.offset}: {reason} (left out, {when}, {count} of {total} messages)")
+                when = f", {recorded_text(record.start_ns, record.end_ns, first_ns)}, {count} of {total} messages"
+                places.append(f"at byte {record.offset}: {reason} (left out{when if count else ''})")
         return tuple(places)
 
     def close(self) -> None:
@@ -280,6 +281,8 @@ class Ros1BagContainer(Container):
 
     def _sound_chunk(self, record: ChunkRecord) -> tuple[bytes, Walk] | None:
         """Return a chunk as `_chunk` does, None where it is damaged, which is noted."""
+        if record.offset in self._left_out:
+            return None
         try:
             return self._chunk(record, [])
         except Damage as damage:
@@ -315,7 +318,11 @@ class Ros1BagContainer(Container):
                 data=np.frombuffer(data, dtype=np.uint8),
                 starts=walk.starts[rows],
                 sizes=walk.sizes[rows],
+                leave_out=partial(self._leave_out, record),
             )
+
+    def _leave_out(self, record: ChunkRecord, reason: str) -> None:
+        self._left_out.setdefault(record.offset, Damage(record.offset, reason))
 
     # Survey
 

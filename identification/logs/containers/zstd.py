@@ -152,7 +152,7 @@ def unpack_messages(batch: Batch, lost: list[str] | None = None) -> Batch:
             raise _too_large(batch.channel.topic)
     sizes, data = pack(messages)
     log_ns = batch.log_ns[np.array(kept, dtype=np.intp)]
-    return Batch(channel=batch.channel, log_ns=log_ns, data=data, starts=np.cumsum(sizes) - sizes, sizes=sizes)
+    return replace(batch, log_ns=log_ns, data=data, starts=np.cumsum(sizes) - sizes, sizes=sizes)
 
 
 def _too_large(topic: str) -> LogError:

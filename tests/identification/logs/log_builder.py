@@ -97,9 +97,16 @@ def write_mcap(path: Path, streams: Sequence[Stream], options: Options | None = 
     return path
 
 
-def write_bag(path: Path, streams: Sequence[Stream], compression: BagWriter.CompressionFormat | None = None) -> Path:
+def write_bag(
+    path: Path,
+    streams: Sequence[Stream],
+    compression: BagWriter.CompressionFormat | None = None,
+    chunk_size: int | None = None,
+) -> Path:
     """Write a ROS 1 bag."""
     bag = BagWriter(path)
+    if chunk_size is not None:
+        bag.chunk_threshold = chunk_size
     if compression is not None:
         bag.set_compression(compression)
     with bag:

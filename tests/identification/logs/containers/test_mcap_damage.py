@@ -8,6 +8,8 @@ import random
 import re
 import struct
 import zlib
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -282,14 +284,64 @@ def test_the_same_files_without_the_fault_are_read(tmp_path: Path) -> None:
 
 def test_a_chunk_hidden_behind_another_kind_of_record_is_noticed(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
-    for style in (Style(messages_per_chunk=9), Style(messages_per_chunk=9, message_index=False, chunk_index=False)):
-        writer = write_style(path, some_messages(), style)
-        for kind in (0x86, 0x16, 0x46):
-            data = bytearray(path.read_bytes())
-            data[writer.chunks[2]] = kind
-            (tmp_path / "hidden.mcap").write_bytes(data)
-            with pytest.raises(LogError, match=r"summary (counts|lists)|index follows|its index has"):
-                read_all(tmp_path / "hidden.mcap")
+    writer = write_style(path, some_messages(), Style(messages_per_chunk=9, message_index=False, chunk_index=False))
+    for kind in (0x86, 0x16, 0x46):
+        data = bytearray(path.read_bytes())
+        data[writer.chunks[2]] = kind
+        (tmp_path / "hidden.mcap").write_bytes(data)
+        with pytest.raises(LogError, match=r"summary (counts|lists)|index follows|its index has"):
+            read_all(tmp_path / "hidden.mcap")
+
+
+def heads(style: Style, path: Path) -> Iterator[tuple[int, int]]:
+    """Write a file of three chunks, then one with each bit flipped of the head of its second chunk in turn."""
+    writer = write_style(path, some_messages(30), replace(style, messages_per_chunk=10, define_in_every_chunk=True))
+    data = path.read_bytes()
+    head = 9 + 28 + 4 + len(style.compression) + 8
+    for bit in range(8 * writer.chunks[1], 8 * (writer.chunks[1] + head)):
+        flipped = bytearray(data)
+        flipped[bit // 8] ^= 1 << bit % 8
+        path.write_bytes(flipped)
+        yield writer.chunks[1], bit // 8 - writer.chunks[1]
+
+
+@pytest.mark.parametrize("compression", ["", "zstd", "lz4"])
+@pytest.mark.parametrize("has_crc", [True, False])
+def test_a_flipped_bit_in_the_head_of_a_chunk_costs_that_chunk(tmp_path: Path, compression: str, has_crc: bool) -> None:
+    path = tmp_path / "run.mcap"
+    style = Style(compression=compression, chunk_crc=has_crc, summary_crc=has_crc)
+    beside = expected([sent for number, sent in enumerate(some_messages(30)) if not 10 <= number < 20])
+    for start, byte in heads(style, path):
+        found = read_all(path)
+        if not found.findings:
+            # The last bytes of an lz4 frame say only that it ends.
+            assert found.messages == expected(some_messages(30))
+            assert (compression, byte) == ("lz4", 44)
+            continue
+        assert found.messages == beside, byte
+        (finding,) = found.findings
+        assert f"run.mcap is damaged: bytes {start} to " in finding.message
+        assert ", 10 of 30 messages (" in finding.message
+
+
+@pytest.mark.parametrize("style", [Style(chunk_index=False), Style(message_index=False), Style(statistics=False)])
+def test_without_what_proves_its_place_and_content_a_damaged_head_is_refused(tmp_path: Path, style: Style) -> None:
+    path = tmp_path / "run.mcap"
+    for _, byte in heads(style, path):
+        if byte < 9:
+            with pytest.raises(LogError, match=r"is truncated or damaged at byte \d+: .*--salvage"):
+                read_all(path)
+
+
+@pytest.mark.parametrize("place", range(40))
+def test_an_index_that_does_not_fit_the_file_proves_nothing(tmp_path: Path, place: int) -> None:
+    """Without its CRC a damaged index is no better than a damaged head: the file decides, or is refused."""
+    path = tmp_path / "run.mcap"
+    style = Style(messages_per_chunk=10, compression="zstd", define_in_every_chunk=True, summary_crc=False)
+    writer = write_style(path, some_messages(30), style)
+    data = path.read_bytes()
+    at = data.index(struct.pack("<Q", writer.chunks[1]), writer.chunks[2] + 200) - 16 + place
+    assert refused_or_same(path, data, 8 * at, read_all(path), 10)
 
 
 @pytest.mark.parametrize(
