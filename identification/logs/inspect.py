@@ -16,6 +16,7 @@ from ..signals.medians import median
 from ..signals.recording import WEIGHT_NEEDS_ORIENTATION, sampling_rate_hz
 from .checks.clocks import ChannelClock, clock_findings, compare_clocks, measure_clock
 from .checks.robot_state import without_zero_torques
+from .checks.stamps import HOLE, with_holes_once
 from .containers.channel import Channel, ChannelInfo
 from .containers.formats import begin_digests, digests
 from .long_logs import WindowSpan, windows_of_part
@@ -123,6 +124,7 @@ def _summarised(
     findings += number_findings(logs, numbers, {choice.info.channel for choice in choices.values()})
     findings += _clock_findings(series, choices)
     findings += open_questions(infos, read.cell, logs.name)
+    findings = with_holes_once(findings)
     seen = logs.findings()
     ends = (logs.start_ns, logs.end_ns)
     if not span.is_whole:
@@ -132,7 +134,8 @@ def _summarised(
     if Role.WRENCH in choices and Role.POSE in choices:
         if reading is None:
             reading = _read_findings(files, read.cell, findings, logs, salvage=salvage, span=span)
-        findings += [finding for finding in reading if finding.code not in _TOLD_ELSEWHERE]
+        told = _TOLD_ELSEWHERE | {finding.code for finding in findings if finding.code == HOLE}
+        findings += [finding for finding in reading if finding.code not in told]
     sha256s = digests(files)
     return LogSummary(
         path=files[0],

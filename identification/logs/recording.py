@@ -24,6 +24,7 @@ from ..signals.recording import (
 )
 from .checks.consistency import turn_findings, twist_findings
 from .checks.samples import ExaminedRoles
+from .checks.stamps import with_holes_once
 from .containers.channel import Channel
 from .messages.decode import Series
 from .roles.cell import (
@@ -115,7 +116,7 @@ def sample_findings(
     if cell.rows_are_poses:
         found = [finding for finding in found if finding.code in _OF_SINGLE_ROWS]
     refuse(found)
-    return tuple(found)
+    return tuple(with_holes_once(found))
 
 
 def _is_table(series: Series) -> bool:

@@ -13,6 +13,8 @@ from ...signals.recording import StampArray
 
 LARGEST_GAP_PERIODS = 12.0
 """A hole longer than this is refused: nothing can be said of the motion in it."""
+HOLE = "hole"
+"""Code of the warning of holes."""
 _LOST_PERIODS = 1.5
 _LOST_DEVIATIONS = 6.0
 _JITTER_SHARE = 0.1
@@ -147,7 +149,12 @@ def _find_folds(steps: StampArray) -> Iterator[tuple[int, int]]:
 def _uneven(topic: str, report: StampReport, since_start_s: FloatArray, *, keeps_holes: bool) -> Iterator[Finding]:
     holes = [gap for gap in report.gaps if gap[1] > LARGEST_GAP_PERIODS * report.period_s]
     if holes and keeps_holes:
-        yield _kept(topic, holes, since_start_s)
+        starts = [float(since_start_s[index - 1]) for index, _ in holes]
+        spans = tuple((start, start + length) for start, (_, length) in zip(starts, holes, strict=True))
+        said = _kept([topic], spans)
+        yield Holes(
+            code=said.code, severity=said.severity, message=said.message, advice=said.advice, topic=topic, spans_s=spans
+        )
     gaps = [gap for gap in report.gaps if not (keeps_holes and gap in holes)]
     if gaps:
         severe = bool(holes) and not keeps_holes
@@ -165,17 +172,56 @@ def _uneven(topic: str, report: StampReport, since_start_s: FloatArray, *, keeps
         )
 
 
-def _kept(topic: str, holes: Sequence[tuple[int, float]], since_start_s: FloatArray) -> Finding:
-    places = ", ".join(
-        f"{length:.3f} s from {since_start_s[index - 1]:.3f} s" for index, length in holes[:_LISTED_HOLES]
-    )
-    more = f" and {len(holes) - _LISTED_HOLES} more" if len(holes) > _LISTED_HOLES else ""
+@dataclass(frozen=True, kw_only=True)
+class Holes(Finding):
+    """The warning of the holes of a topic, each from when to when [s] after the start of the log."""
+
+    topic: str
+    spans_s: tuple[tuple[float, float], ...]
+
+
+def _kept(topics: Sequence[str], spans_s: Sequence[tuple[float, float]]) -> Finding:
+    """Return the warning of holes that are the same in all of some topics."""
+    places = ", ".join(f"{stop - start:.3f} s from {start:.3f} s" for start, stop in spans_s[:_LISTED_HOLES])
+    more = f" and {len(spans_s) - _LISTED_HOLES} more" if len(spans_s) > _LISTED_HOLES else ""
+    named = f"Topic {topics[0]} has" if len(topics) == 1 else f"Topics {', '.join(topics)} have"
     return Finding.warning(
-        "hole",
-        f"Topic {topic} has {len(holes)} hole(s) in which nothing is known: {places}{more} after the start of "
-        f"the log, {sum(length for _, length in holes):.3f} s in all. Nothing is interpolated across them.",
+        HOLE,
+        f"{named} {len(spans_s)} hole(s) in which nothing is known: {places}{more} after the start of "
+        f"the log, {sum(stop - start for start, stop in spans_s):.3f} s in all. Nothing is interpolated across them; "
+        "what happens behind one up to the next rest is not used.",
         "Check that what a parameter needs (rests, sweep, contacts) lies outside, or record again.",
     )
+
+
+def with_holes_once(findings: Sequence[Finding]) -> list[Finding]:
+    """Return findings with one warning for all topics that have the same holes, in the place of the first of them."""
+    groups: list[list[Holes]] = []
+    for found in findings:
+        if isinstance(found, Holes):
+            group = next((group for group in groups if _are_same_holes(group[0], found)), None)
+            if group is None:
+                groups.append([found])
+            elif found not in group:
+                group.append(found)
+    of = {id(group[0]): group for group in groups}
+    kept = [each for each in findings if not isinstance(each, Holes) or id(each) in of]
+    return [_joined(of[id(each)]) if isinstance(each, Holes) else each for each in kept]
+
+
+def _are_same_holes(one: Holes, other: Holes) -> bool:
+    """Return whether each hole of one overlaps that of the other; sampled at other rates they differ a little."""
+    pairs = zip(one.spans_s, other.spans_s, strict=False)
+    return len(one.spans_s) == len(other.spans_s) and all(
+        max(a[0], b[0]) < min(a[1], b[1]) and max(a[1] - a[0], b[1] - b[0]) < 2.0 * min(a[1] - a[0], b[1] - b[0])
+        for a, b in pairs
+    )
+
+
+def _joined(group: Sequence[Holes]) -> Finding:
+    spans = zip(*(each.spans_s for each in group), strict=True)
+    together = [(min(start for start, _ in each), max(stop for _, stop in each)) for each in spans]
+    return _kept([*dict.fromkeys(each.topic for each in group)], together)
 
 
 def _jitter(name: str, report: StampReport, advice: str) -> Iterator[Finding]:

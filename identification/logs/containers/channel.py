@@ -274,7 +274,7 @@ def salvaged(name: str, lost: Sequence[str], *, salvage: bool) -> tuple[Finding,
     advice = (
         "Use the result to look at the data; record again before a robot relies on it."
         if salvage
-        else "Rests, motions and contacts that such a hole cuts are left out too; record again where one is missed."
+        else "Record again where a rest, a motion or a contact is missed."
     )
     return (Finding.warning("salvaged", f"{name} is damaged: {'; '.join(lost[:_LISTED])}{more}.", advice),)
 
