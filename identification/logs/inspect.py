@@ -179,9 +179,9 @@ def _inspect_in_windows(
 ) -> LogSummary:
     """Return the summary of a long log from those of its windows."""
     summaries = [*_summaries(files, cell, windows, salvage=salvage)]
-    first, length_s = summaries[0], windows[-1].stop_s - windows[0].start_s
+    first = summaries[0]
     together = zip(*(each.channels for each in summaries), strict=True)
-    channels = tuple(_joined(parts, length_s) for parts in together)
+    channels = tuple(_joined(parts) for parts in together)
     seen: dict[tuple[str, str], list[Finding]] = {}
     for finding in (finding for each in summaries for finding in each.findings):
         # Of messages that differ in their numbers the first one speaks for all.
@@ -192,7 +192,7 @@ def _inspect_in_windows(
         else replace(each[0], message=f"{each[0].message} (First of {len(each)} like it.)")
         for each in seen.values()
     )
-    minutes = length_s / 60.0 / len(windows)
+    minutes = (windows[-1].stop_s - windows[0].start_s) / 60.0 / len(windows)
     note = f"The log is long: it was looked at in {len(windows)} windows of {minutes:.0f} minutes, one by one."
     return replace(
         first,
@@ -204,7 +204,7 @@ def _inspect_in_windows(
     )
 
 
-def _joined(parts: Sequence[ChannelSummary], duration_s: float) -> ChannelSummary:
+def _joined(parts: Sequence[ChannelSummary]) -> ChannelSummary:
     """Return the summary of a channel over all windows; gaps across their borders are not looked at."""
     count = sum(each.count for each in parts)
 
@@ -216,7 +216,7 @@ def _joined(parts: Sequence[ChannelSummary], duration_s: float) -> ChannelSummar
     return replace(
         parts[0],
         count=count,
-        rate_hz=sampling_rate_hz(count, duration_s),
+        rate_hz=middle([each.rate_hz for each in parts]),
         median_gap_s=middle([each.median_gap_s for each in parts]),
         max_gap_s=max(gaps, default=None),
         backwards_steps=sum(each.backwards_steps for each in parts),
@@ -296,8 +296,9 @@ def _role_summary(role: Role, choice: Choice | None, reason: str, candidates: Se
 
 
 def _with_rates(role: RoleSummary, channels: Sequence[ChannelSummary]) -> RoleSummary:
-    rates = {(channel.topic, channel.type): channel.rate_hz for channel in channels}
-    candidates = (replace(each, rate_hz=rates.get((each.topic, each.type))) for each in role.candidates)
+    seen = {(channel.topic, channel.type): channel for channel in channels}
+    known = ((each, seen.get((each.topic, each.type))) for each in role.candidates)
+    candidates = (each if of is None else replace(each, rate_hz=of.rate_hz, count=of.count) for each, of in known)
     return replace(role, candidates=tuple(candidates))
 
 
@@ -410,14 +411,13 @@ def _summary(info: ChannelInfo, series: Series) -> ChannelSummary:
     if not info.is_timed:
         stamps = stamps[:0]  # rows without a time
     steps = np.diff(stamps)
-    span_s = float(stamps.max() - stamps.min()) / 1e9 if stamps.size else 0.0
     return ChannelSummary(
         topic=info.channel.topic,
         type=info.channel.type_name,
         encoding=info.channel.encoding,
         count=series.log_ns.size,
         clock=clock,
-        rate_hz=sampling_rate_hz(stamps.size, span_s),
+        rate_hz=sampling_rate_hz(1e-9 * steps),
         median_gap_s=median(steps) / 1e9 if steps.size else None,
         max_gap_s=float(steps.max()) / 1e9 if steps.size else None,
         backwards_steps=int(np.count_nonzero(steps < 0)),

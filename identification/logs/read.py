@@ -3,7 +3,6 @@
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 from decimal import Decimal, InvalidOperation
 from itertools import pairwise
 from pathlib import Path
@@ -18,6 +17,7 @@ from ..result import Finding
 from ..signals.aligned import without_pose_spikes
 from ..signals.recording import Recording, StampArray, join_recordings, sampling_rate_hz, shifted
 from .checks.clocks import ChannelTimes, check_clocks
+from .checks.losses import span_left, start_left
 from .checks.payload import check_payload, payload_change
 from .checks.robot_state import drop_idle_command, drop_zero_torques
 from .checks.samples import joined
@@ -317,7 +317,11 @@ def _read(
         stamps = [role_stamps(part, clocks, cell) for part in parts]
         main = [role for role in (Role.WRENCH, Role.POSE) if role in parts[0]]
         start = max((int(stamps[0][role][0]), int(parts[0][role].log_ns[0])) for role in main)
-        chosen = [_chosen(choice, [part[role] for part in stamps if role in part]) for role, choice in choices.items()]
+        is_window = span.recorded_ns is not None
+        chosen = [
+            _chosen(choice, [part[role] for part in stamps if role in part], is_window=is_window)
+            for role, choice in choices.items()
+        ]
         parts, about_span = cut_roles(parts, stamps, span, logs.name)
         times = _times(parts, clocks)
         # A pause of the recorder costs a long log what is around it, as does a chunk that is left out.
@@ -329,8 +333,9 @@ def _read(
         recording = _continuous(join_recordings(recordings))
         questions = open_questions(logs.infos, cell, logs.name)
         about_log = logs.findings()
-        if salvage and span.recorded_ns is None:
-            about_log = (*about_log, *_about_what_is_left(recording, logs))
+        if logs.is_damaged and not is_window:
+            about_log = (*about_log, *start_left(logs.start_ns, start[1]))
+            about_log = (*about_log, *span_left(logs.name, recording.wrench.stamp_ns)) if salvage else about_log
         findings = (*about_log, *about_span, *chosen, *cautions, *idle, *questions, *about_clocks, *about_samples)
         beside = joint_findings(choices[Role.POSE], recording, cell, chain, logs)
         findings = (*findings, *recording.findings, *beside)
@@ -416,26 +421,11 @@ def _times(parts: Sequence[Part], clocks: Mapping[Role, Clock]) -> list[ChannelT
     return times
 
 
-def _about_what_is_left(recording: Recording, logs: OpenedLogs) -> tuple[Finding, ...]:
-    """Report from when to when a damaged log still holds a wrench."""
-    if not logs.is_damaged:
-        return ()
-    first, last = (int(recording.wrench.stamp_ns[i]) for i in (0, -1))
-    ends = datetime.fromtimestamp(last // 10**9, tz=UTC)
-    return (
-        Finding.warning(
-            "salvaged-span",
-            f"What is left of {logs.name} spans {1e-9 * (last - first):.3f} s: the last wrench is stamped "
-            f"{ends:%Y-%m-%d %H:%M:%S}.{last // 10**6 % 1000:03d} UTC.",
-            "What was recorded after that, if anything, is not in the result.",
-        ),
-    )
-
-
-def _chosen(choice: Choice, parts: Sequence[StampArray]) -> Finding:
-    count, span_s = sum(map(len, parts)), 1e-9 * sum(int(np.ptp(stamps)) for stamps in parts)
+def _chosen(choice: Choice, parts: Sequence[StampArray], *, is_window: bool) -> Finding:
+    count = None if is_window else sum(map(len, parts))
     # From one recording to the next there is no step.
-    rate_hz = sampling_rate_hz(count - len(parts) + 1, span_s) if choice.info.is_timed else None
+    steps_s = 1e-9 * joined([np.diff(stamps) for stamps in parts])
     pair = f", {choice.frames[1]} in {choice.frames[0]}" if choice.frames else ""
-    source = f"{choice.info.described(rate_hz)}{pair}"
+    read = choice.info if count is None or choice.frames else replace(choice.info, count=count)
+    source = f"{read.described(sampling_rate_hz(steps_s) if choice.info.is_timed else None)}{pair}"
     return Finding.info("channel-chosen", f"The {ROLES[choice.role].label} is read from {source}: {choice.reason}.", "")

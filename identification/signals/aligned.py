@@ -13,14 +13,22 @@ from problems.arrays import BoolArray, FloatArray, IntArray
 from ..errors import LogError
 from ..result import Finding
 from .medians import column_medians, median
-from .recording import PoseSignal, Recording, StampArray, WrenchSignal, slerp, stamped_between, turned_rad
+from .recording import (
+    LARGEST_GAP_PERIODS,
+    PoseSignal,
+    Recording,
+    StampArray,
+    WrenchSignal,
+    slerp,
+    stamped_between,
+    turned_rad,
+)
 from .sweeps import goes_and_returns
 
 _FAST_PERIOD_S = 1.5e-3
 _SHORTEST_OVERLAP_S = 2.0
 _FEWEST_SAMPLES = 30
 _LONGEST_POSE_PERIOD_S = 0.5
-_LARGEST_GAP_PERIODS = 12.0
 _FEWEST_BETWEEN_HOLES = 4
 _REGULAR_SHARE = 0.05
 _MOSTLY = 0.99
@@ -212,7 +220,7 @@ def _clock_of(recording: Recording) -> _Clock:
 def find_gaps(stamp_ns: StampArray) -> IntArray:
     """Return the numbers of the messages after which a hole of more than 12 periods begins."""
     steps = np.diff(stamp_ns)
-    return np.flatnonzero(steps > _LARGEST_GAP_PERIODS * median(steps)) if len(steps) else np.zeros(0, np.int64)
+    return np.flatnonzero(steps > LARGEST_GAP_PERIODS * median(steps)) if len(steps) else np.zeros(0, np.int64)
 
 
 def check_regular(topic: str, stamp_ns: StampArray, *, keeps_holes: bool = False) -> float:
@@ -222,14 +230,14 @@ def check_regular(topic: str, stamp_ns: StampArray, *, keeps_holes: bool = False
     gaps = np.diff(stamp_ns)
     period = median(gaps)
     worst = int(np.argmax(gaps))
-    if gaps[worst] > _LARGEST_GAP_PERIODS * period and not keeps_holes:
+    if gaps[worst] > LARGEST_GAP_PERIODS * period and not keeps_holes:
         raise LogError(
             f"Topic `{topic}` has a gap of {gaps[worst] * 1e-9:.3f} s at "
             f"{(stamp_ns[worst] - stamp_ns[0]) * 1e-9:.3f} s (its period is {period * 1e-9:.6f} s); record again "
             "without losing messages, or cut the log there."
         )
     # Free of the stamps' rounding is the mean over the log, once lost messages are counted; a hole shows none.
-    gaps = gaps[gaps <= _LARGEST_GAP_PERIODS * period]
+    gaps = gaps[gaps <= LARGEST_GAP_PERIODS * period]
     steps = gaps / period
     counts = np.round(steps)
     regular = np.abs(steps - counts) < _REGULAR_SHARE

@@ -13,6 +13,7 @@ from problems.frozen import freeze
 
 from ..errors import EstimateError, LogError
 from ..result import Finding
+from .medians import median
 from .sweeps import turn_between
 
 StampArray = NDArray[np.int64]
@@ -25,6 +26,8 @@ WEIGHT_NEEDS_ORIENTATION = (
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 """Names of the six columns of a wrench, a twist, gains, and of what a pose has: translations, then rotations."""
 
+LARGEST_GAP_PERIODS = 12.0
+"""A longer gap is a hole: nothing can be said of the motion in it, and a log is refused that did not lose a part."""
 _GAP_PERIODS = 1.5
 
 
@@ -307,12 +310,15 @@ class Recording:
         _require_axes(what, self.pose.measured_axes, AXES[3:], WEIGHT_NEEDS_ORIENTATION)
 
 
-def sampling_rate_hz(count: int, span_s: float) -> float | None:
-    """Return the rate of a topic of `count` samples from the first to the last in `span_s`, None where there is none.
+def sampling_rate_hz(steps_s: FloatArray) -> float | None:
+    """Return the rate of a topic from the steps (n,) between its stamps, None where no time passes.
 
-    Holes count as time: it is (count − 1)/span.
+    Holes are no steps: it is that of the samples that were read.
     """
-    return (count - 1) / span_s if count > 1 and span_s > 0.0 else None
+    limit = LARGEST_GAP_PERIODS * median(steps_s) if len(steps_s) else 0.0
+    within = steps_s[steps_s <= limit] if limit > 0.0 else steps_s
+    span_s = float(np.sum(within))
+    return len(within) / span_s if span_s > 0.0 else None
 
 
 def _require_axes(what: str, measured: tuple[str, ...], needed: tuple[str, ...], advice: str) -> None:

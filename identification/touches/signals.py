@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -58,10 +59,10 @@ class AxisSignals:
     commanded_m: FloatArray | None = None
     offset_n: float = 0.0
 
-    @property
+    @cached_property
     def rate_hz(self) -> float:
         """How often force and travel were logged."""
-        return sampling_rate_hz(len(self.time_s), float(np.ptp(self.time_s))) or 0.0
+        return sampling_rate_hz(np.diff(self.time_s)) or 0.0
 
     def speed_m_s(self) -> FloatArray:
         """Return how fast the flange is along the axis, over about 0.1 s (n,)."""

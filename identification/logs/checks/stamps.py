@@ -9,10 +9,8 @@ from problems.arrays import FloatArray
 
 from ...result import Finding
 from ...signals.medians import median
-from ...signals.recording import StampArray
+from ...signals.recording import LARGEST_GAP_PERIODS, StampArray
 
-LARGEST_GAP_PERIODS = 12.0
-"""A hole longer than this is refused: nothing can be said of the motion in it."""
 HOLE = "hole"
 """Code of the warning of holes."""
 _LOST_PERIODS = 1.5

@@ -303,8 +303,7 @@ class McapContainer(Container):
         """Name the damaged chunks that were left out so far."""
         if not self._lost:
             return ()
-        chunks = self._known[0].chunks
-        first_ns = min(chunk.start_ns for chunk in chunks if chunk.counts)
+        chunks, (first_ns, _) = self._known[0].chunks, self._known[0].span_ns
         total = total_counts(chunks).total()
         return tuple(
             f"bytes {chunk.start} to {chunk.stop} left out, {recorded_text(chunk.start_ns, chunk.end_ns, first_ns)}, "
@@ -364,15 +363,15 @@ class McapContainer(Container):
         layout, _ = self._known
         total = total_counts(layout.chunks)
         first = self._first_messages()
-        filled = [chunk for chunk in layout.chunks if chunk.counts]
+        start_ns, end_ns = layout.span_ns
         return Survey(
             container="mcap",
             held=tuple(
                 Held(channel=channel, count=sum(total[i] for i in ids), first_message=first.get(channel, b""))
                 for channel, ids in sorted(self._ids.items(), key=lambda item: (item[0].topic, item[0].type_name))
             ),
-            start_ns=min((chunk.start_ns for chunk in filled), default=0),
-            end_ns=max((chunk.end_ns for chunk in filled), default=0),
+            start_ns=start_ns,
+            end_ns=end_ns,
             findings=file_findings(layout),
         )
 

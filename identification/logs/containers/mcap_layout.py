@@ -193,6 +193,13 @@ class Layout:
     has_unknown_kinds: bool
     lost: tuple[str, ...] = ()
 
+    @property
+    def span_ns(self) -> tuple[int, int]:
+        """Return from when to when messages were recorded, those of lost chunks that the summary lists too."""
+        spans = [(chunk.start_ns, chunk.end_ns) for chunk in self.chunks if chunk.counts]
+        spans += [(i.message_start_time, i.message_end_time) for i in self.chunk_indexes if i.message_end_time]
+        return min((start for start, _ in spans), default=0), max((end for _, end in spans), default=0)
+
 
 class Walker:
     """Walk the top records of a file once; anything wrong raises Damage."""

@@ -1,6 +1,8 @@
 """Logs of which one chunk is damaged: what its container cannot see, and what is said of the rest."""
 
+import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -9,9 +11,10 @@ from mcap.writer import CompressionType
 from identification.errors import LogError
 from identification.logs.inspect import inspect_log
 from identification.logs.read import read_recording
+from identification.logs.roles.registry import Role
 from identification.logs.summary import LogSummary
 from identification.result import Finding
-from tests.identification.logs.log_builder import Options, complete, write_bag, write_mcap
+from tests.identification.logs.log_builder import START_NS, Options, complete, write_bag, write_mcap
 
 NO_CRC = Options(compression=CompressionType.NONE, enable_crcs=False, extra=())
 
@@ -75,3 +78,47 @@ def test_where_no_message_is_what_its_type_says_the_topic_is_refused(
     found = inspect_log(path)
     assert "Message 1 of topic /ft/wrench" in the("undecodable", found).message
     assert "salvaged" not in {finding.code for finding in found.findings}
+
+
+def test_a_damaged_chunk_is_one_warning_of_damage_and_one_of_the_hole(tmp_path: Path) -> None:
+    """Rate and number of messages are those of what was read."""
+    path = write_mcap(tmp_path / "run.mcap", complete(), replace(NO_CRC, enable_crcs=True))
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 0x10
+    path.write_bytes(data)
+    for said in (inspect_log(path).findings, read_recording(path).findings):
+        (hole,) = (finding for finding in said if finding.code == "hole")
+        assert re.match(
+            r"Topics (/[a-z/_]+(, )?){3} have 1 hole\(s\) in which nothing is known: 0\.\d+ s from", hole.message
+        )
+        assert "what happens behind one up to the next rest is not used" in hole.message
+        assert [finding.code for finding in said].count("salvaged") == 1
+    recording = read_recording(path)
+    left = len(recording.wrench.stamp_ns)
+    assert 100 < left < 197
+    (wrench,) = (finding.message for finding in recording.findings if finding.message.startswith("The wrench is read"))
+    assert f"{left} messages, 500.0 Hz, frame tool0" in wrench
+    summary = inspect_log(path)
+    (candidate,) = next(role for role in summary.roles if role.role is Role.WRENCH).candidates
+    (channel,) = (channel for channel in summary.channels if Role.WRENCH in channel.roles)
+    assert candidate.count == channel.count == left
+    assert candidate.rate_hz == channel.rate_hz == pytest.approx(500.0)
+
+
+@pytest.mark.parametrize("salvage", [False, True])
+def test_after_a_lost_first_chunk_it_is_said_where_times_count_from(tmp_path: Path, salvage: bool) -> None:
+    path = write_mcap(tmp_path / "run.mcap", complete(), replace(NO_CRC, enable_crcs=True))
+    whole = inspect_log(path)
+    data = bytearray(path.read_bytes())
+    data[1000] ^= 0x10
+    path.write_bytes(data)
+    recording = read_recording(path, salvage=salvage)
+    late = 1e-9 * (recording.wrench.stamp_ns[0] - START_NS)
+    assert late > 0.1
+    (said,) = (finding.message for finding in recording.findings if finding.code == "start-lost")
+    counted = float(re.findall(r"were recorded (\d\.\d+) s after the log's start: from there count", said)[0])
+    # The pose may begin a period later, and the first message was recorded 0.2 ms after it was stamped.
+    assert counted == pytest.approx(late, abs=0.005)
+    summary = inspect_log(path, salvage=salvage)
+    assert said in {finding.message for finding in summary.findings}
+    assert (summary.start_ns, summary.end_ns) == (whole.start_ns, whole.end_ns)

@@ -44,7 +44,7 @@ def test_a_complete_log_lacks_nothing(tmp_path: Path) -> None:
 
 
 def test_a_topic_has_one_rate_wherever_it_is_named(tmp_path: Path) -> None:
-    """It is (messages − 1)/(last − first stamp), also where other topics begin before and end after it."""
+    """It is (messages − 1)/(last − first stamp) without holes, also where others begin before and end after it."""
     late = wrench_stream(rate_hz=500.0, duration_s=0.2)
     late = replace(late, stamp_ns=late.stamp_ns + 90_000_000, log_ns=late.log_ns + 90_000_000)
     path = write_mcap(tmp_path / "run.mcap", [late, pose_stream()])

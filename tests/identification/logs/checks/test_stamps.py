@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from identification.logs.checks.stamps import report_stamps, stamp_faults
+from identification.logs.checks.stamps import report_stamps, stamp_faults, with_holes_once
 from identification.result import Finding
 
 Stamps = NDArray[np.int64]
@@ -123,3 +123,19 @@ def test_a_long_gap_of_a_salvaged_log_is_a_hole_reported_with_its_place() -> Non
     assert "0.081 s from 0.239 s" in hole.message
     assert (lost.code, lost.severity) == ("dropped-samples", "warning")
     assert "lacks about 1 messages in 1 gaps" in lost.message
+
+
+def test_topics_with_the_same_holes_are_named_in_one_warning() -> None:
+    def holes(topic: str, *lost: range) -> Finding:
+        kept = np.delete(np.arange(1000), np.concatenate(lost))
+        return next(stamp_faults(topic, clock()[kept], seconds(kept), keeps_holes=True))
+
+    other = Finding.info("other", "Something else.", "")
+    found = with_holes_once(
+        [holes("/ft", range(300, 400)), other, holes("/pose", range(302, 405)), holes("/gains", range(800, 850))]
+    )
+    assert [each.code for each in found] == ["hole", "other", "hole"]
+    assert found[0].message.startswith("Topics /ft, /pose have 1 hole(s)")
+    # From the last message before of one to the first behind of the other.
+    assert "0.085 s from 0.239 s" in found[0].message
+    assert found[2].message.startswith("Topic /gains has 1 hole(s)")
