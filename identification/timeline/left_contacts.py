@@ -22,6 +22,8 @@ _STDS = 3.0
 _SAME_SURFACE = 1.25
 _LEAST_SHARE = 0.2
 _MOST_LISTED = 10
+_BESIDE_S = 0.5
+"""Nearer to a hole the way in or out of a contact may be missing."""
 _METHOD = "slope of the contact force over the payload's way, of contacts that the fit did not use"
 _ADVICE = (
     "Press there again at 1 to 3 cm/s with 20 to 50 N, hold for 1 s, hands off; or give optimize a range that holds "
@@ -106,16 +108,22 @@ class Accounted:
 
 @dataclass(frozen=True, kw_only=True)
 class _Left:
-    """A contact that no fit used: its place in the time line or None, and its slope if that is clear."""
+    """A contact that no fit used: its place in the time line or None, and its slope if that is clear.
+
+    `is_cut` says that a hole of the log cuts it, and that a surface is known on its side.
+    """
 
     phase: int | None
     slope: ContactSlope | None
+    is_cut: bool
     start_s: float
     peak_n: float
 
 
 def account_for_contacts(phases: Sequence[LogPhase], axes: Sequence[ObservedAxis], period_s: float) -> Accounted:
     """Give every contact of a time line a surface, or name it in a finding of severity `error`.
+
+    One that a hole of the log cuts, or its last half second before, is a warning where its side has a fitted surface.
 
     `phases` name the surfaces of the contacts that a fit used. Of the others, `learn_slope` shows the stiffness: that
     of a fitted surface where it lies within 3 deviations or 20 % of that, else a new surface, which is `weak`. Rests
@@ -139,8 +147,10 @@ def account_for_contacts(phases: Sequence[LogPhase], axes: Sequence[ObservedAxis
             for name in new.names
         )
         findings += [_added(axis, surface) for surface in surfaces[axis.name]]
-        unexplained = [each for each in left if each.slope is None]
+        unexplained = [each for each in left if each.slope is None and not each.is_cut]
         findings += [_unexplained(axis, unexplained)] if unexplained else []
+        cut = [each for each in left if each.slope is None and each.is_cut]
+        findings += [_cut(axis, cut)] if cut else []
     return Accounted(phases=tuple(changed), surfaces=surfaces, findings=tuple(findings))
 
 
@@ -157,6 +167,7 @@ def _left_of(axis: ObservedAxis, phases: Sequence[LogPhase], period_s: float) ->
         return _Left(
             phase=phase,
             slope=learn_slope(axis.of, axis.payload, contact, _on_path(axis)),
+            is_cut=_is_cut(axis, contact, period_s),
             start_s=contact.span.start * period_s,
             peak_n=axis.lever_m * float(np.nanmax(np.abs(force))),
         )
@@ -170,6 +181,16 @@ def _left_of(axis: ObservedAxis, phases: Sequence[LogPhase], period_s: float) ->
     # What looks like a hand is one, unless its force grows with depth as on a surface.
     perhaps = [seen(contact, None) for contact in (*axis.pressed.by_hand, *axis.pressed.restless)]
     return [*left, *(each for each in perhaps if each.slope is not None)]
+
+
+def _is_cut(axis: ObservedAxis, contact: ContactTimes, period_s: float) -> bool:
+    """Return whether a hole is in or right beside a contact on a side that has a fitted surface."""
+    beside = round(_BESIDE_S / period_s)
+    around = axis.of.axis.force_n[max(0, contact.span.start - beside) : contact.span.stop + beside]
+    sign = int(press_sign(axis.of, contact.hold))
+    return bool(np.any(np.isnan(around))) and any(
+        side == sign and surface.stiffness_n_per_m.value is not None for side, surface in axis.surfaces
+    )
 
 
 def _on_path(axis: ObservedAxis) -> Estimate:
@@ -265,15 +286,29 @@ def _added(axis: ObservedAxis, surface: EnvironmentEstimate) -> Finding:
     )
 
 
-def _unexplained(axis: ObservedAxis, left: Sequence[_Left]) -> Finding:
+def _listed(axis: ObservedAxis, left: Sequence[_Left]) -> str:
     unit = "N" if axis.lever_m == 1.0 else "N·m"
     shown = ", ".join(f"{each.start_s:.1f} s ({each.peak_n:.1f} {unit})" for each in left[:_MOST_LISTED])
-    more = f" and {len(left) - _MOST_LISTED} more" if len(left) > _MOST_LISTED else ""
+    return f"{shown} and {len(left) - _MOST_LISTED} more" if len(left) > _MOST_LISTED else shown
+
+
+def _cut(axis: ObservedAxis, left: Sequence[_Left]) -> Finding:
+    return Finding(
+        code="contact-cut",
+        severity="warning",
+        message=f"Axis {axis.name}: what was touched at {_listed(axis, left)} is not used: a hole of the log cuts it, "
+        "and which surface it was is not known.",
+        advice="Press there again if it is none of the surfaces of this axis.",
+        axis=axis.name,
+    )
+
+
+def _unexplained(axis: ObservedAxis, left: Sequence[_Left]) -> Finding:
     return Finding(
         code=CONTACT_UNEXPLAINED,
         severity="error",
-        message=f"Axis {axis.name}: what was touched at {shown}{more} is none of the surfaces, and force over depth "
-        "does not identify its stiffness.",
+        message=f"Axis {axis.name}: what was touched at {_listed(axis, left)} is none of the surfaces, and force over "
+        "depth does not identify its stiffness.",
         advice=_ADVICE,
         axis=axis.name,
     )

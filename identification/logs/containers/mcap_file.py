@@ -11,6 +11,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property, partial
+from itertools import groupby
 from pathlib import Path
 from typing import TypeVar
 
@@ -306,10 +307,12 @@ class McapContainer(Container):
         chunks, (first_ns, _) = self._known[0].chunks, self._known[0].span_ns
         total = total_counts(chunks).total()
         return tuple(
-            f"bytes {chunk.start} to {chunk.stop} left out, {recorded_text(chunk.start_ns, chunk.end_ns, first_ns)}, "
-            f"{sum((chunk.counts or {}).values())} of {total} messages ({self._lost[chunk.start]})"
-            for chunk in chunks
-            if chunk.start in self._lost
+            f"bytes {group[0].start} to {group[-1].stop} left out, "
+            f"{recorded_text(min(c.start_ns for c in group), max(c.end_ns for c in group), first_ns)}, "
+            f"{total_counts(group).total()} of {total} messages "
+            f"({', '.join(dict.fromkeys(self._lost[chunk.start] for chunk in group))})"
+            for is_lost, group in ((key, [*each]) for key, each in groupby(chunks, lambda c: c.start in self._lost))
+            if is_lost
         )
 
     def close(self) -> None:

@@ -130,6 +130,26 @@ def test_what_the_way_in_does_not_show_is_an_error_with_its_time_and_peak() -> N
     assert f"0.0 s ({peak:.1f} N)" in finding.message
 
 
+@pytest.mark.parametrize("side", [1, -1])
+def test_what_a_hole_cuts_is_a_warning_where_its_side_has_a_surface(side: int) -> None:
+    press = there_and_back(1.5e5, 3e-4)
+    inside = slice(press.first + 300, press.last - 300)
+    cut = Press(position_m=press.position_m[inside], force_n=press.force_n[inside], first=0, last=0)
+    accounted, axis = seen(cut, fitted=surface("x1", 1.5e5))
+    assert [each.severity for each in accounted.findings] == ["error"]
+    force_n = axis.of.axis.force_n.copy()
+    force_n[-3:] = np.nan
+    (_, known), of = axis.surfaces[0], replace(axis.of, axis=replace(axis.of.axis, force_n=force_n))
+    axis = replace(axis, of=of, surfaces=((side * axis.surfaces[0][0], known),))
+    (finding,) = account_for_contacts(accounted.phases, [axis], H_S).findings
+    if side > 0:
+        assert (finding.code, finding.severity) == ("contact-cut", "warning")
+        assert "Axis x: what was touched at 0.0 s (" in finding.message
+        assert "is not used: a hole of the log cuts it" in finding.message
+    else:
+        assert (finding.code, finding.severity) == (CONTACT_UNEXPLAINED, "error")
+
+
 def test_without_a_coupling_no_slope_is_reported() -> None:
     _, axis = seen(restless(2e5, 40.0))
     (contact,) = axis.pressed.contacts

@@ -203,6 +203,20 @@ def test_a_damaged_index_costs_no_message(tmp_path: Path) -> None:
             assert "bytes" in reported(contents)
 
 
+def test_damaged_chunks_that_follow_each_other_are_one_place(tmp_path: Path) -> None:
+    messages, path = some_messages(200), tmp_path / "run.mcap"
+    writer = write_style(path, messages, CHUNKED)
+    for chunk in (2, 5, 6, 7):
+        damage(path, writer, chunk, 60, b"\xff\xff\xff")
+    beside = read_all(path)
+    assert beside.messages == without_chunks(messages, [2, 5, 6, 7])
+    said = reported(beside)
+    assert said.count("bytes ") == 2
+    assert f"bytes {writer.chunks[2]} to " in said
+    assert f"bytes {writer.chunks[5]} to " in said
+    assert "60 of 200 messages" in said
+
+
 @pytest.mark.parametrize("what", ["another log behind it", "time of a chunk", "channel of an index"])
 def test_damage_that_costs_no_message_is_said_too(tmp_path: Path, what: str) -> None:
     messages, path = some_messages(200), tmp_path / "run.mcap"
