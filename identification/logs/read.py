@@ -422,10 +422,10 @@ def _times(parts: Sequence[Part], clocks: Mapping[Role, Clock]) -> list[ChannelT
 
 
 def _chosen(choice: Choice, parts: Sequence[StampArray], *, is_window: bool) -> Finding:
-    count = None if is_window else sum(map(len, parts))
-    # From one recording to the next there is no step.
-    steps_s = 1e-9 * joined([np.diff(stamps) for stamps in parts])
+    # From one recording to the next there is no step; what moves nothing is in no part.
+    steps_s = 1e-9 * joined([np.diff(stamps) for stamps in parts or [np.zeros(0, dtype=np.int64)]])
     pair = f", {choice.frames[1]} in {choice.frames[0]}" if choice.frames else ""
-    read = choice.info if count is None or choice.frames else replace(choice.info, count=count)
+    has_count = parts and not is_window and not choice.frames
+    read = replace(choice.info, count=sum(map(len, parts))) if has_count else choice.info
     source = f"{read.described(sampling_rate_hz(steps_s) if choice.info.is_timed else None)}{pair}"
     return Finding.info("channel-chosen", f"The {ROLES[choice.role].label} is read from {source}: {choice.reason}.", "")
