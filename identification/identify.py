@@ -44,8 +44,8 @@ from .robot.admittance_estimates import AdmittanceRobots, identify_admittance_ro
 from .robot.admittance_motion import with_compensated_force
 from .robot.logged_command import restore_commands
 from .sensor import at_rest_only, describe_sensor, identify_from_rows
-from .signals.aligned import AlignedLog, align, check_regular, find_gaps, without_spikes
-from .signals.recording import Frames, PoseSignal, Recording, unmeasured
+from .signals.aligned import AlignedLog, align, check_regular, without_spikes
+from .signals.recording import Frames, PoseSignal, Recording, find_gaps, unmeasured
 from .signals.segments import MotionSpans, find_motion
 from .turn_estimate import identify_turn, unidentified_turn
 from .verdicts import missing

@@ -145,6 +145,15 @@ def test_a_damaged_chunk_costs_a_log_that_chunk_alone(run_cli: RunCli, tmp_path:
     assert {"hole", "salvaged-span"} & said.keys() == {"hole"}
     inspected = json_of(run_cli("inspect", path, "--json"))
     assert said["salvaged"] in {finding["message"] for finding in inspected["findings"]}
+    assert sorted(f["code"] for f in found["findings"] if f["code"] in ("salvaged", "hole")) == ["hole", "salvaged"]
+    # As does a flipped bit in its head, which the summary lists.
+    head = bytearray(data)
+    head[damaged.chunk_start_offset + damaged.chunk_length // 2] ^= 0x10
+    head[damaged.chunk_start_offset + 3] ^= 0x10
+    path.write_bytes(head)
+    beside = json_of(run_cli("inspect", path, "--json"))
+    assert f"damaged: bytes {damaged.chunk_start_offset} to " in str(beside["findings"])
+    assert beside["channels"] == inspected["channels"]
     # With its end cut off nobody knows what is missing.
     path.write_bytes(data[:-20])
     refused = run_cli("identify", path, "-o", tmp_path / "refused.yaml")

@@ -13,8 +13,8 @@ from problems.arrays import FloatArray
 from ..errors import EstimateError
 from ..payload.gravity import orientation_spread_rad
 from ..robot.coupling import FreeMotion
-from ..signals.aligned import AlignedLog, check_regular, find_gaps
-from ..signals.recording import PoseSignal, Recording, StampArray
+from ..signals.aligned import AlignedLog, check_regular
+from ..signals.recording import PoseSignal, Recording, StampArray, find_gaps
 from ..signals.segments import MotionSpans, Span
 
 AXIS_NAMES = ("x", "y", "z")

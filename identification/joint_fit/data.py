@@ -11,8 +11,8 @@ from problems.model.robot import RobotModel
 
 from ..axes.straight import AxisMotion, find_ringing, keeps_orientation, unguided_spans
 from ..robot.coupling import CouplingFit
-from ..signals.aligned import AlignedLog, find_gaps
-from ..signals.recording import PoseSignal, StampArray
+from ..signals.aligned import AlignedLog
+from ..signals.recording import PoseSignal, StampArray, find_gaps
 from ..signals.segments import MotionSpans, Span
 
 _SAME_PHASE = 0.05

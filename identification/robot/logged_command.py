@@ -11,9 +11,8 @@ from problems.arrays import FloatArray
 
 from ..errors import EstimateError
 from ..result import TICK_S
-from ..signals.aligned import find_gaps
 from ..signals.medians import median
-from ..signals.recording import PoseSignal
+from ..signals.recording import PoseSignal, find_gaps
 from .position_loop import RobotFit, identify_robot
 
 _SAME_PERIOD = 0.05

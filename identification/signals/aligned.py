@@ -19,6 +19,7 @@ from .recording import (
     Recording,
     StampArray,
     WrenchSignal,
+    find_gaps,
     slerp,
     stamped_between,
     turned_rad,
@@ -215,12 +216,6 @@ def _clock_of(recording: Recording) -> _Clock:
     return _Clock(
         start_ns=int(start), period_s=period, pose_period_s=pose_period, forces=forces, poses=poses, holes=holes
     )
-
-
-def find_gaps(stamp_ns: StampArray) -> IntArray:
-    """Return the numbers of the messages after which a hole of more than 12 periods begins."""
-    steps = np.diff(stamp_ns)
-    return np.flatnonzero(steps > LARGEST_GAP_PERIODS * median(steps)) if len(steps) else np.zeros(0, np.int64)
 
 
 def check_regular(topic: str, stamp_ns: StampArray, *, keeps_holes: bool = False) -> float:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from problems.arrays import FloatArray
+from problems.arrays import FloatArray, IntArray
 from problems.frozen import freeze
 
 from ..errors import EstimateError, LogError
@@ -308,6 +308,12 @@ class Recording:
             )
         what = f"The pose of topic {self.pose.topic}"
         _require_axes(what, self.pose.measured_axes, AXES[3:], WEIGHT_NEEDS_ORIENTATION)
+
+
+def find_gaps(stamp_ns: StampArray) -> IntArray:
+    """Return the numbers of the messages after which a hole of more than 12 periods begins."""
+    steps = np.diff(stamp_ns)
+    return np.flatnonzero(steps > LARGEST_GAP_PERIODS * median(steps)) if len(steps) else np.zeros(0, np.int64)
 
 
 def sampling_rate_hz(steps_s: FloatArray) -> float | None:
