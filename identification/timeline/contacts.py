@@ -1,6 +1,6 @@
 """Contacts of a time line: onset, peak, hold, release, bounces, and whether a hand pushed."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -31,6 +31,7 @@ _BROKEN_LAW = 0.2
 _DRIVING_SHARE = 0.1
 _CLEAR_LAW = 0.2
 _SLOW_HZ = 8.0
+_BESIDE_HOLE_S = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -184,7 +185,7 @@ def find_contacts(of: AxisContacts, payload: PayloadMotion, motion: MotionSpans,
     Where it touches a surface for 0.1 s or more without coming to rest, that is a contact without a hold.
     """
     free = tuple(s for s in motion.still if s not in of.holds)
-    barriers = (*free, *spans_of(~np.isfinite(payload.touch_n)))
+    barriers = (*free, *_holes(payload.touch_n, period_s))
     noise = _scatter(payload.touch_n, free)
     found: list[ContactTimes] = []
     for hold in of.holds:
@@ -240,7 +241,7 @@ def _restless(
         taken[span.slice] = is_hand_led(*shown, period_s, float(of.coupling[3]), of.smallest_n)
     for contact in contacts:
         taken[contact.span.slice] = True
-    barriers = (*motion.still, *spans_of(~np.isfinite(slow)))
+    barriers = (*motion.still, *_holes(slow, period_s))
     found: list[ContactTimes] = []
     unclear: list[ContactTimes] = []
     for sign in (-1.0, 1.0):
@@ -273,6 +274,17 @@ def _peaked(contact: ContactTimes, of: AxisContacts, sign: float) -> ContactTime
 def _scatter(values: FloatArray, spans: Sequence[Span]) -> float:
     """Return the deviation of values (n,) in a usual span: who pushes at one rest must not hide a contact."""
     return float(np.median([np.std(values[s.slice]) for s in spans])) if spans else 0.0
+
+
+def _holes(values: FloatArray, period_s: float) -> Iterator[Span]:
+    """Yield the holes of values (n,), each with and without what lies beside it.
+
+    There a filter does not know how what it filters goes on, and two derivatives make a touch of that.
+    """
+    beside = round(_BESIDE_HOLE_S / period_s)
+    for hole in spans_of(~np.isfinite(values)):
+        yield hole
+        yield Span(start=max(0, hole.start - beside), stop=hole.stop + beside)
 
 
 def _window(hold: Span, free: Sequence[Span], count: int, period_s: float, found: Sequence[ContactTimes]) -> Span:

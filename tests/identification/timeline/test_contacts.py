@@ -1,6 +1,6 @@
 """The anatomy of contacts that scipy integrates."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -107,6 +107,22 @@ def test_onset_peak_and_hold_are_where_they_are(stiffness: float, sign: float) -
     assert contact.peak_force_n == pytest.approx(-float(np.min(press.force_n)), abs=0.5)
     assert contact.onset < contact.peak < contact.hold.stop <= contact.span.stop
     assert contact.bounces == ()
+    assert contact.hand_suspected is False
+
+
+@pytest.mark.parametrize("at_s", [-0.3, 0.3])
+def test_a_hole_near_a_contact_neither_prolongs_it_nor_makes_a_hand_of_it(at_s: float) -> None:
+    """The flange moves on as the hole begins or ends: there a filter sees a touch that is none."""
+    press = there_and_back(1.5e5, 3e-4)
+    begin = (press.first if at_s < 0.0 else press.last) + round(at_s / H_S)
+    hole = slice(begin - round(0.2 / H_S), begin) if at_s < 0.0 else slice(begin, begin + round(0.2 / H_S))
+    of, _, motion = pressed(press.position_m, press.force_n)
+    position, force = of.axis.position_m.copy(), of.axis.force_n.copy()
+    position[hole] = force[hole] = np.nan
+    of = replace(of, axis=replace(of.axis, position_m=position, force_n=force))
+    (contact,) = find_contacts(of, observe_payload(of, H_S), motion, H_S).contacts
+    assert contact.onset == pytest.approx(press.first, abs=0.03 / H_S)
+    assert contact.release == pytest.approx(press.last, abs=0.05 / H_S)
     assert contact.hand_suspected is False
 
 
