@@ -1,4 +1,7 @@
-"""Walk an MCAP file by the chunk index of its summary, so that the damaged head of a chunk record costs that chunk."""
+"""Walk an MCAP file by the chunk index of its summary.
+
+So the damaged head of a chunk record costs that chunk, and a damaged length of a message index costs nothing.
+"""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -42,7 +45,21 @@ class _IndexedWalker(Walker):
         if fault and not self._is_proven(index):
             raise Damage(offset, fault)
         self.chunks.append(replace(chunk, fault=fault) if fault else self._chunk_at(offset))
-        return chunk.stop
+        return self._walk_message_indexes(chunk, chunk.stop + index.message_index_length)
+
+    def _walk_message_indexes(self, chunk: Chunk, stop: int) -> int:
+        """Take in the message indexes of a chunk; of damaged ones none, and its content has to be counted."""
+        offset = chunk.stop
+        try:
+            while offset < stop:
+                if self.frame(offset)[0] != Opcode.MESSAGE_INDEX:
+                    raise Damage(offset, "a message index should be here")
+                offset = super().walk_data(offset)
+        except Damage:
+            offset = -1
+        if offset != stop:
+            self.indexed.pop(chunk.start, None)
+        return stop
 
     def _chunk_at(self, offset: int) -> Chunk:
         kind, length = self.frame(offset)

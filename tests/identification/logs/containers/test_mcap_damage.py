@@ -324,6 +324,21 @@ def test_a_flipped_bit_in_the_head_of_a_chunk_costs_that_chunk(tmp_path: Path, c
         assert ", 10 of 30 messages (" in finding.message
 
 
+@pytest.mark.parametrize("has_crc", [True, False])
+def test_a_flipped_bit_in_the_length_of_a_message_index_costs_nothing(tmp_path: Path, has_crc: bool) -> None:
+    path, style = tmp_path / "run.mcap", Style(messages_per_chunk=10, chunk_crc=has_crc, define_in_every_chunk=True)
+    writer = write_style(path, some_messages(30), style)
+    sound, data = read_all(path), path.read_bytes()
+    (length,) = struct.unpack_from("<Q", data, writer.chunks[1] + 1)
+    start = writer.chunks[1] + 9 + length
+    assert data[start] == raw.MESSAGE_INDEX
+    for bit in range(8 * (start + 1), 8 * (start + 9)):
+        flipped = bytearray(data)
+        flipped[bit // 8] ^= 1 << bit % 8
+        path.write_bytes(flipped)
+        assert alike(read_all(path), sound), bit // 8 - start
+
+
 @pytest.mark.parametrize("style", [Style(chunk_index=False), Style(message_index=False), Style(statistics=False)])
 def test_without_what_proves_its_place_and_content_a_damaged_head_is_refused(tmp_path: Path, style: Style) -> None:
     path = tmp_path / "run.mcap"
