@@ -282,6 +282,7 @@ def _identify_piece(
     A window that identifies nothing, and one of many that lies outside a span of stamps, are no errors yet.
     """
     report, name = report or no_progress, piece.name
+    keeps_signals = with_evidence and piece.window is None
     try:
         if recording is None:
             recording = read_checked_recording(piece.files, cell, salvage=salvage, span=piece.span)
@@ -290,7 +291,12 @@ def _identify_piece(
         # Nobody but `identify_with_evidence` holds it then, which lets go of what it no longer needs.
         held, recording = [recording], None
         found, evidence = identify_with_evidence(
-            held.pop(), build_frames(cell), given, lambda share: report((1.0 - _READING_SHARE) * share), piece.known
+            held.pop(),
+            build_frames(cell),
+            given,
+            lambda share: report((1.0 - _READING_SHARE) * share),
+            piece.known,
+            with_signals=keeps_signals,
         )
     except OutsideSpanError as error:
         if not is_one_of_many or not (piece.span.has_stamps or piece.window):
@@ -304,9 +310,7 @@ def _identify_piece(
         raise type(error)(f"{name}: {error}") from error
     read = _without_withdrawn(reading, found.findings)
     found = replace(found, findings=(*read, *found.findings))
-    kept = (
-        None if evidence is None or piece.window or not with_evidence else replace(evidence, log=name, reading=reading)
-    )
+    kept = replace(evidence, log=name, reading=reading) if evidence is not None and keeps_signals else None
     share = 0.0 if evidence is None else evidence.gain_error_share
     named = NamedResult(name=name, result=found, gain_error_share=share)
     run = PieceRun(named=named, source=source, evidence=kept)

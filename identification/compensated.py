@@ -19,9 +19,10 @@ from .rebuilt_command import rebuilt_command
 from .result import AxisEstimate, Finding
 from .robot.admittance_estimates import AdmittanceRobots
 from .robot.logged_command import restore_commands
-from .signals.aligned import AlignedLog, edges_of, on_one_clock, without_spikes
+from .signals.aligned import AlignedLog, edges_of, on_one_clock
 from .signals.recording import AXES, AppliedDeadband, Recording, WrenchSignal
 from .signals.segments import MotionSpans, find_motion
+from .signals.spikes import without_spikes
 from .touches.find import find_touches
 from .touches.inertia import payload_force
 from .touches.signals import axis_signals

@@ -44,9 +44,10 @@ from .robot.admittance_estimates import AdmittanceRobots, identify_admittance_ro
 from .robot.admittance_motion import with_compensated_force
 from .robot.logged_command import restore_commands
 from .sensor import at_rest_only, describe_sensor, identify_from_rows
-from .signals.aligned import AlignedLog, align, check_regular, without_spikes
+from .signals.aligned import AlignedLog, align, check_regular, without_wrench
 from .signals.recording import Frames, PoseSignal, Recording, find_gaps, unmeasured
 from .signals.segments import MotionSpans, find_motion
+from .signals.spikes import without_spikes
 from .turn_estimate import identify_turn, unidentified_turn
 from .verdicts import missing
 
@@ -92,6 +93,8 @@ def identify_with_evidence(
     given: Mapping[str, Given] | None = None,
     progress: Callable[[float], None] | None = None,
     known: Sequence[KnownPayload] = (),
+    *,
+    with_signals: bool = True,
 ) -> tuple[Identified, Evidence | None]:
     """Return what `identify_cell` does, and the signals that it rests on; None where it has no wrench over time.
 
@@ -104,6 +107,8 @@ def identify_with_evidence(
     known
         Payloads of other logs of the cell, in the place of that of a log whose rests show none: the first one that its
         force at rest agrees with.
+    with_signals
+        Whether the evidence holds the signals. Without, the logged wrench takes no memory while the axes are fitted.
 
     Raises
     ------
@@ -117,10 +122,10 @@ def identify_with_evidence(
         report(1.0)
         found = settle_cell(partial, given)
         return found, _wrench_as_logged(recording) if found.timelines else None
-    weighed = _weighed(recording, frames, known, report)
+    weighed = [_weighed(recording, frames, known, report)]
     # Of a long log the wrench as it was logged, and what was restored of it, are a tenth of what is in memory.
     del recording
-    return _identify(weighed, given, report)
+    return _identify(weighed.pop(), given, report, with_signals=with_signals)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,16 +142,18 @@ class _Weighed:
 
 
 def _identify(
-    weighed: _Weighed, given: Mapping[str, Given], report: Callable[[float], None]
+    weighed: _Weighed, given: Mapping[str, Given], report: Callable[[float], None], *, with_signals: bool
 ) -> tuple[Identified, Evidence]:
     read, payload, inertia = weighed.read, weighed.payload, weighed.inertia
-    log, gravity = read.log, payload.gravity
-    force = gravity.compensated_force_S_n(log)
-    cell, about_robots = _signals(read, gravity, force, inertia, given)
-    travel = find_axes(log, read.motion, force)
+    gravity = payload.gravity
+    cell, about_robots = _signals(read, gravity, gravity.compensated_force_S_n(read.log), inertia, given)
+    if not with_signals:
+        read = replace(read, log=without_wrench(read.log))
+        cell, weighed = replace(cell, log=read.log), replace(weighed, read=read)
+    travel = find_axes(cell.log, read.motion, cell.force_S_n)
     results, about_axes = _identify_axes(cell, travel, inertia, lambda share: report(_AXES_SHARE * share))
     accounted, timeline = with_unfitted_touches(cell, results, *account_for_log(cell, results, gravity.mass_kg))
-    late, about_late = _late_wrench(results, read.recording, log.period_s)
+    late, about_late = _late_wrench(results, read.recording, cell.log.period_s)
     report(1.0 - _WEIGHING_SHARE - _AXES_SHARE)
     found = Identified(
         sample_time_s=_sample_time(read.recording),
@@ -169,7 +176,8 @@ def _identify(
         ),
         timelines=(timeline,),
     )
-    return settle_cell(found, cell.given), replace(_evidence(cell, gravity, results), payload=payload)
+    evidence = _evidence(cell, gravity, results if with_signals else {})
+    return settle_cell(found, cell.given), replace(evidence, payload=payload)
 
 
 def _signals(
@@ -269,7 +277,7 @@ def _wrench_as_logged(recording: Recording) -> Evidence | None:
 
 
 def _evidence(cell: CellSignals, gravity: GravityFit, results: Mapping[str, AxisResult]) -> Evidence:
-    """Gather what the pictures of this log show."""
+    """Gather what the pictures of this log show, of a log without its wrench what is not drawn."""
     return Evidence(
         start_ns=cell.log.start_ns,
         period_s=cell.log.period_s,

@@ -4,6 +4,7 @@ import ast
 import importlib
 import re
 import tomllib
+from collections import Counter
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -291,3 +292,16 @@ def test_an_array_type_is_defined_once(repository: Path) -> None:
     assert "FloatArray" in names
     found = {path: set(definition.findall(path.read_text(encoding="utf-8"))) & names for path in _modules(repository)}
     assert [path for path, again in found.items() if again] == [home]
+
+
+def test_a_constant_of_a_module_is_set_once(repository: Path) -> None:
+    """The second value would be that of all that stands between the two as well."""
+    for path in _modules(repository):
+        assigned = [target for node in _tree(path).body if isinstance(node, ast.Assign) for target in node.targets]
+        names = Counter(
+            each.id
+            for target in assigned
+            for each in (target.elts if isinstance(target, ast.Tuple) else [target])
+            if isinstance(each, ast.Name) and each.id.isupper()
+        )
+        assert {name for name, count in names.items() if count > 1} == set(), path

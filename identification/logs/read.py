@@ -10,12 +10,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from problems.arrays import FloatArray
 from problems.errors import ParameterError
 
 from ..errors import LogError, OutsideSpanError, PayloadChangedError
 from ..result import Finding
-from ..signals.aligned import without_pose_spikes
-from ..signals.recording import Recording, StampArray, join_recordings, sampling_rate_hz, shifted
+from ..signals.recording import PoseSignal, Recording, StampArray, join_recordings, sampling_rate_hz, shifted
+from ..signals.spikes import without_pose_spikes
 from .checks.clocks import ChannelTimes, check_clocks
 from .checks.losses import span_left, start_left
 from .checks.payload import check_payload, payload_change
@@ -381,10 +382,17 @@ def _continuous(recording: Recording) -> Recording:
     Single poses that no robot could take are replaced.
     """
     pose, command = recording.pose, recording.command
-    pose, found = without_pose_spikes(replace(pose, quaternion_xyzw=make_continuous(pose.quaternion_xyzw)))
+    pose, found = without_pose_spikes(replace(pose, quaternion_xyzw=_continuous_quaternions(pose)))
     if command is not None:
-        command = replace(command, quaternion_xyzw=make_continuous(command.quaternion_xyzw))
+        command = replace(command, quaternion_xyzw=_continuous_quaternions(command))
     return replace(recording, pose=pose, command=command, findings=(*recording.findings, *found))
+
+
+def _continuous_quaternions(pose: PoseSignal) -> FloatArray:
+    """Return the quaternions (n, 4) of a pose without jumps; read-only, so that the signal takes them as they are."""
+    quaternion = make_continuous(pose.quaternion_xyzw)
+    quaternion.setflags(write=False)
+    return quaternion
 
 
 def _on_one_clock(recording: Recording, times: Sequence[ChannelTimes]) -> Recording:

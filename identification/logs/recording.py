@@ -140,11 +140,11 @@ def build_recording(series: dict[Role, Series], clocks: Mapping[Role, Clock], ce
     command = twist = desired_force = None
     if Role.COMMAND in columns:
         source = cell.command or PoseSource()
-        command = interpret_pose(columns[Role.COMMAND], source, frames, is_displacement=is_relative)
+        command = interpret_pose(columns.pop(Role.COMMAND), source, frames, is_displacement=is_relative)
     if not cell.rows_are_poses:
         findings += turn_findings(pose)
     if Role.TWIST in columns:
-        twist = interpret_twist(columns[Role.TWIST], cell.twist or TwistSource(), frames, pose)
+        twist = interpret_twist(columns.pop(Role.TWIST), cell.twist or TwistSource(), frames, pose)
         findings += twist_findings(pose, twist)
     desired = cell.desired_force or DesiredForceSource()
     asked = _constant(desired, wrench) if desired.is_known else columns.get(Role.DESIRED_FORCE)

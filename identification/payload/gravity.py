@@ -103,7 +103,8 @@ class GravityFit:
         """Return the torque about the sensor's origin (n, 3) without bias and weight."""
         weight = self.mass_kg * log.in_sensor_frame(GRAVITY_B_M_S2)
         torque = log.torque_S_n_m - self.torque_bias_S_n_m
-        torque -= np.cross(self.com_S_m, weight)
+        for part in log.parts:
+            torque[part] -= np.cross(self.com_S_m, weight[part])
         if self.bias_step is not None:
             torque[: self.bias_step.sample] -= self.bias_step.torque_before_S_n_m
         return torque

@@ -131,15 +131,19 @@ def _attenuation(columns: FloatArray, signals: _Signals, motion: MotionSpans, ed
 
 def _acceleration_B(log: AlignedLog) -> FloatArray:
     """Return a (n, 3) of the frame's origin in B, smoothed without phase shift."""
-    smooth = low_pass(log.position_B_m, log.period_s, _RATE_BAND_HZ)
-    return np.asarray(np.gradient(np.gradient(smooth, log.period_s, axis=0), log.period_s, axis=0))
+    acceleration = np.empty((len(log), 3))
+    for column, position in zip(acceleration.T, log.position_B_m.T, strict=True):
+        smooth = low_pass(position, log.period_s, _RATE_BAND_HZ)
+        column[:] = np.gradient(np.gradient(smooth, log.period_s), log.period_s)
+    return acceleration
 
 
 def _turn_rate_S(log: AlignedLog) -> FloatArray:
     """Return ω (n, 3) of the tool in S, smoothed without phase shift."""
-    quaternions = log.orientation_BS.as_quat()
-    between = turn_vectors_rad(quaternions[:-1], quaternions[1:])
-    del quaternions
+    between = np.empty((len(log) - 1, 3))
+    for part in log.parts:
+        quaternions = log.orientation_BS[part.start : part.stop + 1].as_quat()
+        between[part] = turn_vectors_rad(quaternions[:-1], quaternions[1:])
     between /= log.period_s
     # Differences lie between samples; their means lie on them again.
     rate = np.empty((len(log), 3))

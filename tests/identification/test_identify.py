@@ -15,6 +15,7 @@ from identification.advice import advise
 from identification.errors import EstimateError, LogError
 from identification.identify import identify_cell, identify_with_evidence
 from identification.result import Estimate, Finding, Identified, Status, TouchCause, VectorEstimate
+from identification.signals.aligned import AlignedLog, align
 from identification.signals.recording import PoseSignal, Recording, WrenchSignal
 from problems.arrays import BoolArray, ComplexArray, FloatArray
 from tests.autotune.simulation.runs import demo_run
@@ -346,10 +347,40 @@ def test_the_logged_wrench_is_let_go_of_before_the_axes_are_fitted(
     held = [dataclasses.replace(demo_recording)]
     logged = weakref.ref(held[0])
 
-    def fitted(weighed: Any, *_: object) -> tuple[str, None]:
+    def fitted(weighed: Any, *_: object, with_signals: bool) -> tuple[str, None]:
+        assert with_signals
         assert np.isnan(weighed.read.recording.wrench.force_n).all()
         return "gone" if logged() is None else "held", None
 
     monkeypatch.setattr("identification.identify._identify", fitted)
     said: Any = identify_with_evidence(held.pop())[0]
     assert said == "gone"
+
+
+@pytest.mark.parametrize("with_signals", [False, True])
+def test_without_signals_the_wrench_on_the_clock_of_the_log_is_let_go_of_too(
+    demo_recording: Recording, monkeypatch: pytest.MonkeyPatch, with_signals: bool
+) -> None:
+    logs: list[weakref.ref[AlignedLog]] = []
+
+    def noted(recording: Recording) -> AlignedLog:
+        log = align(recording)
+        logs.append(weakref.ref(log))
+        return log
+
+    def seen(log: AlignedLog, *_: object) -> None:
+        held = [each() is not None for each in logs]
+        raise EstimateError(f"{held} {bool(np.isnan(log.force_S_n).all())}")
+
+    monkeypatch.setattr("identification.identify.align", noted)
+    monkeypatch.setattr("identification.identify.find_axes", seen)
+    with pytest.raises(EstimateError, match=r"\[True\] False" if with_signals else r"\[False\] True"):
+        identify_with_evidence(demo_recording, with_signals=with_signals)
+
+
+def test_without_signals_the_result_is_the_same(demo_recording: Recording, complete: Identified) -> None:
+    found, evidence = identify_with_evidence(demo_recording, with_signals=False)
+    assert found == complete
+    assert evidence is not None
+    assert evidence.payload is not None
+    assert not evidence.axes

@@ -119,6 +119,16 @@ def test_a_period_is_the_mean_unless_messages_were_lost() -> None:
     assert check_regular("/ft", thinned) == pytest.approx(1.0 / 3000.0, rel=1e-5)
 
 
+@pytest.mark.parametrize(("rate_hz", "is_slow"), [(4.0, False), (1.5, True)])
+def test_a_pose_that_is_logged_twice_a_second_or_more_shows_how_the_robot_moves(rate_hz: float, is_slow: bool) -> None:
+    slow = recording(clock(500.0, 6.0), clock(rate_hz, 6.0))
+    if not is_slow:
+        assert align(slow).pose_rate_hz == pytest.approx(rate_hz)
+        return
+    with pytest.raises(LogError, match=r"as the robot moves, found samples of /tcp 0\.667 s apart"):
+        align(slow)
+
+
 def test_a_topic_of_two_messages_is_no_signal() -> None:
     with pytest.raises(LogError, match="`/ft` has 2 messages; at least 3"):
         check_regular("/ft", clock(500.0, 1.0)[:2])

@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from identification.signals.aligned import without_pose_spikes, without_spikes
 from identification.signals.medians import column_medians
 from identification.signals.recording import Recording
+from identification.signals.spikes import without_pose_spikes, without_spikes
 
 
 def test_spikes_are_replaced_and_counted(demo_recording: Recording) -> None:
