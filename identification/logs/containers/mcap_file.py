@@ -229,12 +229,13 @@ def _from_indexes(layout: Layout) -> Layout | None:
         return None if any(chunk.is_chunk for chunk in layout.chunks) or layout.has_unknown_kinds else layout
     if statistics.message_count != total.total() or not all(_has_times(chunk, layout) for chunk in layout.chunks):
         return None
-    return replace(layout, chunks=tuple(replace(chunk, counts=chunk.counts or {}) for chunk in layout.chunks))
+    chunks = (chunk if chunk.counts is not None else replace(chunk, counts={}) for chunk in layout.chunks)
+    return replace(layout, chunks=tuple(chunks))
 
 
 def _has_times(chunk: Chunk, layout: Layout) -> bool:
     """Return whether the recording times of a chunk are known: counted, or given by the chunk and by its index."""
-    return not chunk.is_chunk or not chunk.counts or (chunk.has_span and bool(layout.chunk_indexes))
+    return not chunk.is_chunk or not chunk.counts or (chunk.has_span and layout.indexed_ns is not None)
 
 
 def _count(layout: Layout, opener: ChunkReader) -> Layout:

@@ -28,7 +28,7 @@ Definition = tuple[int, bytes, int]
 """Opcode, content and offset of a record that defines a schema or a channel."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, slots=True)
 class Chunk:
     """Bytes of the data section that are read at once: a chunk record, or messages outside of them.
 

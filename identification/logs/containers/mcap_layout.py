@@ -2,9 +2,10 @@
 
 import struct
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from io import BytesIO
+from sys import intern
 from typing import TypeVar
 
 import numpy as np
@@ -86,7 +87,7 @@ def parse_chunk(head: bytes, start: int, stop: int) -> Chunk:
         stored=stored,
         declared=declared,
         is_chunk=True,
-        compression=name.decode(),
+        compression=intern(name.decode()),
         crc=crc,
         start_ns=start_ns,
         end_ns=end_ns,
@@ -181,12 +182,13 @@ class Layout:
 
     `data_stop` is where the data section ends, `data_crc` and `summary_crc` are 0 where absent; `has_unknown_kinds`
     says that there are records whose kind the format does not name; `lost` are the parts that a salvage leaves out.
+    `indexed_ns` is from when to when the summary's index says that messages were recorded, None without an index.
     """
 
     chunks: tuple[Chunk, ...]
     definitions: Definitions
     statistics: records.Statistics | None
-    chunk_indexes: tuple[records.ChunkIndex, ...]
+    indexed_ns: tuple[int, int] | None
     data_stop: int
     data_crc: int
     summary_crc: int
@@ -197,7 +199,7 @@ class Layout:
     def span_ns(self) -> tuple[int, int]:
         """Return from when to when messages were recorded, those of lost chunks that the summary lists too."""
         spans = [(chunk.start_ns, chunk.end_ns) for chunk in self.chunks if chunk.counts]
-        spans += [(i.message_start_time, i.message_end_time) for i in self.chunk_indexes if i.message_end_time]
+        spans += [self.indexed_ns] if self.indexed_ns and self.indexed_ns[1] else []
         return min((start for start, _ in spans), default=0), max((end for _, end in spans), default=0)
 
 
@@ -233,17 +235,30 @@ class Walker:
 
     def layout(self, lost: tuple[str, ...] = ()) -> Layout:
         """Return what has been found."""
+        timed = [index for index in self.chunk_indexes if index.message_end_time]
+        first_ns = min((index.message_start_time for index in timed), default=0)
+        last_ns = max((index.message_end_time for index in timed), default=0)
         return Layout(
-            chunks=tuple(replace(c, counts=self.indexed.get(c.start, c.counts)) for c in self.chunks),
+            chunks=tuple(self._counted_chunks()),
             definitions=self.definitions,
             statistics=self.statistics,
-            chunk_indexes=tuple(self.chunk_indexes),
+            indexed_ns=(first_ns, last_ns) if self.chunk_indexes else None,
             data_stop=self.data_stop,
             data_crc=0 if self.data_end is None else self.data_end.data_section_crc,
             summary_crc=self.summary_crc,
             has_unknown_kinds=self.has_unknown_kinds,
             lost=lost,
         )
+
+    def _counted_chunks(self) -> Iterator[Chunk]:
+        """Yield the chunks with the counts of their indexes; a day of log has tens of thousands, mostly alike."""
+        known: dict[frozenset[tuple[int, int]], Mapping[int, int]] = {}
+        for chunk in self.chunks:
+            found = self.indexed.pop(chunk.start, None)
+            if found is None:
+                yield chunk
+            else:
+                yield replace(chunk, counts=known.setdefault(frozenset(found.items()), found))
 
     def peek(self, offset: int, length: int) -> bytes:
         """Return up to `length` bytes from an offset, of which it reads more at once than are asked for."""
