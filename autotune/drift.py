@@ -11,10 +11,11 @@ from problems.model.plant_parameters import PARAMETERS
 
 MASS = "payload.mass_kg"
 CLOCK = "clocks.wrench_offset_s"
+BIAS = "sensor.force_bias_n"
 _CHANGED_STDS = 3.0
 # Changes below this share of the value matter to no controller, however well they are known.
 _LEAST_CHANGE = 0.002
-_LEAST_OFFSET_S = 1e-4
+_LEAST_OFFSET_S, _LEAST_BIAS_N = 1e-4, 0.5
 
 Values = Mapping[str, tuple[float, float]]
 """Value and standard deviation in SI, by name."""
@@ -44,10 +45,18 @@ def identified_values(result: Identified) -> dict[str, tuple[float, float]]:
     }
 
 
+def bias_values(result: Identified) -> dict[str, tuple[float, float]]:
+    """Return the force that the sensor shows without a load, by component: of one sensor, and until it is tared."""
+    bias = result.sensor.force_bias_n
+    if bias.value is None or bias.std is None:
+        return {}
+    return {f"{BIAS}.{axis}": each for axis, each in zip("xyz", zip(bias.value, bias.std, strict=True), strict=True)}
+
+
 def differences(cell: str, before: tuple[str, Values], after: tuple[str, Values]) -> Iterator[Change]:
     """Yield what differs between two named runs by more than three deviations of the difference and 0.2 %.
 
-    Clocks differ by more than 0.1 ms: their offset is mostly none.
+    Clocks differ by more than 0.1 ms, biases by more than 0.5 N: both are mostly about none.
     """
     for name in before[1]:
         if name not in after[1]:
@@ -55,7 +64,8 @@ def differences(cell: str, before: tuple[str, Values], after: tuple[str, Values]
         (old, old_std), (new, new_std) = before[1][name], after[1][name]
         std = math.hypot(old_std, new_std)
         stds = abs(new - old) / std if std > 0.0 else math.inf
-        least = _LEAST_OFFSET_S if name == CLOCK else _LEAST_CHANGE * abs(old)
+        least = _LEAST_BIAS_N if name.startswith(BIAS) else _LEAST_CHANGE * abs(old)
+        least = _LEAST_OFFSET_S if name == CLOCK else least
         if stds > _CHANGED_STDS and abs(new - old) > least:
             yield Change(cell=cell, before=before[0], after=after[0], name=name, old=old, new=new, stds=stds)
 
@@ -82,6 +92,8 @@ def parameter_name(name: str) -> tuple[str, float, str]:
         label, unit = "payload mass", "kg"
     elif name == CLOCK:
         label, unit = "lateness of the wrench's clock", "s"
+    elif axis == BIAS:
+        label, unit = f"force bias {key}", "N"
     elif key in PARAMETERS:
         label, unit = f"{axis}: {PARAMETERS[key].symbol}", axis_units(axis).unit(PARAMETERS[key].kind)
     else:

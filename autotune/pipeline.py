@@ -33,6 +33,7 @@ from problems.frozen import freeze
 from problems.progress import no_progress
 
 _READING_SHARE = 0.25
+_ABSOLUTE_S = 1e8
 _ONLY_WHERE_GIVEN = ("urdf", "tip", "start", "stop", "gains", "windows_s")
 """Options that a file without them was identified without."""
 
@@ -312,13 +313,19 @@ def _identify_piece(
     found = replace(found, findings=(*read, *found.findings))
     kept = replace(evidence, log=name, reading=reading) if evidence is not None and keeps_signals else None
     share = 0.0 if evidence is None else evidence.gain_error_share
-    named = NamedResult(name=name, result=found, gain_error_share=share)
+    named = NamedResult(name=name, result=found, gain_error_share=share, recorded_s=_end_s(source))
     run = PieceRun(named=named, source=source, evidence=kept)
     if evidence is None or evidence.payload is None:
         return run
     if piece.known:
         return replace(run, payload_from=evidence.payload.source)
     return replace(run, payload=replace(evidence.payload, source=f"window {name}"))
+
+
+def _end_s(source: RunSource) -> float:
+    """Return when a recording ends on an absolute clock, 0 where it counts from its own start."""
+    start_s, end_s = source.span_s
+    return end_s if start_s > _ABSOLUTE_S else 0.0
 
 
 def _source(recording: Recording, files: Sequence[Path]) -> RunSource:

@@ -7,9 +7,11 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
-from multiprocessing import get_context, parent_process
+from multiprocessing import current_process, get_context, parent_process
 from multiprocessing.process import BaseProcess
 from typing import TypeVar
+
+from autotune.errors import UsageError
 
 _Task = TypeVar("_Task")
 _Result = TypeVar("_Result")
@@ -53,9 +55,19 @@ def map_in_processes(
         return [_warned_again(*future.result()) for future in futures]
 
 
+def check_start() -> None:
+    """Raise UsageError in a process that imports a script to work for it, where the script does its work again."""
+    if getattr(current_process(), "_inheriting", False):
+        raise UsageError(
+            "A script that works in several processes is imported by each of them: put what it does under "
+            '`if __name__ == "__main__":`.'
+        )
+
+
 @contextmanager
 def worker_pool(count: int) -> Iterator[ProcessPoolExecutor]:
     """Yield a pool of processes of this machine; what is raised meanwhile, or an interrupt, ends them at once."""
+    check_start()
     # A fork would copy the threads' locks of the libraries that are loaded already.
     pool = ProcessPoolExecutor(count, mp_context=get_context("spawn"), initializer=prepare_worker)
     try:

@@ -8,7 +8,7 @@ from functools import cache
 
 import numpy as np
 
-from autotune.drift import Change, drifts
+from autotune.drift import BIAS, Change, drifts
 from problems.arrays import FloatArray
 
 from .work import RunOutcome
@@ -66,7 +66,8 @@ def unusual(outcomes: Sequence[RunOutcome]) -> tuple[Unusual, ...]:
 
 
 def _shared(newest: Mapping[str, Mapping[str, tuple[float, float]]]) -> list[str]:
-    names = dict.fromkeys(name for values in newest.values() for name in values)
+    # A bias is that of one sensor since it was tared.
+    names = dict.fromkeys(name for values in newest.values() for name in values if not name.startswith(BIAS))
     return [name for name in names if sum(name in values for values in newest.values()) >= _FEWEST_CELLS]
 
 

@@ -10,7 +10,7 @@ from random import Random
 
 from autotune.errors import UsageError
 from autotune.formats.atomic import name_of_process
-from autotune.processes import worker_pool
+from autotune.processes import check_start, worker_pool
 from problems.errors import AutotuneError
 
 from .dask_pool import MOST_DEATHS, DaskPool
@@ -77,6 +77,7 @@ def work_on_runs(
         A file cannot be read, a result cannot be written, the state cannot be kept, or controllers in the folder would
         be removed and not made again.
     """
+    check_start()
     progress = progress or (lambda *_: nullcontext(_nothing))
     with open_state(storage, folder) as state:
         tasks: dict[str, RunTask] = {}

@@ -10,7 +10,8 @@ from .work import RunOutcome
 
 def outcome_text(outcomes: Sequence[RunOutcome]) -> str:
     """Say in a sentence what came of a campaign."""
-    refused, broken = sum(bool(each.refused) for each in outcomes), sum(bool(each.outside) for each in outcomes)
+    refused = sum(bool(each.refused) for each in outcomes)
+    broken = len({each.cell for each in outcomes if each.outside})
     cells = len({each.cell for each in outcomes})
     parts = [f"{counted(len(outcomes), 'run')} of {counted(cells, 'cell')}", f"{refused} refused"]
     if any(each.outside is not None for each in outcomes):

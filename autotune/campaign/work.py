@@ -9,7 +9,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-from autotune.drift import CLOCK, identified_values
+from autotune.drift import CLOCK, bias_values, identified_values
 from autotune.errors import CertificateError, InfeasibleError, UsageError
 from autotune.formats.atomic import write_folder_atomic
 from autotune.formats.cell import read_cell
@@ -29,6 +29,7 @@ from .manifest import LoggedRun
 from .options import RunOptions
 
 _IDENTIFIED = "identified.yaml"
+_WRITTEN = frozenset({_IDENTIFIED, "controller.yaml"})
 _STEPS = {LogError: "log", EstimateError: "estimate", InfeasibleError: "requirements", CertificateError: "certificate"}
 
 
@@ -152,6 +153,12 @@ def work_on(task: RunTask) -> RunOutcome:
 
     What was not foreseen ends the run and not the campaign; nothing is written of it, so that it is tried again.
     """
+    others = sorted(path.name for path in task.folder.glob("*") if path.name not in _WRITTEN)
+    if others:
+        raise UsageError(
+            f"{task.folder} holds {', '.join(others)}, which no campaign has written and this one would delete; move "
+            "that to another folder, and the same command goes on."
+        )
     files: dict[str, str] = {}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -175,7 +182,7 @@ def work_on(task: RunTask) -> RunOutcome:
 
 def _check_again(task: RunTask, known: RunOutcome) -> RunOutcome:
     """Return a result that is known with the controller that the manifest names now; what was written stays."""
-    outside = None
+    outside = _broken(task.run.controller)
     if task.run.controller is not None and _IDENTIFIED in known.files:
         outside = _outside(task.run.controller, read_identified(task.folder / _IDENTIFIED).result)
     return replace(known, key=task.key, outside=outside)
@@ -198,15 +205,26 @@ def _identify_and_tune(task: RunTask, files: dict[str, str]) -> RunOutcome:
             outcome = replace(outcome, peaks_n=peaks, log_peaks_n=in_log)
     except AutotuneError as error:
         kind = next((name for of, name in _STEPS.items() if isinstance(error, of)), "usage")
-        return replace(outcome, refused=kind, reason=str(error))
+        outside = _broken(run.controller) if outcome.outside is None else outcome.outside
+        return replace(outcome, refused=kind, reason=str(error), outside=outside)
     return outcome
 
 
+def _broken(controller: Path | None) -> tuple[str, ...] | None:
+    """Return why a controller's file certifies nothing, None where it may hold: without a log nobody knows more."""
+    try:
+        if controller is not None:
+            read_controller(controller)
+    except AutotuneError as error:
+        return (str(error).rstrip("."),)
+    return None
+
+
 def _values(found: Identification) -> dict[str, tuple[float, float]]:
-    """Return what is followed from run to run: what was identified, and the offset between the clocks."""
+    """Return what is followed from run to run: what was identified, the sensor's bias, the clocks' offset."""
     offset = found.provenance.get("wrench_offset_s")
     clock = {} if offset is None else {CLOCK: (float(offset[0]), float(offset[1]))}
-    return identified_values(found.result) | clock
+    return identified_values(found.result) | bias_values(found.result) | clock
 
 
 def _damage(result: Identified) -> str:

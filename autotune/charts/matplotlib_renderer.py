@@ -225,6 +225,8 @@ def _write_above(axes: Axes, lines: Sequence[str]) -> None:
 def _set_log_ticks(axes: Axes, which: str) -> None:
     """Set numbered ticks: powers of ten where many are shown, else also parts of a decade."""
     low, high = sorted(getattr(axes, f"get_{which}lim")())
+    if low <= 0.0:
+        return  # axes that hold something else on a linear scale already
     figure, side = axes.get_figure(root=True), axes.xaxis if which == "x" else axes.yaxis
     inches = math.inf if figure is None else axes.get_position().width * figure.get_figwidth()
     decades = math.log10(high / low)

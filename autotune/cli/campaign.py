@@ -241,6 +241,8 @@ def _require(outcomes: "Sequence[RunOutcome]") -> None:
 
     cells = by_cell(outcomes)
     broken = [cell for cell, runs in cells.items() if runs[-1].outside]
+    # Of a refused run it is the file of the controller that certifies nothing.
+    broken = [*dict.fromkeys((*broken, *(each.cell for each in outcomes if each.refused and each.outside)))]
     if broken:
         raise CertificateError(
             f"The controllers of {', '.join(broken)} are not certified for what the newest run of their cell shows, "

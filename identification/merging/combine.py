@@ -40,12 +40,14 @@ _SAME_SURFACE_STDS = 3.0
 class NamedResult:
     """Result of one log; `name` is how findings call it.
 
-    `gain_error_share` is the share by which the force's scale may be wrong, as the log shows it.
+    `gain_error_share` is the share by which the force's scale may be wrong, as the log shows it. `recorded_s` is when
+    the log ends on an absolute clock, 0 where that is not known.
     """
 
     name: str
     result: Identified
     gain_error_share: float = 0.0
+    recorded_s: float = 0.0
 
 
 def combine_identified(parts: Sequence[NamedResult], given: Mapping[str, Given] | None = None) -> Identified:
@@ -55,7 +57,8 @@ def combine_identified(parts: Sequence[NamedResult], given: Mapping[str, Given] 
     are all taken from it. Noise averages; what the logs share (local gravity, the sensor's calibration) does not.
     Where the scatter of a parameter is larger than its noise lets expect (χ² test at 1e-3), a finding of severity
     `error` names it with its values, and its deviation is widened by √(χ²/(n − 1)). The bias of the sensor may change
-    from log to log: there it is a warning. Surfaces on one axis are one where their K_e agree within three deviations.
+    from log to log: where it does, that of the last log is taken, with a warning. Surfaces on one axis are one where
+    their K_e agree within three deviations.
 
     Parameters
     ----------
@@ -80,7 +83,9 @@ def combine_identified(parts: Sequence[NamedResult], given: Mapping[str, Given] 
         for finding in part.result.findings
     ]
     findings += load_growth_findings([load for part in parts for load in _load(part.result)])
-    merge = Merge(names=tuple(part.name for part in parts), findings=findings)
+    merge = Merge(
+        names=tuple(part.name for part in parts), findings=findings, ends_s=tuple(p.recorded_s for p in parts)
+    )
     period = _sample_time(parts, findings, is_given=_PERIOD in given)
     results = [rename_surfaces(part.result, names) for part, names in zip(parts, renamed, strict=True)]
     gain_share = min(part.gain_error_share for part in parts)

@@ -214,10 +214,15 @@ def _inverse(matrix: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, kw_only=True)
 class Merge:
-    """Averages, and the findings that they give rise to; `names` are those of the logs."""
+    """Averages, and the findings that they give rise to; `names` are those of the logs.
+
+    `ends_s` is when each log ends on an absolute clock, 0 where that is not known: the last log ends last, of those
+    that are not known it is the one that is named last.
+    """
 
     names: tuple[str, ...]
     findings: list[Finding]
+    ends_s: tuple[float, ...] = ()
 
     def scalars(
         self, what: str, estimates: Sequence[Estimate | None], *, differs_by_contact: bool = False, symbol: str = ""
@@ -232,7 +237,7 @@ class Merge:
             return stated[0][1] if stated else next(e for e in estimates if e is not None)
         values = np.array([[e.value] for _, e in stated], dtype=np.float64)
         stds = np.array([[e.std] for _, e in stated], dtype=np.float64)
-        mean, std = self._mean(what, [name for name, _ in stated], values, stds, may_change=False, symbol=symbol)
+        mean, std, _ = self._mean(what, [name for name, _ in stated], values, stds, may_change=False, symbol=symbol)
         if differs_by_contact:
             std = np.maximum(std, np.min(stds, axis=0))
         combined = Estimate(
@@ -250,14 +255,18 @@ class Merge:
     def vectors(self, what: str, estimates: Sequence[VectorEstimate], *, may_change: bool = False) -> VectorEstimate:
         """Return the same for vectors, component by component.
 
-        What `may_change` from log to log (a bias) does not average: its deviation is the smallest of the logs'.
+        What `may_change` from log to log (a bias) does not average: its deviation is the smallest of the logs'. Where
+        they differ beyond chance it is that of the last log.
         """
         stated = [(name, e) for name, e in zip(self.names, estimates, strict=True) if e.value is not None]
         if len(stated) < 2 or len({len(e.value) for _, e in stated if e.value is not None}) > 1:
             return stated[0][1] if stated else estimates[0]
         values = np.array([e.value for _, e in stated], dtype=np.float64)
         stds = np.array([e.std if e.std is not None else np.zeros(values.shape[1]) for _, e in stated])
-        mean, std = self._mean(what, [name for name, _ in stated], values, stds, may_change=may_change, symbol="")
+        names = [name for name, _ in stated]
+        mean, std, differ = self._mean(what, names, values, stds, may_change=may_change, symbol="")
+        if may_change and differ:
+            return dict(stated)[self._last(names)]
         return VectorEstimate(
             value=tuple(float(v) for v in mean),
             std=tuple(float(s) for s in std),
@@ -274,8 +283,8 @@ class Merge:
         *,
         may_change: bool,
         symbol: str,
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return mean and deviation of (n, k) values, and report where they scatter beyond their noise."""
+    ) -> tuple[FloatArray, FloatArray, bool]:
+        """Return mean and deviation of (n, k) values, and whether they scatter beyond chance, which is reported."""
         # What is known exactly counts as known to rounding; 1/0 would leave no mean.
         noise = np.maximum(stds, 1e-12 * np.maximum(np.abs(values), 1e-12))
         common = np.zeros(values.shape[1])
@@ -292,10 +301,16 @@ class Merge:
         else:
             # A log that states its noise coarsely must not make the mean less sure than it was.
             std = np.where(beyond > 0.0, std, np.minimum(std, least))
-        if any(is_beyond_chance(float(square), len(values) - 1, len(squares)) for square in squares):
+        differ = any(is_beyond_chance(float(square), len(values) - 1, len(squares)) for square in squares)
+        if differ:
             worst = int(np.argmax(squares))
             self.report(what, names, values[:, worst], stds[:, worst], worst, values.shape[1], may_change=may_change)
-        return mean, std
+        return mean, std, differ
+
+    def _last(self, names: Sequence[str]) -> str:
+        """Return which of some logs is the last."""
+        ends = dict(zip(self.names, self.ends_s, strict=True)) if self.ends_s else {}
+        return max(enumerate(names), key=lambda each: (ends.get(each[1], 0.0), each[0]))[1]
 
     def report(
         self,
@@ -318,7 +333,7 @@ class Merge:
                 code="logs-differ" if may_change else "logs-disagree",
                 severity="warning" if may_change else "error",
                 message=f"The logs disagree on the {what}{part}: {stated}.",
-                advice=""
+                advice=f"That of the last, {self._last(names)}, is taken; the sensor was tared or has drifted before."
                 if may_change
                 else "Leave out the log of another payload, tool or surface, or identify each on its own.",
             )

@@ -231,7 +231,7 @@ def check_regular(topic: str, stamp_ns: StampArray, *, keeps_holes: bool = False
         raise LogError(
             f"Topic `{topic}` has a gap of {gaps[worst] * 1e-9:.3f} s at "
             f"{(stamp_ns[worst] - stamp_ns[0]) * 1e-9:.3f} s (its period is {period * 1e-9:.6f} s); record again "
-            "without losing messages, or cut the log there."
+            "without losing messages, cut the log there, or read it with `--windows 10min`."
         )
     # Free of the stamps' rounding is the mean over the log, once lost messages are counted; a hole shows none.
     gaps = gaps[gaps <= LARGEST_GAP_PERIODS * period]

@@ -6,11 +6,13 @@ import subprocess
 import sys
 import time
 import warnings
+from multiprocessing import current_process
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 import pytest
 
+from autotune.errors import UsageError
 from autotune.processes import count_processors, map_in_processes, worker_pool
 from identification.errors import EstimateError
 from problems.frozen import FrozenDict
@@ -180,3 +182,9 @@ def test_workers_end_with_an_interrupt_in_the_midst_of_their_work() -> None:
     (worker,) = workers
     worker.join(60.0)
     assert worker.exitcode == -signal.SIGTERM
+
+
+def test_a_script_that_works_again_while_it_is_imported_to_work_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(current_process(), "_inheriting", True, raising=False)
+    with pytest.raises(UsageError, match='under `if __name__ == "__main__":`'), worker_pool(1):
+        pytest.fail("a pool was started")

@@ -164,7 +164,8 @@ def _uneven(topic: str, report: StampReport, since_start_s: FloatArray, *, keeps
             severity="error" if severe else "warning",
             message=f"Topic {topic} lacks about {lost} messages in {len(gaps)} gaps, {_at(when)}; the longest lasts "
             f"{length:.4f} s from {since_start_s[longest - 1]:.3f} s (period {report.period_s:.6f} s).",
-            advice="Record again without losing messages, or cut the log there."
+            advice="Record again without losing messages, cut the log there, or read it with `--windows 10min`, which "
+            "leaves out what is around a pause."
             if severe
             else "Single lost messages are interpolated; record to a faster disk or fewer topics.",
         )

@@ -8,7 +8,7 @@ import pytest
 from autotune.campaign.fleet import _distances, _robust_covariance, changes, unusual
 from autotune.campaign.text import outcome_text, unusual_text
 from autotune.campaign.work import RunOutcome
-from autotune.drift import CLOCK, Change, change_text, parameter_text
+from autotune.drift import BIAS, CLOCK, Change, change_text, parameter_text
 
 NAMES = ("payload.mass_kg", "x.coupling_stiffness_n_per_m", "x.delay_s")
 TRUE, STD = (16.0, 3e5, 2.4e-3), (0.02, 3e3, 2e-5)
@@ -58,6 +58,18 @@ def test_clocks_differ_where_their_offset_went_by_more_than_a_tenth_of_a_millise
     ]
     (found,) = changes(runs)
     assert change_text(found).startswith("a: from w1 to w2, lateness of the wrench's clock went from 0.09 to 2.1 ms")
+
+
+def test_a_tare_is_a_change_of_its_cell_and_no_bias_is_unusual_in_a_fleet() -> None:
+    name = f"{BIAS}.x"
+    runs = [
+        replace(outcome("a", f"w{k}", TRUE, at=float(k)), values={name: (bias, 0.002)})
+        for k, bias in enumerate((4.2, 4.5, 10.2))
+    ]
+    (found,) = changes(runs)
+    assert change_text(found).startswith("a: from w1 to w2, force bias x went from 4.5 to 10.2 N")
+    biased = [replace(each, values={**each.values, name: (40.0 * k, 0.002)}) for k, each in enumerate(fleet())]
+    assert unusual(biased) == ()
 
 
 def test_a_change_that_is_known_too_well_to_matter_is_none() -> None:

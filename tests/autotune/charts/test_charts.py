@@ -228,6 +228,18 @@ def test_a_chart_is_drawn_on_given_axes_or_as_a_figure_of_its_own() -> None:
     assert axes.get_legend() is None
 
 
+def test_axes_that_hold_something_below_zero_are_drawn_on_too() -> None:
+    line = Line(x=np.array([2e-4, 8e-4]), y=np.array([3e-4, 7e-4]))
+    sides = Scale(label="f", spacing="log"), Scale(label="G", spacing="log")
+    chart = Chart(key="g", title="G", alternative="A line.", panels=(Panel(x=sides[0], y=sides[1], elements=(line,)),))
+    axes = Figure().add_subplot()
+    axes.set_ylim(-2.0, 3.0)
+    axes.set_autoscale_on(False)
+    draw(chart, axes)
+    assert axes.get_yscale() == "log"
+    assert len(axes.lines) == 1
+
+
 def test_axes_and_panels_must_be_as_many() -> None:
     with pytest.raises(ValueError, match="has 2 panels and needs as many axes, found 1"):
         draw(everything(), Figure().add_subplot())

@@ -98,6 +98,36 @@ def test_a_controller_file_that_certifies_nothing_is_exit_code_6(
 
 
 @pytest.mark.usefixtures("in_this_process")
+def test_a_controller_file_that_certifies_nothing_beside_a_refused_log_is_exit_code_6(
+    run_cli: RunCli, fleet: Path
+) -> None:
+    (fleet / "press" / "mon.mcap").unlink()
+    (fleet / "mill").mkdir()
+    (fleet / "mill" / "mon.csv").write_text("t,a\n0,1\n1,2\n")
+    for folder in ("press", "mill"):
+        write_controller(fleet / folder / "controller.yaml", small_controller())
+    file = fleet / "press" / "controller.yaml"
+    file.write_text(file.read_text().replace("mass: ", "mass: 1", 1))
+    done = run_cli("campaign", fleet, "-o", "out", "--no-optimize", "--jobs", "1")
+    assert done.returncode == 6
+    assert f"press/tue: the certificate does not hold: {file}" in done.stdout.replace("\n", " ")
+    assert "The controllers of press are not certified" in done.stderr.replace("\n", " ")
+
+
+@pytest.mark.usefixtures("in_this_process")
+def test_what_no_campaign_has_written_is_not_deleted(run_cli: RunCli, fleet: Path, tmp_path: Path) -> None:
+    notes = tmp_path / "out" / "cells" / "press" / "mon" / "notes.txt"
+    notes.parent.mkdir(parents=True)
+    notes.write_text("mine")
+    done = run_cli("campaign", fleet, "-o", "out", "--no-optimize", "--jobs", "1")
+    assert done.returncode == 2
+    assert "mon holds notes.txt, which no campaign has written" in done.stderr.replace("\n", " ")
+    assert notes.read_text() == "mine"
+    notes.unlink()
+    assert run_cli("campaign", fleet, "-o", "out", "--no-optimize", "--jobs", "1").returncode == 0
+
+
+@pytest.mark.usefixtures("in_this_process")
 def test_of_another_controller_only_the_check_is_done_again(
     run_cli: RunCli, fleet: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

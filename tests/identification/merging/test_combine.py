@@ -161,9 +161,19 @@ def test_a_mean_of_two_payloads_is_weak_at_best() -> None:
 
 
 def test_a_bias_may_change_from_log_to_log() -> None:
+    """What lies between two biases was never the sensor's: the last one counts, whatever the order of the names."""
     found = combined(reported(bias=1.0), reported(bias=4.0))
     assert codes(found, "error") == []
     assert codes(found, "warning") == ["logs-differ"]
+    assert found.sensor.force_bias_n == reported(bias=4.0).sensor.force_bias_n
+    (finding,) = (each for each in found.findings if each.code == "logs-differ")
+    assert finding.advice == "That of the last, log1, is taken; the sensor was tared or has drifted before."
+    timed = (("late", 4.0, 2e9), ("early", 1.0, 1e9))
+    parts = [NamedResult(name=name, result=reported(bias=bias), recorded_s=at) for name, bias, at in timed]
+    assert combine_identified(parts).sensor.force_bias_n == reported(bias=4.0).sensor.force_bias_n
+    alike = combined(reported(bias=1.0), reported(bias=1.0))
+    assert codes(alike, "warning") == []
+    assert alike.sensor.force_bias_n.value == pytest.approx(reported(bias=1.0).sensor.force_bias_n.value)
 
 
 def test_what_one_log_lacks_another_shows() -> None:
