@@ -5,10 +5,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from autotune.drift import MASS, identified_values
-from autotune.windows import HOLE, Window, axes_shown, most_telling
+from autotune.windows import Window, axes_shown, most_telling
 from identification.errors import EstimateError, FewPosesError, LogError, OutsideSpanError, PayloadChangedError
 from identification.evidence import Evidence
 from identification.known_payload import KnownPayload
+from identification.logs.checks.stamps import HOLE
 from identification.logs.long_logs import WindowSpan, windows_of_part
 from identification.logs.read import WINDOW_S, LogSpan
 from identification.logs.roles.cell import Cell

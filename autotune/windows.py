@@ -18,8 +18,6 @@ from identification.result import Finding
 _SHORTEST_S = 20.0
 """A window must hold a few poses at rest, a sweep or a contact."""
 _MOST_USED = 8
-HOLE = "hole"
-"""The code of the finding that a log has a pause of the recorder, or lost messages."""
 _OF_A_SURFACE, _OF_A_COUPLING = ".stiffness_n_per_m", ".coupling_stiffness_n_per_m"
 # Contacts of one surface in other places differ by some percent.
 _OTHER_STDS, _OTHER_SHARE = 3.0, 0.05

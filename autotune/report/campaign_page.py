@@ -10,7 +10,7 @@ from autotune.campaign.fleet import Unusual, by_cell, changes, unusual
 from autotune.campaign.text import outcome_text
 from autotune.campaign.work import RunOutcome
 from autotune.charts.chart import Band, Chart, Panel, Points, Scale
-from autotune.drift import Change, parameter_name, parameter_text
+from autotune.drift import MASS, Change, parameter_name, parameter_text
 from autotune.formats.units import AXES, axis_units
 from autotune.text import with_deviation
 
@@ -19,6 +19,7 @@ from .page import Note, Page, Section, Table, TableCell, build_table
 _MOST_CHARTS = 12
 # Names of so many letters stay in one line.
 _LONGEST_WHOLE = 24
+_SENSOR = "Sensor"
 
 
 def build_campaign_page(outcomes: Sequence[RunOutcome], footer: str) -> Page:
@@ -174,17 +175,19 @@ def _run_tables(outcomes: Sequence[RunOutcome]) -> Iterator[Table]:
         groups.setdefault(_group(name), []).append(name)
     rows = [(*_named(each), _recorded(each), _verdict(each), *_values(each, groups[""])) for each in outcomes]
     yield _value_table("Value ± standard deviation", ("recorded", "outcome"), groups.pop(""), rows)
-    for group in sorted(groups, key=lambda group: AXES.index(group.partition(",")[0])):
+    order = (*AXES, _SENSOR)
+    for group in sorted(groups, key=lambda group: order.index(group.partition(",")[0])):
         names = groups[group]
         rows = [(*_named(each), *_values(each, names)) for each in outcomes if each.values.keys() & set(names)]
-        yield _value_table(f"Axis {group}: value ± standard deviation", (), names, rows)
+        caption = group if group == _SENSOR else f"Axis {group}"
+        yield _value_table(f"{caption}: value ± standard deviation", (), names, rows)
 
 
 def _group(name: str) -> str:
-    """Return which table holds a parameter: of an axis, of its surfaces, or "" for what is of the whole cell."""
+    """Return which table holds a parameter: of an axis, of its surfaces, of the sensor, or "" for the payload's."""
     axis, *others = name.split(".")
     if axis not in AXES:
-        return ""
+        return "" if name == MASS else _SENSOR
     return axis if len(others) == 1 else f"{axis}, surfaces"
 
 

@@ -30,7 +30,7 @@ from .roles.registry import ROLES, TRANSFORMS, Role, is_undeclared, layout_of, m
 from .summary import Candidate, ChannelSummary, LogSummary, RoleSummary
 from .tables.read import TIME_UNDECLARED
 
-_TOLD_ELSEWHERE = frozenset({"channel-chosen", "role-open"})
+_SAID_ELSEWHERE = frozenset({"channel-chosen", "role-open"})
 
 
 def inspect_log(
@@ -134,8 +134,8 @@ def _summarised(
     if Role.WRENCH in choices and Role.POSE in choices:
         if reading is None:
             reading = _read_findings(files, read.cell, findings, logs, salvage=salvage, span=span)
-        told = _TOLD_ELSEWHERE | {finding.code for finding in findings if finding.code == HOLE}
-        findings += [finding for finding in reading if finding.code not in told]
+        said = _SAID_ELSEWHERE | {finding.code for finding in findings if finding.code == HOLE}
+        findings += [finding for finding in reading if finding.code not in said]
     sha256s = digests(files)
     return LogSummary(
         path=files[0],

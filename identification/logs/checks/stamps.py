@@ -12,7 +12,7 @@ from ...signals.medians import median
 from ...signals.recording import LARGEST_GAP_PERIODS, StampArray
 
 HOLE = "hole"
-"""Code of the warning of holes."""
+"""Code of the warning of holes: pauses of the recorder, and lost messages."""
 _LOST_PERIODS = 1.5
 _LOST_DEVIATIONS = 6.0
 _JITTER_SHARE = 0.1

@@ -17,6 +17,7 @@ from tests.autotune.formats.test_schedule import make_schedule
 
 SEVERAL_AXES = {
     "payload.mass_kg": (16.0, 0.02),
+    "sensor.force_bias_n.x": (3.2, 0.0014),
     "clocks.wrench_offset_s": (1e-3, 1e-5),
     "x.coupling_stiffness_n_per_m": (3e5, 3e3),
     "rz.coupling_stiffness_n_per_m": (3e3, 30.0),
@@ -117,10 +118,11 @@ def test_dates_and_short_names_stay_in_one_line_and_no_table_has_two_axes() -> N
     page = build_campaign_page(runs, "")
     every, *of_axes = (each for each in section(page, "runs") if isinstance(each, Table))
     assert [[cell.is_whole for cell in row[:3]] for row in every.rows] == [[True, True, True], [True, False, True]]
-    assert [each.caption.partition(":")[0] for each in of_axes] == ["Axis x", "Axis x, surfaces", "Axis rz"]
-    assert every.columns[4:] == ("payload mass [kg]", "lateness of the wrench's clock [ms]")
+    assert [each.caption.partition(":")[0] for each in of_axes] == ["Axis x", "Axis x, surfaces", "Axis rz", "Sensor"]
+    assert every.columns[4:] == ("payload mass [kg]",)
     assert [each.columns[2:] for each in of_axes] == [
         ("K_s [N/mm]",), ("table: K_e [N/mm]", "wall: K_e [N/mm]"), ("K_s [N·m/rad]",),
+        ("force bias x [N]", "lateness of the wrench's clock [ms]"),
     ]  # fmt: skip
     assert 'class="whole" data-label="recorded">2019-12-20 00:00<' in render_page(page)
 
