@@ -1,7 +1,7 @@
 """A campaign on one and two workers beside a plain pool of processes that calls `identify_log`, and what a task costs.
 
-`python benchmarks/bench_campaign.py` writes `--logs 40` short logs of the simulated cell and identifies each, by one
-worker, by two, by two campaigns of one worker each that share their state, as two hosts would, and by
+`python benchmarks/bench_campaign.py` writes `--logs 40` logs of the simulated cell, of 69 s as `autotune demo` makes them
+or with `--short` of 29 s, and identifies each, by one worker, by two, by two campaigns of one worker each that share their state, as two hosts would, and by
 `concurrent.futures` alone with two; then the same campaign again, of which nothing is missing; and hundreds of runs
 that are refused at once, which is what the machinery around them takes, without the start of the worker, which is that
 of one such run, and with the folder of files that a run which is not refused writes. Processor time stands beside: on
@@ -44,11 +44,11 @@ def _identify(log: Path) -> float:
     return value
 
 
-def _write_logs(folder: Path, count: int) -> None:
+def _write_logs(folder: Path, count: int, program: Program) -> None:
     for seed in range(count):
         cell = folder / f"cell{seed:03d}"
         cell.mkdir(parents=True)
-        write_mcap(simulate_cell(SimulatedCell(), _SHORT, seed=seed).recording, cell / "run.mcap")
+        write_mcap(simulate_cell(SimulatedCell(), program, seed=seed).recording, cell / "run.mcap")
 
 
 def _write_refused(folder: Path, count: int) -> None:
@@ -86,13 +86,14 @@ def _spent_s() -> float:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--logs", type=int, default=40, help="how many logs")
+    parser.add_argument("--short", action="store_true", help="logs of 29 s, of which the start of a worker is more")
     parser.add_argument("--refused", type=int, default=400, help="how many runs that end at once")
     parser.add_argument("--storage", help="URL of the state")
     options = parser.parse_args()
     at = options.storage
     with tempfile.TemporaryDirectory() as made:
         folder = Path(made)
-        _write_logs(folder / "logs", options.logs)
+        _write_logs(folder / "logs", options.logs, _SHORT if options.short else Program())
         _write_refused(folder / "refused", options.refused)
         _write_refused(folder / "alone", 1)
         _identify(folder / "logs" / "cell000" / "run.mcap")  # kernels are compiled once
