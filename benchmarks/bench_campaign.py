@@ -1,12 +1,12 @@
 """A campaign on one and two workers beside a plain pool of processes that calls `identify_log`, and what a task costs.
 
-`python benchmarks/bench_campaign.py` writes `--logs 40` logs of the simulated cell, of 69 s as `autotune demo` makes them
-or with `--short` of 29 s, and identifies each, by one worker, by two, by two campaigns of one worker each that share their state, as two hosts would, and by
-`concurrent.futures` alone with two; then the same campaign again, of which nothing is missing; and hundreds of runs
-that are refused at once, which is what the machinery around them takes, without the start of the worker, which is that
-of one such run, and with the folder of files that a run which is not refused writes. Processor time stands beside: on
-a busy machine it says whether two workers do no more work than one. Memory is the largest of any worker. `--storage`
-keeps the state there instead of in a SQLite file.
+`python benchmarks/bench_campaign.py` writes `--logs 40` logs of the simulated cell, of 69 s as the demo's or with
+`--short` of 29 s, and identifies each, by one worker, by two, by two campaigns of one worker each that share their
+state, as two hosts would, and by `concurrent.futures` alone with two; then the same campaign again, of which nothing is
+missing; and hundreds of runs that are refused at once, which is what the machinery around them takes, without the start
+of the worker, which is that of one such run, and with the folder of files that a run which is not refused writes.
+Processor time stands beside: on a busy machine it says whether two workers do no more work than one. Memory is the
+largest of any worker. `--storage` keeps the state there instead of in a SQLite file.
 """
 
 import os

@@ -41,26 +41,23 @@ _LOOK_S = 0.1
 
 def _run(*words: str) -> tuple[float, float, float, float]:
     """Return wall and processor time [s], memory [MiB] of all processes and of the largest one of a command."""
-    before = os.times()
-    begun = time.perf_counter()
     code = subprocess.run([sys.executable, __file__, "--command", *words], stdout=subprocess.DEVNULL, check=False)
-    took, after = time.perf_counter() - begun, os.times()
     if code.returncode:
         print(f"{' '.join(words)} ended with {code.returncode}")
-    together, largest = map(float, Path(words[-1]).read_text(encoding="utf-8").split())
-    spent = after.children_user + after.children_system - before.children_user - before.children_system
+    took, spent, together, largest = map(float, Path(words[-1]).read_text(encoding="utf-8").split())
     return took, spent, together, largest
 
 
 def _command(words: list[str]) -> int:
-    """Run a command of autotune; write the memory [MiB] of all its processes, and of the largest, to the last word."""
-    together = 0.0
+    """Run a command of autotune in a process that starts no other; write what `_run` returns to the last word."""
+    together, begun = 0.0, time.perf_counter()
     with subprocess.Popen([sys.executable, "-m", "autotune", *words[:-1]]) as process:
         while process.poll() is None:
             together = max(together, sum(map(_share_mib, _family(process.pid))))
             time.sleep(_LOOK_S)
-    largest = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
-    Path(words[-1]).write_text(f"{together} {largest}", encoding="utf-8")
+    took, used = time.perf_counter() - begun, resource.getrusage(resource.RUSAGE_CHILDREN)
+    spent, largest = used.ru_utime + used.ru_stime, used.ru_maxrss / 1024
+    Path(words[-1]).write_text(f"{took} {spent} {together} {largest}", encoding="utf-8")
     return process.returncode
 
 

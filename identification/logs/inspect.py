@@ -2,9 +2,9 @@
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -29,6 +29,7 @@ from .roles.choose import Choice, candidates_of, choose, open_questions, source_
 from .roles.registry import ROLES, TRANSFORMS, Role, is_undeclared, layout_of, missing_sentence, roles_of
 from .summary import Candidate, ChannelSummary, LogSummary, RoleSummary
 from .tables.read import TIME_UNDECLARED
+from .threads import map_in_order
 
 _SAID_ELSEWHERE = frozenset({"channel-chosen", "role-open"})
 
@@ -153,32 +154,17 @@ def _summarised(
     )
 
 
-def _summaries(
-    files: tuple[Path, ...], cell: Cell, windows: Sequence[WindowSpan], *, salvage: bool
-) -> Iterator[LogSummary]:
-    """Yield the summary of each window, while the next one is read: never more than two are in memory."""
-    opened = [ExitStack() for _ in windows]
-
-    def read(k: int) -> _Contents:
-        return opened[k].enter_context(_contents(files, cell, salvage=salvage, span=windows[k].span))
-
-    with ExitStack() as every, ThreadPoolExecutor(1) as reader:
-        for stack in opened:
-            every.enter_context(stack)
-        coming = reader.submit(read, 0)
-        for k, window in enumerate(windows):
-            contents = coming.result()
-            if k + 1 < len(windows):
-                coming = reader.submit(read, k + 1)
-            with opened[k]:
-                yield _summarised(files, contents, salvage=salvage, span=window.span, reading=None)
+def _summary_of_window(files: tuple[Path, ...], cell: Cell, window: WindowSpan, *, salvage: bool) -> LogSummary:
+    with _contents(files, cell, salvage=salvage, span=window.span) as contents:
+        return _summarised(files, contents, salvage=salvage, span=window.span, reading=None)
 
 
 def _inspect_in_windows(
     files: tuple[Path, ...], cell: Cell, windows: Sequence[WindowSpan], *, salvage: bool
 ) -> LogSummary:
-    """Return the summary of a long log from those of its windows."""
-    summaries = [*_summaries(files, cell, windows, salvage=salvage)]
+    """Return the summary of a long log from those of its windows, of which two at a time are in memory."""
+    begin_digests(files)
+    summaries = [*map_in_order(partial(_summary_of_window, files, cell, salvage=salvage), windows)]
     first = summaries[0]
     together = zip(*(each.channels for each in summaries), strict=True)
     channels = tuple(_joined(parts) for parts in together)

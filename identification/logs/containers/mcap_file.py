@@ -5,15 +5,13 @@ two threads. Counts in the file's summary and indexes have to agree with the mes
 """
 
 import threading
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property, partial
 from itertools import groupby
 from pathlib import Path
-from typing import TypeVar
 
 import lz4.frame  # type: ignore[import-untyped]  # the package carries no annotations
 import numpy as np
@@ -23,6 +21,7 @@ from zlib_ng import zlib_ng
 
 from ...errors import LogError
 from ...result import Finding
+from ..threads import map_in_order
 from .channel import (
     CHUNK_LIMIT_BYTES,
     Batch,
@@ -40,12 +39,6 @@ from .channel import (
 from .mcap_indexed import walk
 from .mcap_kernel import FRAME, FRAME_BYTES, Chunk, Definition, RecordCounter, RecordCounts, Selection
 from .mcap_layout import KNOWN, Definitions, Layout
-
-Item = TypeVar("Item")
-Result = TypeVar("Result")
-THREADS = 2
-AHEAD = 4
-"""Results that may wait: enough that no thread is idle, few enough that they weigh nothing."""
 
 
 class _Space(threading.local):
@@ -167,22 +160,6 @@ def _unlz4(packed: ByteArray, declared: int) -> bytes:
 
 def _at_least(buffer: ByteArray, size: int) -> ByteArray:
     return buffer if buffer.size >= size else np.empty(size + size // 8, dtype=np.uint8)
-
-
-def map_in_order(work: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
-    """Yield `work(item)` for every item in order; an error is raised when its turn comes."""
-    pending: deque[Future[Result]] = deque()
-    with ThreadPoolExecutor(THREADS) as pool:
-        try:
-            for item in items:
-                pending.append(pool.submit(work, item))
-                if len(pending) == AHEAD:
-                    yield pending.popleft().result()
-            while pending:
-                yield pending.popleft().result()
-        finally:
-            for future in pending:
-                future.cancel()
 
 
 def total_counts(chunks: Iterable[Chunk]) -> Counter[int]:

@@ -11,8 +11,9 @@ from dataclasses import replace
 import numpy as np
 from mcap.opcode import Opcode
 
+from ..threads import map_in_order
 from .channel import CHUNK_LIMIT_BYTES, ByteArray, Damage, FileBytes, recorded_text
-from .mcap_file import ChunkReader, McapContainer, is_protected, map_in_order, total_counts, without_data
+from .mcap_file import ChunkReader, McapContainer, is_protected, total_counts, without_data
 from .mcap_kernel import FRAME, FRAME_BYTES, Chunk, RecordCounter, find_chunk, find_messages
 from .mcap_layout import (
     CHUNK_HEAD_BYTES,
