@@ -36,9 +36,9 @@ from benchmarks.log_file import TOPICS, write_log
 from identification.logs.containers.channel import FileBytes
 from identification.logs.containers.mcap_file import McapContainer
 from identification.logs.containers.mcap_layout import Walker
+from identification.logs.gather import gather
 from identification.logs.messages.decode import Wanted, parse_path
 from identification.logs.messages.objects import build_decoder
-from identification.logs.opened import gather
 
 SHARE = 10
 FIELDS = {

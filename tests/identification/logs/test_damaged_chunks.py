@@ -30,12 +30,20 @@ def bag(folder: Path) -> tuple[Path, bytes]:
 
 def overwrite(path: Path, text: bytes, place: int, by: bytes) -> None:
     """Overwrite a text of a file, the one that many places on from its middle."""
+    replace_at(path, text, place, 0, by)
+
+
+def replace_at(path: Path, text: bytes, place: int, before: int, by: bytes) -> bytes:
+    """Overwrite what is so many bytes before such a text, or in a name that it holds; return what was there."""
     data = bytearray(path.read_bytes())
     at = len(data) // 2
     for _ in range(place):
         at = data.index(text, at + 1)
-    data[at : at + len(text)] = by
+    at += text.index(b"tool0") if by.startswith(b"tool") else -before
+    was = bytes(data[at : at + len(by)])
+    data[at : at + len(by)] = by
     path.write_bytes(data)
+    return was
 
 
 def the(code: str, summary: LogSummary) -> Finding:
@@ -78,6 +86,56 @@ def test_where_no_message_is_what_its_type_says_the_topic_is_refused(
     found = inspect_log(path)
     assert "Message 1 of topic /ft/wrench" in the("undecodable", found).message
     assert "salvaged" not in {finding.code for finding in found.findings}
+
+
+@pytest.mark.parametrize("write", [mcap, bag])
+@pytest.mark.parametrize(
+    ("before", "by", "reason"),
+    [
+        (0, b"tool1", "names the frame '{}' and '{}', those around it '{}'"),
+        (8, b"\0\0\0\0\0\0\0\0", "has a stamp that is more than 60 s from those around it"),
+        (8, b"\xff\xff\xff\x7f\0\0\0\0", "has a stamp that is more than 60 s from those around it"),
+    ],
+)
+def test_an_altered_header_in_a_chunk_without_a_checksum_costs_its_chunk(
+    tmp_path: Path, write: Callable[[Path], tuple[Path, bytes]], before: int, by: bytes, reason: str
+) -> None:
+    """One renamed frame, or one stamp of another year, refused the log."""
+    path, frame = write(tmp_path)
+    whole = counts(inspect_log(path))
+    was = replace_at(path, frame, 3, before, by)
+    assert was != by
+    found = inspect_log(path)
+    said = the("salvaged", found).message
+    assert f"a message of topic /ft/wrench {reason.format('tool0', 'tool1', 'tool0')}" in said
+    assert 3 < sum(whole.values()) - sum(counts(found).values()) < 200
+    wrench = read_recording(path).wrench
+    assert len(wrench.stamp_ns) == counts(found)["/ft/wrench"] < whole["/ft/wrench"]
+
+
+@pytest.mark.parametrize("write", [mcap, bag])
+def test_a_frame_that_is_renamed_for_longer_than_a_chunk_is_no_damage(
+    tmp_path: Path, write: Callable[[Path], tuple[Path, bytes]]
+) -> None:
+    path, frame = write(tmp_path)
+    data = path.read_bytes()
+    half = len(data) // 2
+    path.write_bytes(data[:half] + data[half:].replace(frame, frame.replace(b"tool0", b"tool1")))
+    assert "salvaged" not in {finding.code for finding in inspect_log(path).findings}
+    with pytest.raises(LogError, match="tool1"):
+        read_recording(path)
+
+
+def test_a_frame_that_comes_again_and_again_is_no_damage(tmp_path: Path) -> None:
+    """Two publishers of one topic by turns, each in some chunks."""
+    path = write_mcap(tmp_path / "run.mcap", complete(), replace(NO_CRC, chunk_size=2048))
+    name, data = b"\x06\0\0\0tool0\0", path.read_bytes()
+    parts = data.split(name)
+    frames = [name.replace(b"tool0", b"tool1") if k % 30 < 10 else name for k in range(len(parts) - 1)]
+    path.write_bytes(b"".join(part + frame for part, frame in zip(parts, [*frames, b""], strict=True)))
+    assert "salvaged" not in {finding.code for finding in inspect_log(path).findings}
+    with pytest.raises(LogError, match="tool1"):
+        read_recording(path)
 
 
 def test_a_damaged_chunk_is_one_warning_of_damage_and_one_of_the_hole(tmp_path: Path) -> None:

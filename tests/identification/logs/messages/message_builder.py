@@ -11,9 +11,9 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from identification.logs.containers.channel import Batch, Channel, Container, Held, Survey, T
+from identification.logs.gather import gather
 from identification.logs.messages.decode import Series, Wanted
 from identification.logs.messages.objects import build_decoder
-from identification.logs.opened import gather
 
 ADMITTANCE = "control_msgs/msg/AdmittanceControllerState"
 MIXED = "test_msgs/msg/Mixed"

@@ -8,8 +8,8 @@ import pytest
 
 from identification.errors import LogError
 from identification.logs.containers.channel import Channel
+from identification.logs.gather import read_transform
 from identification.logs.messages.decode import Wanted
-from identification.logs.opened import read_transform
 from problems.arrays import FloatArray
 from tests.identification.logs.messages.message_builder import (
     ADMITTANCE,

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from identification.errors import LogError
 from identification.logs.containers.channel import Channel
+from identification.logs.gather import list_frames, read_transform
 from identification.logs.messages.transforms import FIELDS
-from identification.logs.opened import list_frames, read_transform
 from tests.identification.logs.messages.message_builder import (
     ENCODINGS,
     Encoding,
