@@ -37,7 +37,7 @@ _GROUPS = {
 }
 _NOISES = 4.0
 _POSITIVE = FiniteRange(min=0.0, min_open=True)
-_DOUBTS = frozenset({"mass-disagreement", "logs-disagree", "given-contradicts"})
+_CONTRADICTIONS = frozenset({"mass-disagreement", "logs-disagree", "given-contradicts"})
 # What a wrist carries, and what holds it: outside of this a unit is wrong.
 _MASS = QuantityRange("mass", least=0.05, most=1000.0)
 _STIFFNESS = QuantityRange("stiffness", least=1e3, most=1e8)
@@ -160,7 +160,7 @@ def _from_file(output: Output, path: Path, axis: str | None, provenance: dict[st
     source = read_identified(path)
     provenance["identified"] = {"path": str(source.path), "sha256": source.sha256}
     for finding in source.result.findings:
-        if finding.code in _DOUBTS:
+        if finding.code in _CONTRADICTIONS:
             output.note(f"{path.name} says: {printable(finding.message)} The plan takes the values as they are.")
     if axis is not None and axis not in source.result.axes:
         others = ", ".join(source.result.axes) or "none"

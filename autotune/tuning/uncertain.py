@@ -34,7 +34,7 @@ _SYMBOLS = {
 }
 _WALL_DAMPING = "environment_damping_n_s_per_m"
 # Standard deviations to the upper end of a damping that has no covariance: one side of 95 % and more.
-_REACH = 2.0
+_DEVIATIONS = 2.0
 # However little the log holds, a stiffness stays positive.
 _LEAST_SHARE = 1e-3
 _DIGITS = 5
@@ -203,8 +203,8 @@ def _environment_mass(axis: AxisEstimate, name: str) -> Interval:
             f"problem.yaml takes {key} from the identified file, and no surface of axis {name} has a mass there; give "
             "a range [low, high]."
         )
-    low = min(max(value - _REACH * std, 0.0) for value, std in known) if len(known) == len(found) else 0.0
-    return _digits(low, down=True), _digits(max(value + _REACH * std for value, std in known), down=False)
+    low = min(max(value - _DEVIATIONS * std, 0.0) for value, std in known) if len(known) == len(found) else 0.0
+    return _digits(low, down=True), _digits(max(value + _DEVIATIONS * std for value, std in known), down=False)
 
 
 def _within(covariance: Covariance, symbol: str) -> Interval:
@@ -233,7 +233,7 @@ def _largest_environment_damping(axis: AxisEstimate) -> float:
             ends.append(_digits(max(estimate.ci95[1], 0.0), down=False))
         if estimate.value is None:
             continue
-        ends.append(_digits(max(estimate.value + _REACH * (estimate.std or 0.0), 0.0), down=False))
+        ends.append(_digits(max(estimate.value + _DEVIATIONS * (estimate.std or 0.0), 0.0), down=False))
         if axis.covariance is not None and symbol in axis.covariance.names and not _is_given(estimate):
             place = axis.covariance.names.index(symbol)
             if axis.covariance.matrix[place][place] > 0.0:
