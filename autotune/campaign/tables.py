@@ -18,17 +18,17 @@ def campaign_rows(outcomes: Sequence[RunOutcome]) -> tuple[list[str], list[list[
     axes = list(dict.fromkeys(axis for each in outcomes for axis in each.peaks_n))
     columns = ["cell", "run", "recorded_s", "refused", "reason", "damage", "certificate_holds"]
     columns += [f"{name}{end}" for name in names for end in ("", ".std")]
-    columns += [f"{axis}.peak_n.{when}" for axis in axes for when in ("before", "after")]
+    columns += [f"{axis}.peak_n.{when}" for axis in axes for when in ("before", "after", "at")]
     replayed = list(dict.fromkeys(axis for each in outcomes for axis in each.log_peaks_n))
-    columns += [f"{axis}.log_peak_n.{when}" for axis in replayed for when in ("before", "after")]
+    columns += [f"{axis}.log_peak_n.{when}" for axis in replayed for when in ("before", "after", "at")]
     rows = []
     for each in outcomes:
         holds = None if each.outside is None else not each.outside
         said = (each.refused or None, each.reason or None, each.damage or None)
         row: list[Any] = [each.cell, each.run, each.recorded_s, *said, holds]
         row += [number for name in names for number in each.values.get(name, (None, None))]
-        row += [number for axis in axes for number in each.peaks_n.get(axis, (None, None))]
-        row += [number for axis in replayed for number in each.log_peaks_n.get(axis, (None, None))]
+        for shown, peaks, at in ((axes, each.peaks_n, each.peaks_at), (replayed, each.log_peaks_n, each.log_peaks_at)):
+            row += [value for axis in shown for value in (*peaks.get(axis, (None, None)), at.get(axis))]
         rows.append(row)
     return columns, rows
 

@@ -7,26 +7,33 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from hashlib import sha256
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from autotune.drift import CLOCK, bias_values, identified_values
 from autotune.errors import CertificateError, InfeasibleError, UsageError
 from autotune.formats.atomic import write_folder_atomic
 from autotune.formats.cell import read_cell
+from autotune.formats.certificate_record import AxisDomain
 from autotune.formats.controller import controller_tree, read_controller
 from autotune.formats.identified import identified_tree, parse_identified, read_identified
 from autotune.formats.problem import ProblemSpec, read_problem
+from autotune.formats.units import axis_units
 from autotune.formats.yaml12 import dump_yaml
 from autotune.pipeline import identify_log
 from autotune.results import Identification
+from autotune.text import speed_text
 from autotune.version import __version__
 from identification.errors import EstimateError, LogError
 from identification.logs.containers.formats import sha256_of
 from identification.result import Identified
 from problems.errors import AutotuneError
+from problems.model.axis_kind import AxisKind
 
 from .manifest import LoggedRun
 from .options import RunOptions
+
+if TYPE_CHECKING:
+    from autotune.prediction.result import PredictedContact
 
 _IDENTIFIED = "identified.yaml"
 _WRITTEN = frozenset({_IDENTIFIED, "controller.yaml"})
@@ -43,6 +50,7 @@ class RunOutcome:
     `outside` is what of the plant lies outside of what the controller in the manifest is certified for; None without.
     `damage` says what of the logs is damaged and was left out. `log_peaks_n` are, by axis, the largest peak that a log
     shows on its hardest surface, and the one predicted with the new controller at the same speed, at the sensor.
+    `peaks_at` and `log_peaks_at` say on which surfaces, and with which approach or speed, those are.
     `files` are the names of what was written in the run's folder, with the SHA-256 of each. `own_key` is the key of all
     but `outside`: without the controller in the manifest.
     """
@@ -60,6 +68,8 @@ class RunOutcome:
     log_peaks_n: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     files: Mapping[str, str] = field(default_factory=dict)
     own_key: str = ""
+    peaks_at: Mapping[str, str] = field(default_factory=dict)
+    log_peaks_at: Mapping[str, str] = field(default_factory=dict)
 
     def text(self) -> str:
         """Return the outcome as JSON."""
@@ -201,8 +211,7 @@ def _identify_and_tune(task: RunTask, files: dict[str, str]) -> RunOutcome:
         if run.controller is not None:
             outcome = replace(outcome, outside=_outside(run.controller, found.result))
         if task.options.optimize:
-            peaks, in_log = _tune(task, files)
-            outcome = replace(outcome, peaks_n=peaks, log_peaks_n=in_log)
+            outcome = _tune(task, files, outcome)
     except AutotuneError as error:
         kind = next((name for of, name in _STEPS.items() if isinstance(error, of)), "usage")
         outside = _broken(run.controller) if outcome.outside is None else outcome.outside
@@ -243,10 +252,8 @@ def _outside(controller: Path, result: Identified) -> tuple[str, ...]:
     return tuple(f"axis {each.axis}, {each.name}: {each.message}" for each in checks if not each.passed)
 
 
-def _tune(
-    task: RunTask, files: dict[str, str]
-) -> tuple[dict[str, tuple[float | None, float]], dict[str, tuple[float, float]]]:
-    """Search the controller and write it; return `peaks_n` and `log_peaks_n` of the outcome."""
+def _tune(task: RunTask, files: dict[str, str], outcome: RunOutcome) -> RunOutcome:
+    """Search the controller and write it; return the outcome with its peaks."""
     from autotune.prediction.said_gains import present_gains  # noqa: PLC0415 - compiles
     from autotune.tuning.optimize import optimize  # noqa: PLC0415 - compiles
 
@@ -256,13 +263,32 @@ def _tune(
     present = present_gains(None, source, spec.axes)
     found = optimize(source, spec, seed=task.options.seed, problem_path=problem, present=present)
     files["controller.yaml"] = dump_yaml(controller_tree(found.controller))
-    peaks = {
-        name: (_before(found.before_after, name), max(each.peak_contact_force_n for each in predicted.scenarios))
-        for name, predicted in found.controller.predicted.items()
-    }
+    predicted, certified = found.controller.predicted, found.controller.certificate.domain
     hardest = {name: each.surfaces[0] for name, each in found.before_after.items() if each.surfaces}
-    in_log = {name: (each.measured[1], each.after.predicted.peak_sensor_force) for name, each in hardest.items()}
-    return peaks, in_log
+    return replace(
+        outcome,
+        peaks_n={
+            name: (_before(found.before_after, name), max(each.peak_contact_force_n for each in one.scenarios))
+            for name, one in predicted.items()
+        },
+        peaks_at={name: _certified_text(certified[name], axis_units(name)) for name in predicted},
+        log_peaks_n={
+            name: (each.measured[1], each.after.predicted.peak_sensor_force) for name, each in hardest.items()
+        },
+        log_peaks_at={name: _contact_text(each.after.predicted) for name, each in hardest.items()},
+    )
+
+
+def _certified_text(domain: AxisDomain, units: AxisKind) -> str:
+    """Say on which surfaces and at which approach the predicted peaks of an axis are."""
+    scale, unit = units.shown_stiffness
+    ends = dict.fromkeys(f"{scale * each:.4g}" for each in domain.environment_stiffness_n_per_m)
+    return f"K_e {' to '.join(ends)} {unit}, approach with {domain.approach.text(units)}"
+
+
+def _contact_text(contact: "PredictedContact") -> str:
+    """Say on which surface and at which speed a contact of the log is."""
+    return f"{contact.surface}, {speed_text(contact.contact.contact_speed_m_s, axis_units(contact.axis).force)}"
 
 
 def _before(before_after: Mapping[str, Any], name: str) -> float | None:

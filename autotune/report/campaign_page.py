@@ -133,17 +133,25 @@ def _peak_charts(outcomes: Sequence[RunOutcome]) -> Iterator[Chart]:
     for axis in dict.fromkeys(axis for run in newest.values() for axis in run.peaks_n):
         in_log = {cell: run.log_peaks_n[axis] for cell, run in newest.items() if axis in run.log_peaks_n}
         if in_log:
-            title = f"Hardest contact of the log of every cell, axis {axis}"
-            yield _peak_chart(axis, "log", title, in_log, ("in the log", "with the new controller at the same speed"))
+            title = f"Hardest contact of the log of every cell, at the sensor, axis {axis}"
+            where = {cell: run.log_peaks_at.get(axis, "") for cell, run in newest.items()}
+            labels = ("in the log", "with the new controller at the same speed")
+            yield _peak_chart(axis, "log", title, in_log, where, labels)
         worst = {cell: run.peaks_n[axis] for cell, run in newest.items() if axis in run.peaks_n}
-        title = f"Worst predicted peak of every cell, axis {axis}"
-        yield _peak_chart(axis, "cells", title, worst, ("with the gains of the log", "with the new controller"))
+        title = f"Worst predicted peak of every cell, at the contact, axis {axis}"
+        where = {cell: run.peaks_at.get(axis, "") for cell, run in newest.items()}
+        yield _peak_chart(axis, "cells", title, worst, where, ("with the gains of the log", "with the new controller"))
 
 
 def _peak_chart(
-    axis: str, key: str, title: str, peaks: Mapping[str, tuple[float | None, float]], labels: tuple[str, str]
+    axis: str,
+    key: str,
+    title: str,
+    peaks: Mapping[str, tuple[float | None, float]],
+    where: Mapping[str, str],
+    labels: tuple[str, str],
 ) -> Chart:
-    """Draw the peaks of every cell before, where they are known, and after."""
+    """Draw the peaks of every cell before, where they are known, and after; the caption says where each is."""
     unit = axis_units(axis).force
     after = np.array([peak for _, peak in peaks.values()])
     known = [(i, before) for i, (before, _) in enumerate(peaks.values(), 1) if before is not None]
@@ -157,7 +165,9 @@ def _peak_chart(
         title=title,
         alternative=f"Peaks of {len(peaks)} cells {labels[1]}, from {after.min():.4g} to {after.max():.4g} {unit}, "
         f"and {labels[0]} where they are known.",
-        caption="; ".join(f"{number}: {cell}" for number, cell in enumerate(peaks, 1)),
+        caption="; ".join(
+            f"{i}: {cell}{f' ({where[cell]})' if where[cell] else ''}" for i, cell in enumerate(peaks, 1)
+        ),
         panels=(
             Panel(
                 x=Scale(label="cell, in the order of the list", limits=(0.5, len(peaks) + 0.5), counts=True),

@@ -131,7 +131,13 @@ def test_peaks_are_those_of_each_cells_newest_run_by_axis() -> None:
     runs = [
         replace(outcome("a", "mon", TRUE, at=1.0), peaks_n={"x": (50.0, 40.0)}),
         replace(outcome("a", "tue", TRUE, at=2.0), peaks_n={"x": (60.0, 45.0), "rz": (None, 3.0)}),
-        replace(outcome("b", "mon", TRUE, at=1.0), peaks_n={"x": (None, 42.0)}, log_peaks_n={"x": (70.0, 33.0)}),
+        replace(
+            outcome("b", "mon", TRUE, at=1.0),
+            peaks_n={"x": (None, 42.0)},
+            peaks_at={"x": "K_e 96 to 145 N/mm, approach with 30 N"},
+            log_peaks_n={"x": (70.0, 33.0)},
+            log_peaks_at={"x": "table, 18.2 mm/s"},
+        ),
         outcome("c", "mon", TRUE, at=1.0),
     ]
     page = build_campaign_page(runs, "")
@@ -140,7 +146,9 @@ def test_peaks_are_those_of_each_cells_newest_run_by_axis() -> None:
     shown = points(in_log)
     assert shown["in the log"].y.tolist() == [70.0]
     assert shown["with the new controller at the same speed"].y.tolist() == [33.0]
-    assert (in_log.caption, in_log.panels[0].y.limits) == ("1: b", (0.0, 1.1 * 70.0))
+    assert (in_log.caption, in_log.panels[0].y.limits) == ("1: b (table, 18.2 mm/s)", (0.0, 1.1 * 70.0))
+    assert straight.caption == "1: a; 2: b (K_e 96 to 145 N/mm, approach with 30 N)"
+    assert (", at the sensor," in in_log.title, ", at the contact," in straight.title) == (True, True)
     shown = points(straight)
     assert (shown["with the new controller"].x.tolist(), shown["with the new controller"].y.tolist()) == (
         [1.0, 2.0],
@@ -148,7 +156,6 @@ def test_peaks_are_those_of_each_cells_newest_run_by_axis() -> None:
     )
     before = shown["with the gains of the log"]
     assert (before.x.tolist(), before.y.tolist()) == ([1.0], [60.0])
-    assert straight.caption == "1: a; 2: b"
     assert "Peaks of 2 cells with the new controller, from 42 to 45 N" in straight.alternative
     assert straight.panels[0].x.limits == (0.5, 2.5)
     assert list(points(turning)) == ["with the new controller"]
