@@ -18,7 +18,7 @@ from .fleet import Unusual, changes, unusual
 from .manifest import read_manifest
 from .options import RunOptions
 from .run import work_on_runs
-from .tables import campaign_rows, write_tables
+from .tables import campaign_rows, check_tables, write_tables
 from .text import outcome_text, unusual_text
 from .work import RunOutcome
 
@@ -123,10 +123,12 @@ def run_campaign(
     Raises
     ------
     UsageError
-        The manifest names what cannot be read, a result cannot be written, or the state cannot be kept.
+        The manifest names what cannot be read, a result cannot be written or would replace what no campaign has
+        written, or the state cannot be kept.
 
     """
     runs, target, count = read_manifest(file_path("manifest", manifest)), Path(folder), jobs or count_processors()
+    check_tables(target)
     with ExitStack() as stack:
         if scheduler is not None:
             executor, _ = stack.enter_context(dask_executor(scheduler, count))

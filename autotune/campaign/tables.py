@@ -7,9 +7,14 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from autotune.errors import UsageError
 from autotune.formats.atomic import write_atomic
 
 from .work import RunOutcome
+
+_TABLES = ("campaign.csv", "campaign.parquet")
+# Columns that every release's tables have, and both kinds of file hold the names of columns as they are.
+_ALWAYS = ("recorded_s", "certificate_holds")
 
 
 def campaign_rows(outcomes: Sequence[RunOutcome]) -> tuple[list[str], list[list[Any]]]:
@@ -33,23 +38,38 @@ def campaign_rows(outcomes: Sequence[RunOutcome]) -> tuple[list[str], list[list[
     return columns, rows
 
 
+def check_tables(folder: Path) -> None:
+    """Raise UsageError where `write_tables` would replace a file that no campaign has written."""
+    for path in (folder / name for name in _TABLES):
+        try:
+            content = path.read_bytes() if path.is_file() else b""
+        except OSError as error:
+            raise UsageError(f"{path} cannot be read: {error.strerror or error}.") from error
+        if content and not all(name.encode() in content for name in _ALWAYS):
+            raise UsageError(
+                f"{path} is no table of a campaign, and this one would replace it; move it, or name another folder "
+                "for the results."
+            )
+
+
 def write_tables(folder: Path, outcomes: Sequence[RunOutcome]) -> tuple[Path, ...]:
     """Write `campaign.csv` and, where pyarrow is there, `campaign.parquet`; return what was written.
 
     Without pyarrow a `campaign.parquet` of an earlier run is removed: it would say something else.
     """
+    csv_path, parquet_path = (folder / name for name in _TABLES)
     columns, rows = campaign_rows(outcomes)
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(columns)
     writer.writerows([["" if each is None else each for each in row] for row in rows])
-    write_atomic(folder / "campaign.csv", text.getvalue())
-    written = [folder / "campaign.csv"]
+    write_atomic(csv_path, text.getvalue())
+    written = [csv_path]
     if find_spec("pyarrow") is None:
-        (folder / "campaign.parquet").unlink(missing_ok=True)
+        parquet_path.unlink(missing_ok=True)
     else:
-        write_atomic(folder / "campaign.parquet", _parquet(columns, rows))
-        written.append(folder / "campaign.parquet")
+        write_atomic(parquet_path, _parquet(columns, rows))
+        written.append(parquet_path)
     return tuple(written)
 
 

@@ -171,8 +171,9 @@ def _once(
 ) -> "tuple[RunOutcome, ...]":
     """Work on what is missing, and write the tables of all."""
     from autotune.campaign.run import work_on_runs
-    from autotune.campaign.tables import write_tables
+    from autotune.campaign.tables import check_tables, write_tables
 
+    check_tables(out)
     outcomes = work_on_runs(
         runs,
         out,

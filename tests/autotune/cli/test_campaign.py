@@ -128,6 +128,26 @@ def test_what_no_campaign_has_written_is_not_deleted(run_cli: RunCli, fleet: Pat
 
 
 @pytest.mark.usefixtures("in_this_process")
+@pytest.mark.parametrize("name", ["campaign.csv", "campaign.parquet"])
+def test_a_table_that_no_campaign_has_written_is_not_replaced(
+    run_cli: RunCli, fleet: Path, tmp_path: Path, name: str
+) -> None:
+    words, table = ("campaign", fleet, "-o", "out", "--no-optimize", "--jobs", "1"), tmp_path / "out" / name
+    table.parent.mkdir()
+    table.write_text("cell,log\npress,mon.mcap\n")
+    done = run_cli(*words)
+    assert done.returncode == 2
+    assert f"{name} is no table of a campaign, and this one would replace it" in done.stderr.replace("\n", " ")
+    assert table.read_text() == "cell,log\npress,mon.mcap\n"
+    assert not (tmp_path / "out" / "cells").exists()
+    table.unlink()
+    assert run_cli(*words).returncode == 0
+    # What the first has written the second replaces, of whichever runs.
+    (fleet / "press" / "tue.mcap").unlink()
+    assert run_cli(*words).returncode == 0
+
+
+@pytest.mark.usefixtures("in_this_process")
 def test_of_another_controller_only_the_check_is_done_again(
     run_cli: RunCli, fleet: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
