@@ -2,7 +2,7 @@
 
 import csv
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,10 @@ from problems.frozen import freeze
 
 from .options import OPTION_NAMES, read_options
 
+STATE = "campaign.sqlite"
+TABLES = ("campaign.csv", "campaign.parquet")
+CELLS = "cells"
+"""What a campaign writes into its folder, which may be the folder of the logs, or in it."""
 _COLUMNS = ("cell", "log", "run", "cell_file", "problem", "controller")
 _FILES = ("cell_file", "problem", "controller")
 _NAME = re.compile(r"[\w.+-][\w .+-]*")
@@ -47,25 +51,33 @@ class LoggedRun:
         return f"{self.cell}/{self.run}"
 
 
-def read_manifest(path: Path, *, may_be_empty: bool = False) -> tuple[LoggedRun, ...]:
+def read_manifest(
+    path: Path, *, may_be_empty: bool = False, note: Callable[[str], None] | None = None
+) -> tuple[LoggedRun, ...]:
     """Return the runs that a manifest names, in its order, or those of a folder, by their names.
 
     Of a folder every folder in it is a cell and its logs are runs of that cell; a log in the folder itself is a cell of
     its own. A `cell.yaml`, `problem.yaml` or `controller.yaml` beside the logs is used, else that of the folder itself.
+    `note` is called with a sentence about logs in deeper folders, which are no runs.
 
     Raises UsageError: the manifest, a `cell.yaml` or a `problem.yaml` cannot be read; it names nothing (unless it
     `may_be_empty`), a file that is not there, or a run twice.
     """
     if not path.exists():
         raise UsageError(f"{path} is not there; name a folder of logs, a CSV or a YAML file that names them.")
+    passed_over: list[Path] = []
     if path.is_dir():
-        runs = list(_of_folder(path))
+        runs = list(_of_folder(path, passed_over))
     elif path.suffix.lower() == ".csv":
         runs = list(_of_table(path))
     else:
         runs = list(_of_document(path))
+    deeper = _passed_over_text(passed_over)
     if not (runs or may_be_empty):
-        raise UsageError(f"{path} names no logs; a folder holds them or folders of them, a manifest a run in each row.")
+        what = deeper or "A folder holds them or folders of them, a manifest a run in each row."
+        raise UsageError(f"{path} names no logs. {what}")
+    if deeper and note is not None:
+        note(deeper)
     seen: set[str] = set()
     for run in runs:
         if run.name in seen:
@@ -89,15 +101,49 @@ _RECORDED = frozenset({".mcap", ".bag", ".db3"})
 _UNFINISHED = frozenset({".part", ".partial", ".tmp", ".active", ".crdownload", ".filepart"})
 
 
-def _of_folder(folder: Path) -> Iterator[LoggedRun]:
-    for entry in sorted(folder.iterdir()):
-        if entry.name.startswith("."):
-            continue
+def _of_folder(folder: Path, passed_over: list[Path]) -> Iterator[LoggedRun]:
+    """Yield the runs of a folder, and put the logs that lie too deep in it into `passed_over`."""
+    for entry in _entries(folder):
         if _is_run(entry):
             yield _beside(LoggedRun(cell=entry.stem, run=entry.stem, logs=(entry,)), folder, folder)
         elif entry.is_dir():
-            for log in sorted(each for each in entry.iterdir() if _is_run(each)):
-                yield _beside(LoggedRun(cell=entry.name, run=log.stem, logs=(log,)), entry, folder)
+            for each in _entries(entry):
+                if _is_run(each):
+                    yield _beside(LoggedRun(cell=entry.name, run=each.stem, logs=(each,)), entry, folder)
+                else:
+                    passed_over.extend(_logs_below(each))
+
+
+def _entries(folder: Path) -> list[Path]:
+    """Return what is in a folder, without what is hidden and what a campaign has written there."""
+    found = sorted(each for each in folder.iterdir() if not each.name.startswith("."))
+    names = {each.name for each in found}
+    if STATE in names or {CELLS, TABLES[0]} <= names:
+        found = [each for each in found if each.name not in (STATE, *TABLES, CELLS)]
+    return found
+
+
+def _logs_below(path: Path) -> Iterator[Path]:
+    """Yield the logs in a folder and in those in it; a folder that cannot be read, or a link to one, has none."""
+    try:
+        entries = _entries(path) if path.is_dir() and not path.is_symlink() else []
+    except OSError:
+        return
+    for each in entries:
+        if _is_run(each):
+            yield each
+        else:
+            yield from _logs_below(each)
+
+
+def _passed_over_text(logs: Sequence[Path]) -> str:
+    """Say which logs lie too deep, "" for none."""
+    if not logs:
+        return ""
+    return (
+        f"Passed over {len(logs)} log{'' if len(logs) == 1 else 's'} deeper than in the folder of a cell, the first "
+        f"{logs[0]}: move them up, or name them in a CSV or YAML file."
+    )
 
 
 def _is_run(path: Path) -> bool:

@@ -4,8 +4,10 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
 from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
+from warnings import warn
 
 from autotune.arguments import errors_in_arguments, file_path
 from autotune.drift import Change, change_text
@@ -93,7 +95,8 @@ def run_campaign(
     Parameters
     ----------
     manifest
-        A folder (a folder for each cell, its logs the runs), or a CSV or YAML file, as of `autotune campaign`.
+        A folder (a folder for each cell, its logs the runs), or a CSV or YAML file, as of `autotune campaign`. Of logs
+        in deeper folders it is warned.
     folder
         Where the results are, and go on.
     optimize
@@ -127,7 +130,8 @@ def run_campaign(
         written, or the state cannot be kept.
 
     """
-    runs, target, count = read_manifest(file_path("manifest", manifest)), Path(folder), jobs or count_processors()
+    runs = read_manifest(file_path("manifest", manifest), note=partial(warn, stacklevel=4))
+    target, count = Path(folder), jobs or count_processors()
     check_tables(target)
     with ExitStack() as stack:
         if scheduler is not None:

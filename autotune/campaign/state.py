@@ -36,9 +36,9 @@ from autotune.errors import UsageError
 from autotune.formats.atomic import has_ended, is_of_this_machine, name_of_process
 
 from .checksums import FILES, Checksums
+from .manifest import STATE
 from .work import RunOutcome, RunTask, parse_outcome
 
-STATE = "campaign.sqlite"
 TRIED_AGAIN = ("killed", "unforeseen")
 """Refusals that are none of the log: the next campaign tries such a run again."""
 _LEASE = timedelta(seconds=120)

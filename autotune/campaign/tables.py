@@ -10,9 +10,9 @@ from typing import Any
 from autotune.errors import UsageError
 from autotune.formats.atomic import write_atomic
 
+from .manifest import TABLES
 from .work import RunOutcome
 
-_TABLES = ("campaign.csv", "campaign.parquet")
 # Columns that every release's tables have, and both kinds of file hold the names of columns as they are.
 _ALWAYS = ("recorded_s", "certificate_holds")
 
@@ -40,7 +40,7 @@ def campaign_rows(outcomes: Sequence[RunOutcome]) -> tuple[list[str], list[list[
 
 def check_tables(folder: Path) -> None:
     """Raise UsageError where `write_tables` would replace a file that no campaign has written."""
-    for path in (folder / name for name in _TABLES):
+    for path in (folder / name for name in TABLES):
         try:
             content = path.read_bytes() if path.is_file() else b""
         except OSError as error:
@@ -57,7 +57,7 @@ def write_tables(folder: Path, outcomes: Sequence[RunOutcome]) -> tuple[Path, ..
 
     Without pyarrow a `campaign.parquet` of an earlier run is removed: it would say something else.
     """
-    csv_path, parquet_path = (folder / name for name in _TABLES)
+    csv_path, parquet_path = (folder / name for name in TABLES)
     columns, rows = campaign_rows(outcomes)
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")

@@ -29,7 +29,7 @@ from identification.result import Identified
 from problems.errors import AutotuneError
 from problems.model.axis_kind import AxisKind
 
-from .manifest import LoggedRun
+from .manifest import CELLS, LoggedRun
 from .options import RunOptions
 
 if TYPE_CHECKING:
@@ -151,7 +151,7 @@ def build_task(run: LoggedRun, folder: Path, options: RunOptions, of_log: Callab
         raise UsageError(f"{error.filename} cannot be read: {error.strerror or error}.") from error
     said = {"version": __version__, "options": options.tree(), "logs": logs, **digests}
     own_key, key = (_key_of(each) for each in (said, {**said, "controller": controller}))
-    return RunTask(run=run, folder=folder / "cells" / run.cell / run.run, key=key, own_key=own_key, options=options)
+    return RunTask(run=run, folder=folder / CELLS / run.cell / run.run, key=key, own_key=own_key, options=options)
 
 
 def _key_of(said: Mapping[str, Any]) -> str:

@@ -141,12 +141,19 @@ def _looks(output: Output, manifest: Path, watch: float | None) -> "Iterator[tup
     from autotune.campaign.manifest import read_manifest
     from autotune.errors import UsageError
 
-    yield read_manifest(manifest, may_be_empty=watch is not None)
+    told: set[str] = set()
+
+    def note(text: str) -> None:
+        if text not in told:
+            told.add(text)
+            output.note(f"warning: {text}")
+
+    yield read_manifest(manifest, may_be_empty=watch is not None, note=note)
     mistake = ""
     while watch is not None:
         time.sleep(watch)
         try:
-            runs = read_manifest(manifest, may_be_empty=True)
+            runs = read_manifest(manifest, may_be_empty=True, note=note)
         except UsageError as error:
             if str(error) != mistake:
                 mistake = str(error)

@@ -18,11 +18,11 @@ from sqlalchemy import Connection, Engine
 from sqlalchemy.exc import OperationalError
 
 from autotune.campaign.dask_pool import dask_executor
-from autotune.campaign.manifest import read_manifest
+from autotune.campaign.manifest import STATE, read_manifest
 from autotune.campaign.options import RunOptions
 from autotune.campaign.result import run_campaign
 from autotune.campaign.run import work_on_runs
-from autotune.campaign.state import STATE, open_state
+from autotune.campaign.state import open_state
 from autotune.campaign.work import build_task
 from autotune.errors import UsageError
 from tests.autotune.campaign.sharing import campaign, identified_at_once, table, until, written_logs

@@ -57,6 +57,39 @@ def test_what_is_still_being_copied_is_no_run_however_it_begins(logs: Path, endi
     assert read_manifest(logs) == before
 
 
+def test_logs_in_deeper_folders_are_said_to_be_passed_over(logs: Path) -> None:
+    before, notes = read_manifest(logs), list[str]()
+    for name in ("mill/2026-11/thu.mcap", "press/2026/11/fri.mcap"):
+        (logs / name).parent.mkdir(parents=True)
+        (logs / name).write_bytes(MCAP)
+    (logs / "press" / ".trash").mkdir()
+    (logs / "press" / ".trash" / "sat.mcap").write_bytes(MCAP)
+    (logs / "mill" / "wed" / "wed_0.db3").write_bytes(b"")  # a part of the bag `wed`
+    (logs / "mill" / "all").symlink_to(logs)
+    assert read_manifest(logs, note=notes.append) == before
+    first = logs / "mill" / "2026-11" / "thu.mcap"
+    said = (
+        f"Passed over 2 logs deeper than in the folder of a cell, the first {first}: move them up, or name them in a "
+    )
+    assert notes == [f"{said}CSV or YAML file."]
+    (logs.parent / "above" / "hall").mkdir(parents=True)
+    (logs / "mill").rename(logs.parent / "above" / "hall" / "mill")
+    with pytest.raises(UsageError, match=r"names no logs\. Passed over 3 logs deeper than in the folder of a cell"):
+        read_manifest(logs.parent / "above")
+
+
+def test_what_a_campaign_has_written_among_the_logs_is_no_run(logs: Path) -> None:
+    before, notes = read_manifest(logs), list[str]()
+    for out in (logs, logs / "fleet", logs / "press"):
+        (out / "cells" / "mill" / "mon").mkdir(parents=True)
+        (out / "cells" / "mill" / "mon" / "identified.yaml").write_text("a: 1\n", encoding="utf-8")
+        (out / "campaign.csv").write_text("cell,run\n", encoding="utf-8")
+        (out / "campaign.parquet").write_bytes(b"PAR1")
+    (logs / "fleet" / "campaign.sqlite").write_bytes(b"SQLite format 3\0")
+    assert read_manifest(logs, note=notes.append) == before
+    assert notes == []
+
+
 def test_table_and_document_say_the_same(logs: Path) -> None:
     table, document = logs / "runs.csv", logs / "runs.yaml"
     table.write_text(

@@ -19,11 +19,10 @@ from typing import Any
 import pytest
 
 from autotune.campaign.dask_pool import dask_executor
-from autotune.campaign.manifest import LoggedRun, read_manifest
+from autotune.campaign.manifest import STATE, LoggedRun, read_manifest
 from autotune.campaign.options import RunOptions
 from autotune.campaign.result import run_campaign
 from autotune.campaign.run import work_on_runs
-from autotune.campaign.state import STATE
 from autotune.campaign.tables import campaign_rows, write_tables
 from autotune.campaign.work import RunOutcome, RunTask, build_task, parse_outcome, work_on
 from autotune.errors import UsageError
@@ -310,6 +309,16 @@ def test_a_campaign_from_python_takes_any_executor_and_shows_what_came_of_it(log
     assert sum(shares) == pytest.approx(1.0)
     with pytest.raises(UsageError, match="nothing is not there; name a folder of logs"):
         run_campaign(tmp_path / "nothing", tmp_path / "out")
+
+
+def test_from_python_logs_in_deeper_folders_are_warned_of_where_the_campaign_is_called(
+    logs: Path, tmp_path: Path
+) -> None:
+    (logs / "cell0" / "old").mkdir()
+    (logs / "cell0" / "old" / "run.csv").write_text("t,a\n0,1\n", encoding="utf-8")
+    with ThreadPoolExecutor(1) as executor, pytest.warns(UserWarning, match="Passed over 1 log deeper") as seen:
+        found = run_campaign(logs, tmp_path / "out", optimize=False, executor=executor)
+    assert (len(found.outcomes), [each.filename for each in seen]) == (12, [__file__])
 
 
 def test_processes_of_a_campaign_have_worker_environment(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -17,10 +17,10 @@ from typing import Any
 import pytest
 from sqlalchemy import create_engine, text
 
-from autotune.campaign.manifest import read_manifest
+from autotune.campaign.manifest import STATE, read_manifest
 from autotune.campaign.options import RunOptions
 from autotune.campaign.run import work_on_runs
-from autotune.campaign.state import STATE, CampaignState, open_state
+from autotune.campaign.state import CampaignState, open_state
 from autotune.campaign.work import RunTask, build_task
 from autotune.errors import UsageError
 from problems.errors import MissingExtraError
