@@ -71,6 +71,11 @@ class RunOutcome:
     peaks_at: Mapping[str, str] = field(default_factory=dict)
     log_peaks_at: Mapping[str, str] = field(default_factory=dict)
 
+    @property
+    def name(self) -> str:
+        """Cell and run, as in messages and as the folder of the results."""
+        return f"{self.cell}/{self.run}"
+
     def text(self) -> str:
         """Return the outcome as JSON."""
         return json.dumps(asdict(self), allow_nan=False)

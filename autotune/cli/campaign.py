@@ -14,7 +14,7 @@ from ._report import check_report, print_report_path, report_option, write_repor
 from ._terminal import print_message
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
     from concurrent.futures import Executor
 
     from autotune.campaign.manifest import LoggedRun
@@ -210,20 +210,26 @@ def _tree(output: Output, out: Path, outcomes: "Sequence[RunOutcome]", report: P
 
 def _note_new(output: Output, outcomes: "Sequence[RunOutcome]", before: "Sequence[RunOutcome]") -> None:
     """Say what is wrong with the runs that were not there, or other, when it was looked before."""
-    for each in outcomes:
-        if each not in before:
-            for verdict, what in _faults(each):
-                output.note(f"{verdict}{what}")
+    for verdict, what in _faults([each for each in outcomes if each not in before]):
+        output.note(f"{verdict}{what}")
 
 
-def _faults(found: "RunOutcome") -> "Iterator[tuple[str, str]]":
-    """Yield what is wrong with a run, as verdict and sentence."""
+def _faults(found: "Iterable[RunOutcome]") -> "Iterator[tuple[str, str]]":
+    """Yield what is wrong with runs, as verdict and sentence; what is wrong with several alike once."""
+    from autotune.campaign.text import runs_by_text
+
+    said = ((each.name, fault) for each in found for fault in _faults_of(each))
+    for (verdict, what), names in runs_by_text(said).items():
+        yield verdict, f"{names}: {what}"
+
+
+def _faults_of(found: "RunOutcome") -> "Iterator[tuple[str, str]]":
     if found.refused:
-        yield f"refused ({found.refused}): ", f"{found.cell}/{found.run}: {found.reason}"
+        yield f"refused ({found.refused}): ", found.reason
     if found.damage:
-        yield "warning: ", f"{found.cell}/{found.run}: {found.damage}"
+        yield "warning: ", found.damage
     for what in found.outside or ():
-        yield "error: ", f"{found.cell}/{found.run}: the certificate does not hold: {what}."
+        yield "error: ", f"the certificate does not hold: {what}."
 
 
 def _print(out: Path, outcomes: "Sequence[RunOutcome]", report: Path | None) -> None:
@@ -232,9 +238,8 @@ def _print(out: Path, outcomes: "Sequence[RunOutcome]", report: Path | None) -> 
     from autotune.drift import change_text
 
     print_message(outcome_text(outcomes))
-    for each in outcomes:
-        for verdict, what in _faults(each):
-            print_message(what, verdict=verdict)
+    for verdict, what in _faults(outcomes):
+        print_message(what, verdict=verdict)
     for line in (*map(change_text, changes(outcomes)), *map(unusual_text, unusual(outcomes))):
         print_message(line, verdict="note: ")
     print_message(f"written: {out / 'campaign.csv'} and a folder for each run that was identified in {out / 'cells'}")

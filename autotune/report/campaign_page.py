@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 import numpy as np
 
 from autotune.campaign.fleet import Unusual, by_cell, changes, unusual
-from autotune.campaign.text import outcome_text
+from autotune.campaign.text import outcome_text, runs_by_text
 from autotune.campaign.work import RunOutcome
 from autotune.charts.chart import Band, Chart, Panel, Points, Scale
 from autotune.drift import MASS, Change, parameter_name, parameter_text
@@ -59,14 +59,14 @@ def build_campaign_page(outcomes: Sequence[RunOutcome], footer: str) -> Page:
 
 
 def _broken_notes(broken: Sequence[RunOutcome]) -> Iterator[Note]:
-    for each in broken:
-        for what in each.outside or ():
-            yield Note(text=f"{each.cell}, {each.run}: {what}.", kind="certificate", tone="bad")
+    said = ((each.name, what) for each in broken for what in each.outside or ())
+    for what, names in runs_by_text(said).items():
+        yield Note(text=f"{names}: {what}.", kind="certificate", tone="bad")
 
 
 def _damage_notes(damaged: Sequence[RunOutcome]) -> Iterator[Note]:
     for each in damaged:
-        yield Note(text=f"{each.cell}, {each.run}: {each.damage}", kind="damage", tone="warn")
+        yield Note(text=f"{each.name}: {each.damage}", kind="damage", tone="warn")
 
 
 def _refused_table(refused: Sequence[RunOutcome]) -> Table:

@@ -92,7 +92,7 @@ def test_a_controller_file_that_certifies_nothing_is_exit_code_6(
     done = run_cli("campaign", fleet, "-o", "out", "--no-optimize", "--jobs", "1")
     assert done.returncode == 6
     assert "1 certificate no longer valid" in done.stdout
-    assert f"press/mon: the certificate does not hold: {file}" in done.stdout.replace("\n", " ")
+    assert f"press/mon, press/tue: the certificate does not hold: {file}" in done.stdout.replace("\n", " ")
     # The cell itself is identified all the same.
     assert (tmp_path / "out" / "cells" / "press" / "mon" / "identified.yaml").is_file()
 
@@ -112,6 +112,23 @@ def test_a_controller_file_that_certifies_nothing_beside_a_refused_log_is_exit_c
     assert done.returncode == 6
     assert f"press/tue: the certificate does not hold: {file}" in done.stdout.replace("\n", " ")
     assert "The controllers of press are not certified" in done.stderr.replace("\n", " ")
+
+
+@pytest.mark.usefixtures("in_this_process")
+@pytest.mark.parametrize(("more", "names"), [(1, ""), (4, " and 3 more runs")])
+def test_a_controller_file_that_several_runs_share_is_named_once(
+    run_cli: RunCli, fleet: Path, tmp_path: Path, more: int, names: str
+) -> None:
+    for i in range(more):
+        (fleet / "press" / f"u{i}.mcap").write_bytes((fleet / "press" / "tue.mcap").read_bytes())
+    file = fleet / "press" / "controller.yaml"
+    write_controller(file, small_controller())
+    file.write_text(file.read_text().replace("mass: ", "mass: 1", 1))
+    done = run_cli("campaign", fleet, "-o", "out", "--no-optimize", "--jobs", "1", "--report", "fleet.html")
+    said = f"press/mon, press/tue, press/u0{names}: "
+    assert done.stdout.replace("\n", " ").count("the certificate does not hold") == 1
+    assert f"{said}the certificate does not hold: {file}" in done.stdout.replace("\n", " ")
+    assert (tmp_path / "fleet.html").read_text(encoding="utf-8").count(f"{said}{file}") == 1
 
 
 @pytest.mark.usefixtures("in_this_process")

@@ -76,7 +76,7 @@ def test_a_campaign_with_a_refusal_a_change_and_a_lost_certificate() -> None:
     assert (page.tone, page.footer) == ("bad", "a footer")
     assert page.lead.startswith("6 runs of 4 cells, 3 refused, 1 certificate no longer valid; 1 change")
     notes = [each.text for each in section(page, "certificates") if isinstance(each, Note)]
-    assert notes == ["a, tue: K_s is 330.", "a, tue: K_e too."]
+    assert notes == ["a/tue: K_s is 330.", "a/tue: K_e too."]
     # What is refused most often comes first.
     assert texts(table(page, "refused")) == [
         ["log", "2", "b", "tue", "it is cut"],
@@ -107,7 +107,7 @@ def test_a_campaign_with_a_refusal_a_change_and_a_lost_certificate() -> None:
     assert isinstance(band, Band)
     assert (band.low.tolist(), band.high.tolist()) == ([294.0, 324.0], [306.0, 336.0])
     (damage,) = (each for each in section(page, "damaged") if isinstance(each, Note))
-    assert damage.text == "b, mon: b.mcap is damaged."
+    assert damage.text == "b/mon: b.mcap is damaged."
     for each in (table(page, "refused"), table(page, "changes"), every, of_x):
         check_sides(each)
 
