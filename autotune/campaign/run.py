@@ -5,6 +5,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
 from contextlib import AbstractContextManager, nullcontext
+from multiprocessing import get_context
 from pathlib import Path
 from random import Random
 
@@ -163,12 +164,15 @@ class _Work:
             # One by one, what had a worker when one died: so only the run that ends its process is counted.
             queue, most = (suspects, 1) if suspects else (self.free, jobs + 1)
             with worker_pool(jobs) if executor is None else nullcontext(executor) as workers:
-                for task in self._drain(workers, queue, most):
-                    deaths[task.run.name] += most == 1
-                    if deaths[task.run.name] < MOST_DEATHS:
-                        suspects.append(task)
-                    else:
-                        self._finish(task, task.refused("killed", _KILLED))
+                lost = self._drain(workers, queue, most)
+            if lost and executor is None and not deaths:
+                _check_beginning()
+            for task in lost:
+                deaths[task.run.name] += most == 1
+                if deaths[task.run.name] < MOST_DEATHS:
+                    suspects.append(task)
+                else:
+                    self._finish(task, task.refused("killed", _KILLED))
 
     def _drain(self, workers: Executor, queue: deque[RunTask], most: int) -> list[RunTask]:
         """Work on at most so many tasks at a time until the workers are gone; return what they then had in work."""
@@ -208,6 +212,20 @@ class _Work:
         del self.left[task.run.name]
         self.done[task.run.name] = outcome
         self.advance(1, task.run.name)
+
+
+def _check_beginning() -> None:
+    """Raise UsageError where a process of this machine ends, and is not killed, before it begins with any work."""
+    context = get_context("spawn")
+    begun = context.Event()
+    process = context.Process(target=begun.set)
+    process.start()
+    process.join()
+    if not begun.is_set() and (process.exitcode or 0) >= 0:
+        raise UsageError(
+            "The processes that are to work on the runs end before they begin, for the reason above. Each imports the "
+            'script that calls them: it must be a file, and have what it does under `if __name__ == "__main__":`.'
+        )
 
 
 def _look_after(workers: Executor) -> tuple[Future[RunOutcome], ...]:

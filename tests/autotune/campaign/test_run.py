@@ -6,6 +6,8 @@ import pickle
 import signal
 import socket
 import sqlite3
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -258,6 +260,34 @@ def test_only_the_run_that_ends_its_process_is_given_up(logs: Path, tmp_path: Pa
     again = Counting()
     assert {each.refused for each in work_on_runs(read_manifest(logs), tmp_path / "out", executor=again)} == {"log"}
     assert again.worked == ["cell1/run4"]
+
+
+@pytest.mark.parametrize("is_file", [True, False])
+def test_a_script_that_its_processes_cannot_import_ends_at_the_first_of_them_with_the_reason(
+    logs: Path, tmp_path: Path, is_file: bool
+) -> None:
+    out, script = tmp_path / "out", tmp_path / "script.py"
+    call = f"autotune.run_campaign({str(logs)!r}, {str(out)!r}, optimize=False, jobs=1)"
+    # What a process reads from standard input none that it starts can import.
+    script.write_text(
+        f"import autotune\n{call}\n" if is_file else f"if __name__ == '__main__':\n import autotune\n {call}\n"
+    )
+    done = subprocess.run(
+        [sys.executable, script if is_file else "-"],
+        input=script.read_text(),
+        check=False,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 1
+    assert done.stderr.splitlines()[-1].startswith(
+        "autotune.errors.UsageError: The processes that are to work on the runs end before they begin"
+    )
+    assert 'have what it does under `if __name__ == "__main__":`.' in done.stderr
+    # None is tried again.
+    with closing(sqlite3.connect(out / STATE)) as state:
+        kept = state.execute("select distinct attempts from autotune_runs where attempts > 0 or result is not null")
+        assert kept.fetchall() == [(1,)]
 
 
 @pytest.mark.filterwarnings("ignore:Exception ignored in. <socket")  # Dask leaves that of a port which is taken open
