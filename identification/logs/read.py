@@ -311,14 +311,14 @@ def _read(
         choices, cell, chain = resolve_joints(choices, cell, logs)
         cell, cautions = with_meanings(cell, choices.values())
         _check_fields(choices.values(), logs)
-        parts = _parts(logs.read_roles(tuple(choices.values())), choices, logs)
+        is_window = span.recorded_ns is not None
+        parts = _parts(logs.read_roles(tuple(choices.values())), choices, logs, is_window=is_window)
         poses_of_joints(parts, choices, cell, chain)
         idle = (*drop_idle_command(parts), *drop_zero_torques(parts))
         clocks, about_clocks = chosen_clocks(parts, cell)
         stamps = [role_stamps(part, clocks, cell) for part in parts]
         main = [role for role in (Role.WRENCH, Role.POSE) if role in parts[0]]
         start = max((int(stamps[0][role][0]), int(parts[0][role].log_ns[0])) for role in main)
-        is_window = span.recorded_ns is not None
         chosen = [
             _chosen(choice, [part[role] for part in stamps if role in part], is_window=is_window)
             for role, choice in choices.items()
@@ -326,7 +326,7 @@ def _read(
         parts, about_span = cut_roles(parts, stamps, span, logs.name)
         times = _times(parts, clocks)
         # A pause of the recorder costs a long log what is around it, as does a chunk that is left out.
-        keeps_holes = salvage or span.recorded_ns is not None or logs.is_damaged
+        keeps_holes = salvage or is_window or logs.is_damaged
         about_samples = sample_findings(
             parts, clocks, cell, logs.start_ns, keeps_holes=keeps_holes, examined=logs.examined
         )
@@ -341,7 +341,7 @@ def _read(
         beside = joint_findings(choices[Role.POSE], recording, cell, chain, logs)
         findings = (*findings, *recording.findings, *beside)
     # Many windows of a log do not each read all of it for its digest.
-    sha256 = digests(files) if span.recorded_ns is None else {}
+    sha256 = {} if is_window else digests(files)
     return replace(recording, sha256=sha256, findings=findings, keeps_holes=keeps_holes), times, start
 
 
@@ -360,7 +360,9 @@ def _check_fields(choices: Iterable[Choice], logs: OpenedLogs) -> None:
             )
 
 
-def _parts(read: Sequence[dict[Role, Series]], choices: Mapping[Role, Choice], logs: OpenedLogs) -> list[Part]:
+def _parts(
+    read: Sequence[dict[Role, Series]], choices: Mapping[Role, Choice], logs: OpenedLogs, *, is_window: bool
+) -> list[Part]:
     """Return what follows each other in time: the files, or all of them as one where each holds other roles."""
     held = [role for part in read for role in part]
     parts = [*read]
@@ -369,9 +371,12 @@ def _parts(read: Sequence[dict[Role, Series]], choices: Mapping[Role, Choice], l
     for part in parts:
         for role, choice in choices.items():
             if role not in part or not len(part[role].log_ns):
+                where, found = f"each of {logs.name}", "in one; leave that file out"
+                if is_window:
+                    where, found = f"the part of {logs.name} that is read", "there; read another part"
                 raise LogError(
-                    f"Topic {choice.info.channel.topic} must hold the {ROLES[role].label} in each of {logs.name}, "
-                    "found no message of it in one; leave that file out."
+                    f"Topic {choice.info.channel.topic} must hold the {ROLES[role].label} in {where}, "
+                    f"found no message of it {found}."
                 )
     return parts
 

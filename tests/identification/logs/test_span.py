@@ -53,6 +53,16 @@ def test_seconds_and_stamps_name_the_same_part(first: int, last: int) -> None:
     assert np.array_equal(absolute.covers(stamps, 0), expected)
 
 
+def test_a_window_without_a_wrench_is_refused_as_a_part_and_not_as_a_file(tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "run.mcap", [wrench_stream(duration_s=0.2), pose_stream(duration_s=0.6)])
+    with pytest.raises(LogError) as refused:
+        read_recording(path, span=LogSpan(recorded_ns=(START_NS + 300_000_000, START_NS + 600_000_000)))
+    assert str(refused.value) == (
+        "Topic /ft/wrench must hold the wrench in the part of run.mcap that is read, found no message of it there; "
+        "read another part."
+    )
+
+
 @pytest.mark.parametrize("span", [LogSpan(start=1.0), LogSpan(stop="@3"), LogSpan(start="1700000000")])
 def test_a_part_outside_of_the_log_is_refused_with_where_it_is(span: LogSpan, log: Path) -> None:
     with pytest.raises(LogError, match=r"found none; it is 0\.39\d s long and starts at @1700000000\.000000000"):
