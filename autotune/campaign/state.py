@@ -125,7 +125,8 @@ class CampaignState:
         elif outcome is None or (self._failed or {}).get(task.run.name) == row.attempts:
             older = None if row.key == task.key else parse_outcome(row.result)
             lacks_check = older is not None and older.own_key == task.own_key and older.has_files(task.folder)
-            sight.free.append(replace(task, known=older) if lacks_check else task)
+            is_usable = older is not None and (lacks_check or older.has_identified(task))
+            sight.free.append(replace(task, known=older) if is_usable else task)
             if older is not None and older.files and not lacks_check:
                 sight.older.append((task, older))
         elif outcome.has_files(task.folder):

@@ -52,7 +52,7 @@ class RunOutcome:
     shows on its hardest surface, and the one predicted with the new controller at the same speed, at the sensor.
     `peaks_at` and `log_peaks_at` say on which surfaces, and with which approach or speed, those are.
     `files` are the names of what was written in the run's folder, with the SHA-256 of each. `own_key` is the key of all
-    but `outside`: without the controller in the manifest.
+    but `outside`: without the controller in the manifest. `identified_key` is that of what was identified alone.
     """
 
     cell: str
@@ -68,6 +68,7 @@ class RunOutcome:
     log_peaks_n: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     files: Mapping[str, str] = field(default_factory=dict)
     own_key: str = ""
+    identified_key: str = ""
     peaks_at: Mapping[str, str] = field(default_factory=dict)
     log_peaks_at: Mapping[str, str] = field(default_factory=dict)
 
@@ -80,26 +81,32 @@ class RunOutcome:
         """Return the outcome as JSON."""
         return json.dumps(asdict(self), allow_nan=False)
 
-    def has_files(self, folder: Path) -> bool:
-        """Return whether the folder of the run holds what was written there, to the byte."""
+    def has_files(self, folder: Path, *names: str) -> bool:
+        """Return whether the folder of the run holds what was written there, or these files of it, to the byte."""
         try:
-            return all(sha256_of(folder / name) == digest for name, digest in self.files.items())
+            return all(sha256_of(folder / name) == self.files.get(name) for name in names or self.files)
         except LogError:
             return False
+
+    def has_identified(self, task: "RunTask") -> bool:
+        """Return whether what it has identified is what the task would, and still in the folder."""
+        return self.identified_key == task.identified_key and self.has_files(task.folder, _IDENTIFIED)
 
 
 @dataclass(frozen=True, kw_only=True)
 class RunTask:
     """A run, where its results belong, and the key of all that they follow from.
 
-    `own_key` is the key without the controller in the manifest, and `known` a result of that key which lacks nothing
-    but the check of that controller.
+    `own_key` is the key without the controller in the manifest, `identified_key` that of what is identified: without
+    problem, seed and whether to optimize too. `known` is a result with one of these keys, which lacks no more than the
+    rest.
     """
 
     run: LoggedRun
     folder: Path
     key: str
     own_key: str
+    identified_key: str
     options: RunOptions
     known: RunOutcome | None = None
 
@@ -155,8 +162,16 @@ def build_task(run: LoggedRun, folder: Path, options: RunOptions, of_log: Callab
     except OSError as error:
         raise UsageError(f"{error.filename} cannot be read: {error.strerror or error}.") from error
     said = {"version": __version__, "options": options.tree(), "logs": logs, **digests}
-    own_key, key = (_key_of(each) for each in (said, {**said, "controller": controller}))
-    return RunTask(run=run, folder=folder / CELLS / run.cell / run.run, key=key, own_key=own_key, options=options)
+    read = {**said, "options": replace(options, optimize=True, seed=0).tree(), "problem": None}
+    identified_key, own_key, key = (_key_of(each) for each in (read, said, {**said, "controller": controller}))
+    return RunTask(
+        run=run,
+        folder=folder / CELLS / run.cell / run.run,
+        key=key,
+        own_key=own_key,
+        identified_key=identified_key,
+        options=options,
+    )
 
 
 def _key_of(said: Mapping[str, Any]) -> str:
@@ -178,7 +193,7 @@ def work_on(task: RunTask) -> RunOutcome:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
-            if task.known is not None:
+            if task.known is not None and task.known.own_key == task.own_key:
                 return _check_again(task, task.known)
             outcome = _identify_and_tune(task, files)
         except Exception as error:  # noqa: BLE001 - one log must not end the work on all others
@@ -192,7 +207,7 @@ def work_on(task: RunTask) -> RunOutcome:
     except OSError as error:
         raise UsageError(f"{task.folder} cannot be written: {error.strerror or error}.") from error
     digests = {name: sha256(text.encode()).hexdigest() for name, text in files.items()}
-    return replace(outcome, files=digests, own_key=task.own_key)
+    return replace(outcome, files=digests, own_key=task.own_key, identified_key=task.identified_key)
 
 
 def _check_again(task: RunTask, known: RunOutcome) -> RunOutcome:
@@ -208,13 +223,19 @@ def _identify_and_tune(task: RunTask, files: dict[str, str]) -> RunOutcome:
     run = task.run
     outcome = RunOutcome(cell=run.cell, run=run.run, key=task.key)
     try:
-        cell = None if run.cell_file is None else read_cell(run.cell_file)
-        found = identify_log(run.logs, task.options.of_identify(cell))
-        files[_IDENTIFIED] = dump_yaml(identified_tree(found.result, found.provenance))
-        recorded = float(found.provenance["time_span_s"][0])
-        outcome = replace(outcome, recorded_s=recorded, values=_values(found), damage=_damage(found.result))
+        if task.known is None:
+            cell = None if run.cell_file is None else read_cell(run.cell_file)
+            found = identify_log(run.logs, task.options.of_identify(cell))
+            result, recorded = found.result, float(found.provenance["time_span_s"][0])
+            files[_IDENTIFIED] = dump_yaml(identified_tree(result, found.provenance))
+            outcome = replace(outcome, recorded_s=recorded, values=_values(found), damage=_damage(result))
+        else:
+            path, known = task.folder / _IDENTIFIED, task.known
+            files[_IDENTIFIED] = path.read_text(encoding="utf-8")
+            result = parse_identified(files[_IDENTIFIED], path).result
+            outcome = replace(outcome, recorded_s=known.recorded_s, values=known.values, damage=known.damage)
         if run.controller is not None:
-            outcome = replace(outcome, outside=_outside(run.controller, found.result))
+            outcome = replace(outcome, outside=_outside(run.controller, result))
         if task.options.optimize:
             outcome = _tune(task, files, outcome)
     except AutotuneError as error:

@@ -5,13 +5,17 @@ import json
 from collections.abc import Iterator
 from concurrent.futures import Executor
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from mcap.reader import make_reader
 
 from autotune.campaign import run, work
 from autotune.formats.controller import write_controller
+from autotune.pipeline import identify_log
+from autotune.results import Identification
 from tests.autotune.campaign.test_run import Counting
 from tests.autotune.tuning.cases import small_controller
 from tests.conftest import RunCli
@@ -183,7 +187,49 @@ def test_of_another_controller_only_the_check_is_done_again(
     file.unlink()
     last = json.loads(run_cli(*asked, "--json").stdout)["runs"]
     assert last == first
-    assert (folder / "identified.yaml").stat() == made
+    now = (folder / "identified.yaml").stat()
+    assert (now.st_ino, now.st_mtime_ns) == (made.st_ino, made.st_mtime_ns)
+
+
+@pytest.mark.usefixtures("in_this_process")
+def test_of_another_problem_only_the_controller_is_searched_again(
+    run_cli: RunCli, fleet: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (fleet / "press" / "tue.mcap").unlink()
+    identified, folder = list[object](), tmp_path / "out" / "cells" / "press" / "mon"
+
+    def counted(*arguments: Any) -> Identification:
+        identified.append(arguments[0])
+        return identify_log(*arguments)
+
+    def tuned(task: work.RunTask, files: dict[str, str], outcome: work.RunOutcome) -> work.RunOutcome:
+        files["controller.yaml"] = f"of: {task.key}\n"
+        return replace(outcome, peaks_at={"x": files["identified.yaml"]})
+
+    monkeypatch.setattr(work, "identify_log", counted)
+    monkeypatch.setattr(work, "_tune", tuned)
+    write_controller(fleet / "press" / "controller.yaml", small_controller())
+    asked = ("campaign", fleet, "-o", "out", "--json")
+    (first,) = json.loads(run_cli(*asked, "--no-optimize").stdout)["runs"]
+    made = (folder / "identified.yaml").read_bytes()
+    (fleet / "press" / "problem.yaml").write_text("format: autotune/problem\nversion: 1\n", encoding="utf-8")
+    for more in ((), ("--seed", "1")):
+        (second,) = json.loads(run_cli(*asked, *more).stdout)["runs"]
+        assert (second["values"], second["recorded_s"], second["outside"]) == (
+            first["values"],
+            first["recorded_s"],
+            first["outside"],
+        )
+        assert second["peaks_at"]["x"].encode() == (folder / "identified.yaml").read_bytes() == made
+        assert (folder / "controller.yaml").read_text() == f"of: {second['key']}\n"
+        assert second["key"] != first["key"]
+        assert len(identified) == 1
+    # What it follows from is another one, or it is not what was written: it is identified anew.
+    run_cli(*asked, "--allow-partial")
+    assert len(identified) == 2
+    (folder / "identified.yaml").write_bytes(made + b"# mine\n")
+    run_cli(*asked, "--allow-partial", "--seed", "2")
+    assert (len(identified), b"# mine" in (folder / "identified.yaml").read_bytes()) == (3, False)
 
 
 @pytest.mark.usefixtures("in_this_process")
