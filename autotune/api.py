@@ -11,7 +11,7 @@ from autotune.errors import UsageError
 from autotune.formats.plant import Plant
 from autotune.formats.quantity import Quantity, Uncertain
 from autotune.formats.robot import Robot
-from autotune.log import Log, Paths, cell_file
+from autotune.log import Log, Paths, cell_file, refuse_log
 from autotune.pipeline import IdentifyOptions, identify_log
 from autotune.results import Identification
 from autotune.shown import Progress, reporting
@@ -286,6 +286,7 @@ def predict(
         sample_time=sample_time,
         bumper=bumper,
     )
+    refuse_log(plant)
     return predict_any(load(plant) if isinstance(plant, str | Path) else plant, gains, asked)
 
 
@@ -326,6 +327,7 @@ def load(path: str | Path) -> "Design | Identification | Plant":
     from autotune.formats.yaml12 import kind_of_file, load_document  # noqa: PLC0415
 
     path = file_path("path", path)
+    refuse_log(path)
     kind = kind_of_file(path)
     if kind == "controller":
         read = read_controller(path)
@@ -378,6 +380,7 @@ def from_control(system: Any, *, delay: Quantity | None = None) -> Robot:
 def _plant_file(plant: "Plant | Identification | str | Path") -> "IdentifiedFile":
     from autotune.formats.plant_file import read_plant  # noqa: PLC0415 - a file only
 
+    refuse_log(plant)
     if isinstance(plant, Identification | Plant):
         return plant.file()
     if isinstance(plant, str | Path):

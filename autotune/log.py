@@ -5,6 +5,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from filecmp import cmp
 from pathlib import Path
+from shlex import quote
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +15,7 @@ from autotune.arguments import count, errors_in_arguments, file_path, file_paths
 from autotune.errors import UsageError
 from autotune.formats.atomic import check_target
 from autotune.formats.cell import CellFile, read_cell
+from autotune.formats.kinds import is_log
 from autotune.pipeline import IdentifyOptions
 from autotune.results import finding_notes
 from autotune.shown import ResultTable, Shown, data_frame, plain_tree
@@ -274,3 +276,16 @@ def simulate_log(
 def cell_file(cell: "str | Path | CellFile | None") -> CellFile | None:
     """Return a `cell.yaml` that was read, None for none; raises UsageError for anything else."""
     return cell if cell is None or isinstance(cell, CellFile) else read_cell(file_path("cell", cell))
+
+
+def refuse_log(given: object) -> None:
+    """Raise UsageError, with the call that helps, for a log or its path where what was identified of it is wanted."""
+    if isinstance(given, Log):
+        raise UsageError("A log must be identified first: say at.identify(log) in its place.")
+    try:
+        found = isinstance(given, str | Path) and is_log(Path(given))
+    except OSError:
+        return  # Whoever reads it says why it cannot be read.
+    if found:
+        call, command = f"at.identify({str(given)!r})", f"autotune identify {quote(str(given))}"
+        raise UsageError(f"{given} is a log, which must be identified first: with {call}, or run `{command}`.")

@@ -69,7 +69,6 @@ def test_a_range_that_is_none_is_refused_for_one_thing(given: Any, sentence: str
         ("mass: 16\n\tdrag: 1\n", ", line 2: a tab; use spaces."),
         ("only words\n", ", line 1: must hold a mapping (key: value), found the text 'only words'."),
         ("mass: 16\n", " must be a controller.yaml, identified.yaml or plant.yaml, found no format entry."),
-        ("\x89MCAP0\r\n\0", " must be a controller.yaml, identified.yaml or plant.yaml, found no format entry."),
     ],
 )
 def test_a_file_that_is_no_yaml_is_refused_with_its_line(tmp_path: Path, text: str, said: str) -> None:
@@ -78,6 +77,27 @@ def test_a_file_that_is_no_yaml_is_refused_with_its_line(tmp_path: Path, text: s
     with pytest.raises(at.UsageError) as refused:
         at.load(path)
     assert str(refused.value) == f"{path}{said}"
+
+
+@pytest.mark.parametrize("call", [at.optimize, at.predict, at.load])
+def test_a_log_in_the_place_of_a_plant_is_refused_with_the_call_that_helps(
+    tmp_path: Path, call: Callable[[Any], Any]
+) -> None:
+    path = tmp_path / "a run.mcap"
+    path.write_bytes(b"\x89MCAP0\r\n" + bytes(2**20))
+    with pytest.raises(at.UsageError) as refused:
+        call(path)
+    first = f"at.identify('{path}'), or run `autotune identify '{path}'`."
+    assert str(refused.value) == f"{path} is a log, which must be identified first: with {first}"
+
+
+def test_a_log_that_was_read_is_to_be_identified_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shorten_logs(monkeypatch)
+    log = at.read_log(at.simulate_log(tmp_path / "run.mcap"))
+    for call in (at.optimize, at.predict):
+        with pytest.raises(at.UsageError) as refused:
+            call(log)  # type: ignore[arg-type]
+        assert str(refused.value) == "A log must be identified first: say at.identify(log) in its place."
 
 
 def test_a_system_without_coefficients_is_no_robot() -> None:
