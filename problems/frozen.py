@@ -11,7 +11,8 @@ _Value = TypeVar("_Value")
 class FrozenDict(dict[_Key, _Value]):
     """A dictionary whose items are those it was made of; whatever would change it raises TypeError.
 
-    Unlike `types.MappingProxyType` it is a copy, and `pickle`, `copy.deepcopy` and `dataclasses.asdict` take it.
+    Unlike `types.MappingProxyType` it is a copy, can be hashed whatever its values are, and `pickle`, `copy.deepcopy`
+    and `dataclasses.asdict` take it.
     """
 
     __slots__ = ()
@@ -28,6 +29,10 @@ class FrozenDict(dict[_Key, _Value]):
 
     def __repr__(self) -> str:
         return dict.__repr__(self)
+
+    def __hash__(self) -> int:  # type: ignore[override] # a frozen record that holds one is hashed
+        # Equal ones have equal keys; values may be lists, as in a provenance.
+        return hash(frozenset(self))
 
 
 def freeze(record: object, *names: str) -> None:

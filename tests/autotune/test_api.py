@@ -132,7 +132,7 @@ def test_every_result_shows_copies_and_pickles(design: at.Design, capsys: pytest
         assert len(repr(result).splitlines()) == 1
         assert repr(pickle.loads(pickle.dumps(result))) == repr(result)
         assert repr(copy.deepcopy(result)) == repr(result)
-        assert copy.deepcopy(result) == result
+        assert {copy.deepcopy(result)} == {result}
         assert result._repr_html_().startswith("<p>")
         assert isinstance(result.to_dict(), dict)
     assert asdict(design.controller)["axes"]["x"]["mass"] == design.gains["x"]["mass"]
@@ -159,6 +159,14 @@ def test_the_summary_says_what_is_not_proved(design: at.Design) -> None:
 
 def test_a_problem_shows_what_was_said_by_its_public_name() -> None:
     assert repr(at.Problem(bounds={"mass": (5, 20)})) == "Problem(bounds={'mass': (5, 20)})"
+
+
+def test_what_is_asked_and_what_was_identified_are_keys() -> None:
+    asked = at.Problem(uncertain={"drag": (300, 700)}, requirements=at.Requirements(min_damping_ratio=0.2))
+    plant = written_plant()
+    found = at.Identification(result=plant.file().result, provenance={"logs": [{"path": "run.mcap"}]})
+    for result in (asked, asked.requirements, found, plant, plant.robot):
+        assert {copy.deepcopy(result): 1}[result] == 1
 
 
 def test_html_of_a_result_escapes_what_it_shows() -> None:

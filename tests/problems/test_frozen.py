@@ -64,3 +64,12 @@ def test_asdict_and_json_take_it_to_the_last_record() -> None:
     record = _Record(parts={"x": _Inner(number=0.5)})
     assert asdict(record) == {"parts": {"x": {"number": 0.5}}}
     assert json.loads(json.dumps(asdict(record))) == {"parts": {"x": {"number": 0.5}}}
+
+
+def test_equal_ones_have_one_hash_whatever_their_values_are() -> None:
+    one, other = FrozenDict({"a": [1], "b": {"c": 2}}), FrozenDict({"b": FrozenDict({"c": 2}), "a": [1]})
+    assert one == other
+    assert hash(one) == hash(other)
+    record = _Record(parts={"x": _Inner(number=0.5)})
+    assert {record: "found"}[copy.deepcopy(record)] == "found"
+    assert len({record, _Record(parts={"x": _Inner(number=0.6)})}) == 2
