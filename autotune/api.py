@@ -315,7 +315,7 @@ def load(path: str | Path) -> "Design | Identification | Plant":
     >>> import autotune as at
     >>> plant = at.Plant(mass=16, coupling_stiffness=3e5, drag=630, robot=at.Robot(bandwidth=3.2, delay=2.4e-3),
     ...                  environment_stiffness=(2e4, 5e5), sample_time=8e-4)
-    >>> plant.save("plant.yaml")
+    >>> digest = plant.save("plant.yaml")
     >>> at.load("plant.yaml") == plant
     True
 

@@ -100,14 +100,14 @@ class Identification(Shown):
         columns = {name: [getattr(row, name) for row in rows] for name in ("value", "std", "status", "unit")}
         return data_frame(columns, [row.name for row in rows])
 
-    def save(self, path: Path | str) -> None:
-        """Write `identified.yaml` in one step.
+    def save(self, path: Path | str) -> str:
+        """Write `identified.yaml` in one step and return its sha256.
 
         Raises UsageError where it cannot be written, or a file of another kind would be lost.
         """
         target = file_path("path", path)
         check_target(target, kind="identified", option="path")
-        write_identified(target, self.result, self.provenance)
+        return write_identified(target, self.result, self.provenance)
 
     def file(self) -> IdentifiedFile:
         """Return it as a file is handed on: with the digest of the bytes that `save` would write."""

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -54,9 +55,11 @@ def identified_tree(result: Identified, provenance: Mapping[str, object]) -> dic
     return tree
 
 
-def write_identified(path: Path | str, result: Identified, provenance: Mapping[str, object]) -> None:
-    """Write `identified.yaml` in one step; raises as `identified_tree` and `write_atomic` do."""
-    write_atomic(path, dump_yaml(identified_tree(result, provenance)))
+def write_identified(path: Path | str, result: Identified, provenance: Mapping[str, object]) -> str:
+    """Write `identified.yaml` in one step, return its sha256; raises as `identified_tree` and `write_atomic` do."""
+    text = dump_yaml(identified_tree(result, provenance))
+    write_atomic(path, text)
+    return sha256(text.encode()).hexdigest()
 
 
 def read_identified(path: Path | str) -> IdentifiedFile:

@@ -273,11 +273,16 @@ class Plant(Shown):
         """Return the tree of `plant.yaml`."""
         return {"format": FORMAT, "version": VERSION, **_tree(self)}
 
-    def save(self, path: Path | str) -> None:
-        """Write `plant.yaml` in one step; raises UsageError where it cannot, or another kind of file would be lost."""
+    def save(self, path: Path | str) -> str:
+        """Write `plant.yaml` in one step and return its sha256.
+
+        Raises UsageError where it cannot be written, or a file of another kind would be lost.
+        """
         target = file_path("path", path)
         check_target(target, kind="plant", option="path")
-        write_atomic(target, dump_yaml(self.to_dict()))
+        text = dump_yaml(self.to_dict())
+        write_atomic(target, text)
+        return sha256(text.encode()).hexdigest()
 
     def file(self, path: Path = IN_MEMORY, digest: str | None = None) -> IdentifiedFile:
         """Return the plant in the form in which a log's is handed on, every value marked as given."""

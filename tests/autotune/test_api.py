@@ -9,6 +9,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import asdict, replace
+from hashlib import sha256
 from html import escape
 from pathlib import Path
 from types import SimpleNamespace
@@ -23,6 +24,7 @@ from autotune.runtime.law import Payload
 from autotune.runtime.load import load_controller
 from problems.contact.transient import build_sampled_contact, simulate_contact
 from problems.model.sampled import build_sampled_plant
+from tests.autotune.formats.test_plant import WHOLE
 from tests.autotune.simulation.runs import shorten_logs
 from tests.autotune.tuning.cases import shorten_checks
 
@@ -315,6 +317,15 @@ def test_what_is_no_plant_or_file_is_refused(tmp_path: Path) -> None:
     (tmp_path / "other.yaml").write_text("a: 1\n", encoding="utf-8")
     with pytest.raises(at.UsageError, match="must be a controller"):
         at.load(tmp_path / "other.yaml")
+
+
+def test_save_returns_the_digest_of_the_file(design: at.Design, tmp_path: Path) -> None:
+    plant = written_plant(**WHOLE)
+    for result in (plant, at.Identification(result=plant.file().result, provenance={"tool": "by hand"})):
+        digest = result.save(tmp_path / "file.yaml")
+        assert digest == sha256((tmp_path / "file.yaml").read_bytes()).hexdigest() == result.file().sha256
+        (tmp_path / "file.yaml").unlink()
+    assert design.save(tmp_path / "controller.yaml") == at.load(tmp_path / "controller.yaml").to_dict()["checksum"]
 
 
 @pytest.mark.parametrize("kind", ["log", "plant", "controller"])
