@@ -340,7 +340,8 @@ def load(path: str | Path) -> "Design | Identification | Plant":
     if kind == "plant":
         return parse_plant(load_document(path, error=UsageError))
     found = f"autotune/{kind}" if kind else "no format entry"
-    raise unknown_file(path, f"{path} must be a controller.yaml, identified.yaml or plant.yaml, found {found}.")
+    message = f"{path} must be a controller.yaml, identified.yaml or plant.yaml, found {found}."
+    raise unknown_file(path, message, by_hand="plant")
 
 
 def from_control(system: Any, *, delay: Quantity | None = None) -> Robot:

@@ -111,7 +111,9 @@ def read_exploration(path: Path, problem: Path | None = None, progress: Progress
         return _from_identified(path, problem, progress or no_progress)
     if kind != "controller":
         raise unknown_file(
-            path, f"{path} is neither a plant nor a controller; give what identify or optimize wrote, or a plant.yaml."
+            path,
+            f"{path} is neither a plant nor a controller; give what identify or optimize wrote, or a plant.yaml.",
+            by_hand="plant",
         )
     if problem is not None:
         raise UsageError(f"{path} contains its requirements; use --problem with an identified plant.")

@@ -100,16 +100,22 @@ def check_kind(path: Path, kinds: Sequence[str]) -> None:
     raise UsageError(f"{path} is {_named(found)}, not {wanted}{advice}.")
 
 
-def unknown_file(path: Path, message: str) -> UsageError:
-    """Return the error of a file of no kind that is wanted; raises UsageError for a text that is no valid YAML."""
-    from .yaml12 import load_yaml  # noqa: PLC0415 - imports a YAML library
+def unknown_file(path: Path, message: str, *, by_hand: str = "") -> UsageError:
+    """Return the error of a file of no kind that is wanted; raises UsageError for a text that is no valid YAML.
+
+    `by_hand` is the kind among them that a person writes: of a file that does not say what it is, how one begins.
+    """
+    from .schema import head_of  # noqa: PLC0415 - imports a YAML library
+    from .yaml12 import load_yaml  # noqa: PLC0415 - the same
 
     # A table of a log may end in .txt too.
     if not is_log(path) and path.suffix.lower() != ".txt":
         with path.open("rb") as stream:
             is_text = b"\0" not in stream.read(HEAD_BYTES)
         if is_text:
-            load_yaml(path, error=UsageError)
+            tree = load_yaml(path, error=UsageError)
+            if by_hand and "format" not in tree:
+                message += f" A {by_hand}.yaml begins with {head_of(by_hand)}."
     return UsageError(message)
 
 

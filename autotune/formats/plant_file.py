@@ -11,7 +11,7 @@ from .identified import IdentifiedFile, read_identified
 from .plant import FORMAT, Plant
 from .quantity import Uncertain
 from .robot import Robot
-from .schema import check_document, check_format
+from .schema import check_document, check_format, head_of
 from .yaml12 import Document, kind_of_file, load_document
 
 
@@ -26,7 +26,7 @@ def read_plant(path: Path | str) -> IdentifiedFile:
         return read_identified(path)
     document = load_document(path, error=UsageError)
     if kind != "plant":
-        found = f"autotune/{kind}" if kind else "no such key"
+        found = f"autotune/{kind}" if kind else f"no such key; a plant.yaml begins with {head_of('plant')}"
         document.refuse(("format",), f"format must be autotune/identified or {FORMAT}, found {found}.")
     return parse_plant(document).file(document.path, document.sha256)
 

@@ -43,16 +43,22 @@ def load_schema(name: str) -> dict[str, Any]:
     return schema
 
 
+def head_of(name: str) -> str:
+    """Return how a file of `autotune/<name>` begins, in words."""
+    return f"the lines `format: autotune/{name}` and `version: {VERSION}`"
+
+
 def check_format(document: Document, name: str) -> None:
     """Raise the document's error unless its first two keys say `autotune/<name>`, version 1."""
     wanted = f"autotune/{name}"
     found = document.tree.get("format")
     if "format" not in document.tree or found != wanted:
-        head = f"no such key; begin the file with the lines `format: {wanted}` and `version: {VERSION}`"
-        stated = describe(found) if "format" in document.tree else head
+        stated = describe(found) if "format" in document.tree else f"no such key; begin the file with {head_of(name)}"
         document.refuse(("format",), f"format must be {wanted}, found {stated}.")
     if "version" not in document.tree:
-        document.refuse(("version",), f"version must be {VERSION}, found no such key.")
+        document.refuse(
+            ("version",), f"version must be {VERSION}, found no such key; begin the file with {head_of(name)}."
+        )
     version = document.tree["version"]
     if isinstance(version, bool) or version != VERSION:
         document.refuse(

@@ -80,7 +80,9 @@ def read_source(path: Path, *, axis: str | None, controller: Path | None) -> Map
         source = _identified(path, read_plant(path).result, axis)
     else:
         raise unknown_file(
-            path, f"{path} is neither a plant nor a controller; give what identify or optimize wrote, or a plant.yaml."
+            path,
+            f"{path} is neither a plant nor a controller; give what identify or optimize wrote, or a plant.yaml.",
+            by_hand="plant",
         )
     if controller is None:
         return source

@@ -38,6 +38,8 @@ WRONG: dict[str, Callable[[], Any]] = {
     "Nothing called massx": lambda: at.identify("run.mcap", given={"massx": 1.0}),
 }
 
+NO_KIND = " must be a controller.yaml, identified.yaml or plant.yaml, found no format entry."
+
 
 @pytest.mark.parametrize("sentence", WRONG)
 def test_a_wrong_argument_is_refused_in_one_sentence(sentence: str) -> None:
@@ -68,7 +70,7 @@ def test_a_range_that_is_none_is_refused_for_one_thing(given: Any, sentence: str
         ("a: [1, 2\nb: 3\n", ", line 2: not readable as YAML: expected ',' or ']', but got ':'."),
         ("mass: 16\n\tdrag: 1\n", ", line 2: a tab; use spaces."),
         ("only words\n", ", line 1: must hold a mapping (key: value), found the text 'only words'."),
-        ("mass: 16\n", " must be a controller.yaml, identified.yaml or plant.yaml, found no format entry."),
+        ("mass: 16\n", f"{NO_KIND} A plant.yaml begins with the lines `format: autotune/plant` and `version: 1`."),
     ],
 )
 def test_a_file_that_is_no_yaml_is_refused_with_its_line(tmp_path: Path, text: str, said: str) -> None:

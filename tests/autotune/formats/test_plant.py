@@ -1,6 +1,8 @@
 """A plant that a person writes: what it is certified for, its file, and what is refused with line and key."""
 
 import math
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import autotune as at
 from autotune.errors import UsageError
 from autotune.explore.source import read_exploration
 from autotune.formats.controller_record import RuntimePayload
@@ -146,6 +149,17 @@ def test_map_and_explore_take_the_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    "read",
+    [read_plant, at.load, at.optimize, at.predict, read_exploration, partial(read_source, axis=None, controller=None)],
+)
+def test_a_plant_without_its_head_is_told_the_two_lines(tmp_path: Path, read: Callable[[Path], object]) -> None:
+    path = written(tmp_path, TEXT.removeprefix("format: autotune/plant\nversion: 1\n"))
+    with pytest.raises(UsageError) as refused:
+        read(path)
+    assert str(refused.value).endswith(" begins with the lines `format: autotune/plant` and `version: 1`.")
+
+
+@pytest.mark.parametrize(
     ("old", "new", "line", "what"),
     [
         ("mass: 16", "mass: -1", 3, "mass must be a number"),
@@ -160,6 +174,7 @@ def test_map_and_explore_take_the_file(tmp_path: Path) -> None:
         ("drag: 630", "drga: 630", 5, "drga must be one of "),
         ("  bandwidth: 3.2", "  bandwith: 3.2", 7, "robot.bandwith must be one of bandwidth"),
         ("format: autotune/plant", "format: autotune/plan", 1, "autotune/identified or autotune/plant"),
+        ("version: 1\n", "", 1, "begin the file with the lines `format: autotune/plant` and `version: 1`."),
     ],
 )
 def test_what_is_wrong_is_refused_with_file_line_and_key(
