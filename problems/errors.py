@@ -39,10 +39,10 @@ def shown(value: object) -> str:
 
 
 class ParameterError(AutotuneError, ValueError):
-    """A model parameter is outside the range in which the equations mean something."""
+    """A model parameter is outside the range in which the equations mean something; `hint` ends the sentence."""
 
-    def __init__(self, name: str, value: object, must: str) -> None:
-        super().__init__(f"{name} must be {must}, found {shown(value)}.")
+    def __init__(self, name: str, value: object, must: str, *, hint: str = "") -> None:
+        super().__init__(f"{name} must be {must}, found {shown(value)}{hint}.")
         self.name = name
         self.value = value
         self.must = must

@@ -4,7 +4,6 @@ import json
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from difflib import get_close_matches
 from pathlib import Path
 
 from autotune.errors import UsageError
@@ -56,7 +55,7 @@ def _cell(document: Document) -> Cell:
         default=None,
     )
     if found is not None:
-        document.refuse(found.place, f"{found.entry} must be {found.must}, found {found.found}{_nearest(found)}.")
+        document.refuse(found.place, f"{found.entry} must be {found.must}, found {found.found}{_order(found)}.")
     tree = {key: value for key, value in document.tree.items() if key not in ("format", "version")}
     try:
         return read_record(Cell, tree)
@@ -64,15 +63,11 @@ def _cell(document: Document) -> Cell:
         document.refuse(error.place, str(error).rstrip(".") + ".")
 
 
-def _nearest(violation: Violation) -> str:
-    """Name the key that an unknown one may mean, and what the entries of six signs are."""
+def _order(violation: Violation) -> str:
+    """Say what the entries of six signs are, where there are fewer."""
     if violation.place[-1:] == ("signs",) and violation.rule == "minItems" and violation.place[0] != "pose":
         return ": force x y z, then torque x y z"
-    key = str(violation.place[-1]) if violation.place else ""
-    if violation.found != f"the key {key}":
-        return ""
-    near = get_close_matches(key, violation.must.removeprefix("one of ").split(", "), n=1, cutoff=0.5)
-    return f"; {near[0]} may be meant" if near else ""
+    return ""
 
 
 _THREE, _SIX = '["…", "…", "…"]', '["…", "…", "…", "…", "…", "…"]'

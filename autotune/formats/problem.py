@@ -1,6 +1,6 @@
 """`problem.yaml`: what the user asks of the controller."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -19,6 +19,7 @@ from problems.errors import ParameterError
 from problems.frozen import freeze, short_repr
 from problems.model.controller import check_feedback_damping
 from problems.model.plant import Bumper
+from problems.text import meant
 
 from .canonical import Place, spell
 from .limits import CollisionResponse, LimitsSpec
@@ -152,7 +153,7 @@ class ProblemSpec:
             object.__setattr__(self, field_name, said)
             for name, given in said.items():
                 if name not in names:
-                    raise ParameterError(field_name, name, f"given for {', '.join(names)} only")
+                    raise _unknown(field_name, name, names, plain)
                 if field_name != "uncertain" or not (isinstance(given, str) and given in get_args(Origin)):
                     _range(f"{field_name}[{name!r}]", given)
         freeze(self, "bounds", "uncertain", "free", "options")
@@ -254,6 +255,15 @@ def _range(name: str, given: object) -> Interval:
     except ParameterError:
         raise ParameterError(name, given, "a range (low, high)") from None
     return as_interval(name, (low, high), may_vanish=name not in {"environment_stiffness", "payload_mass"})
+
+
+def _unknown(field_name: str, name: str, names: Sequence[str], plain: Mapping[str, str]) -> ParameterError:
+    """Return the error of a name that is none; those that are known are listed as a plant or gains call them."""
+    short = {of_file: each for each, of_file in plain.items()}
+    must = f"given for {', '.join(short.get(each, each) for each in names)} only"
+    is_own = name in ("environment_stiffness", "payload_mass")
+    hint = f"; {name} is an argument beside {field_name}" if is_own else meant(name, (*short.values(), *names))
+    return ParameterError(field_name, name, must, hint=hint)
 
 
 def _objective(given: object) -> Objective:

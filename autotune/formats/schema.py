@@ -9,6 +9,7 @@ from importlib.resources import files
 from typing import Any, Protocol
 
 from problems.errors import ParameterError
+from problems.text import meant
 
 from .canonical import Place, spell
 from .yaml12 import Document, describe
@@ -146,8 +147,8 @@ def explain(problem: Breach) -> Violation:
     if rule == "additionalProperties":
         known = problem.schema.get("properties", {})
         unknown = next(key for key in found if key not in known)
-        must = f"one of {', '.join(known)}"
-        return Violation(place=(*place, unknown), must=must, found=f"the key {unknown}", rule=rule)
+        must, key = f"one of {', '.join(known)}", f"the key {unknown}{meant(unknown, known)}"
+        return Violation(place=(*place, unknown), must=must, found=key, rule=rule)
     if rule == "oneOf" and all(set(alternative) == {"required"} for alternative in limit):
         keys = [key for alternative in limit for key in alternative["required"]]
         given = " and ".join(key for key in keys if key in found) or "neither"

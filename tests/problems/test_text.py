@@ -1,10 +1,10 @@
-"""Numbers as a sentence holds them."""
+"""Numbers and names as a sentence holds them."""
 
 import math
 
 import pytest
 
-from problems.text import rounded_down, significant
+from problems.text import meant, rounded_down, significant
 
 
 @pytest.mark.parametrize(
@@ -29,3 +29,11 @@ def test_large_numbers_are_written_out(value: float, digits: int, text: str) -> 
 def test_what_is_rounded_down_is_never_more(value: float, digits: int, down: float) -> None:
     assert rounded_down(value, digits) == down
     assert rounded_down(math.inf) == math.inf
+
+
+def test_only_a_name_that_is_near_may_be_meant() -> None:
+    known = ("drag", "mass", "coupling_stiffness")
+    assert meant("draag", known) == "; drag may be meant"
+    assert meant("coupling", known) == "; coupling_stiffness may be meant"
+    assert not meant("orientation", known)
+    assert not meant(3, known)

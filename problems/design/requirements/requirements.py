@@ -8,6 +8,7 @@ from typing import Any
 from ..._checks import positive
 from ...errors import ParameterError
 from ...frozen import FrozenDict, freeze, short_repr
+from ...text import meant
 from .admittance import AdmittanceTarget
 from .base import Requirement
 from .command_noise import NoiseLimit
@@ -91,14 +92,14 @@ class Requirements:
         known = {name: each for name, each in self.kinds().items() if name not in FIELDS}
         for name in self.further:
             if name not in known:
-                own = [each.name for each in fields(self) if each.name not in FIELDS]
-                must = f"left out, or be one of {', '.join((*FIELDS, *known, *own))}"
-                raise ParameterError(name, self.further[name], must)
+                hint = meant(name, (*self.kinds(), "soft_n", "plugins"))
+                raise ParameterError("a requirement", name, f"one of {', '.join(self.kinds())}", hint=hint)
         further = {name: known[name].checked(self.further[name]) for name in known if name in self.further}
         object.__setattr__(self, "further", FrozenDict(further))
         for name, price in self.soft_n.items():
             if name not in self.kinds():
-                raise ParameterError("soft_n", name, f"given for {', '.join(self.kinds())} only")
+                must = f"given for {', '.join(self.kinds())} only"
+                raise ParameterError("soft_n", name, must, hint=meant(name, self.kinds()))
             if name not in self.asked():
                 raise ParameterError(f"{name}.soft_n", price, "given together with what is asked")
             if positive(f"{name}.soft_n", price) > LARGEST_PRICE_N:

@@ -79,7 +79,13 @@ def test_the_schema_is_one() -> None:
         ({"environment_stiffness": 3}, "environment_stiffness must be a range"),
         ({"payload_mass": (0.0, 5.0)}, "payload_mass must be greater than 0"),
         ({"bounds": {"mass": "5"}}, r"bounds\['mass'\] must be a range"),
-        ({"bounds": {"mas": (1.0, 2.0)}}, "bounds must be given for mass, damping, .* found 'mas'"),
+        (
+            {"bounds": {"mas": (1.0, 2.0)}},
+            "bounds must be given for mass, damping, lead, .* found 'mas'; mass may be meant",
+        ),
+        ({"uncertain": {"draag": (1.0, 2.0)}}, r", drag, .*robot\.delay, .* found 'draag'; drag may be meant"),
+        ({"uncertain": {3: (1.0, 2.0)}}, "uncertain must be given for .* found 3"),
+        ({"uncertain": {"payload_mass": (1.0, 2.0)}}, "; payload_mass is an argument beside uncertain"),
         ({"uncertain": {"delay_s": "identfied"}}, r"uncertain\['delay_s'\] must be a range"),
         ({"axes": "q"}, "axes must be names among x, y"),
     ],
@@ -204,7 +210,7 @@ def test_null_asks_for_nothing_and_absence_for_the_default(path: Path) -> None:
         ("environment_stiffness_n_per_m: [2e4, .inf]\n", 1, "finite"),
         ("requirements:\n  modulus_margin: 1\n", 2, "less than 1"),
         ("requirements:\n  modulus_margin: 0,5\n", 2, "comma"),
-        ("requirements:\n  modulus: 0.5\n", 2, "requirements.modulus must be one of"),
+        ("requirements:\n  modulus: 0.5\n", 2, "found the key modulus; modulus_margin may be meant."),
         ("requirements:\n  free_space_admittance: {min_m_s_per_n: 1e-3}\n", 2, "band_hz"),
         (
             "requirements:\n  free_space_admittance:\n    min_m_s_per_n: 1e-3\n    band_hz: [2, 1]\n",
