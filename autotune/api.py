@@ -324,6 +324,7 @@ def load(path: str | Path) -> "Design | Identification | Plant":
     from autotune.formats.identified import read_identified  # noqa: PLC0415
     from autotune.formats.kinds import unknown_file  # noqa: PLC0415
     from autotune.formats.plant_file import parse_plant  # noqa: PLC0415
+    from autotune.formats.schema import head_of  # noqa: PLC0415
     from autotune.formats.yaml12 import kind_of_file, load_document  # noqa: PLC0415
 
     path = file_path("path", path)
@@ -341,7 +342,7 @@ def load(path: str | Path) -> "Design | Identification | Plant":
         return parse_plant(load_document(path, error=UsageError))
     found = f"autotune/{kind}" if kind else "no format entry"
     message = f"{path} must be a controller.yaml, identified.yaml or plant.yaml, found {found}."
-    raise unknown_file(path, message, by_hand="plant")
+    raise unknown_file(path, message, without_format=f" A plant.yaml begins with {head_of('plant')}.")
 
 
 def from_control(system: Any, *, delay: Quantity | None = None) -> Robot:

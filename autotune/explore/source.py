@@ -15,6 +15,7 @@ from autotune.formats.kinds import unknown_file
 from autotune.formats.plant_file import read_plant
 from autotune.formats.problem import ProblemSpec, read_problem
 from autotune.formats.records import record_tree, rename_axis_keys
+from autotune.formats.schema import head_of
 from autotune.formats.units import ROTATIONAL_AXES
 from autotune.formats.yaml12 import kind_of_file
 from autotune.prediction.as_run_by import designed_for, own_law_notes
@@ -113,7 +114,7 @@ def read_exploration(path: Path, problem: Path | None = None, progress: Progress
         raise unknown_file(
             path,
             f"{path} is neither a plant nor a controller; give what identify or optimize wrote, or a plant.yaml.",
-            by_hand="plant",
+            without_format=f" A plant.yaml begins with {head_of('plant')}.",
         )
     if problem is not None:
         raise UsageError(f"{path} contains its requirements; use --problem with an identified plant.")

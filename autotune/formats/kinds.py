@@ -100,13 +100,12 @@ def check_kind(path: Path, kinds: Sequence[str]) -> None:
     raise UsageError(f"{path} is {_named(found)}, not {wanted}{advice}.")
 
 
-def unknown_file(path: Path, message: str, *, by_hand: str = "") -> UsageError:
+def unknown_file(path: Path, message: str, *, without_format: str = "") -> UsageError:
     """Return the error of a file of no kind that is wanted; raises UsageError for a text that is no valid YAML.
 
-    `by_hand` is the kind among them that a person writes: of a file that does not say what it is, how one begins.
+    `without_format` is said too of a YAML file that does not say what it is.
     """
-    from .schema import head_of  # noqa: PLC0415 - imports a YAML library
-    from .yaml12 import load_yaml  # noqa: PLC0415 - the same
+    from .yaml12 import load_yaml  # noqa: PLC0415 - imports a YAML library
 
     # A table of a log may end in .txt too.
     if not is_log(path) and path.suffix.lower() != ".txt":
@@ -114,8 +113,8 @@ def unknown_file(path: Path, message: str, *, by_hand: str = "") -> UsageError:
             is_text = b"\0" not in stream.read(HEAD_BYTES)
         if is_text:
             tree = load_yaml(path, error=UsageError)
-            if by_hand and "format" not in tree:
-                message += f" A {by_hand}.yaml begins with {head_of(by_hand)}."
+            if "format" not in tree:
+                message += without_format
     return UsageError(message)
 
 

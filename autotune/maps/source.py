@@ -13,6 +13,7 @@ from autotune.formats.controller import read_controller
 from autotune.formats.controller_record import Controller, admittance_controller
 from autotune.formats.kinds import unknown_file
 from autotune.formats.plant_file import read_plant
+from autotune.formats.schema import head_of
 from autotune.formats.units import ROTATIONAL_AXES
 from autotune.formats.yaml12 import kind_of_file
 from autotune.prediction.as_run_by import own_law_notes
@@ -82,7 +83,7 @@ def read_source(path: Path, *, axis: str | None, controller: Path | None) -> Map
         raise unknown_file(
             path,
             f"{path} is neither a plant nor a controller; give what identify or optimize wrote, or a plant.yaml.",
-            by_hand="plant",
+            without_format=f" A plant.yaml begins with {head_of('plant')}.",
         )
     if controller is None:
         return source
