@@ -148,7 +148,7 @@ class Validation(Shown):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the checks as plain data."""
-        return {"passed": self.passed, "checks": [each.tree() for each in self.checks]}
+        return {"passed": self.passed, "checks": [each.to_dict() for each in self.checks]}
 
     def to_pandas(self) -> Any:
         """Return the checks as a pandas.DataFrame; raises UsageError without pandas."""

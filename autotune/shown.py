@@ -13,6 +13,7 @@ from typing import Any
 from autotune.errors import UsageError
 from problems.compiling import on_compilation
 from problems.errors import shown
+from problems.frozen import said_fields, short_repr
 
 COMPILING = (
     "Compiling once: kernels are not in the cache yet, so this takes up to some minutes more than the next time "
@@ -93,6 +94,23 @@ class Shown:
         return lines + "".join(table.html() for table in self._tables()) + notes
 
 
+class Said(Shown):
+    """What a person says: its `repr`, the arguments that are not at their defaults, is its headline too.
+
+    `Problem` is public under that name, which the class `ProblemSpec` has not.
+    """
+
+    def _headline(self) -> str:
+        return repr(self)
+
+    def __repr__(self) -> str:
+        return short_repr(self, type(self).__name__.removesuffix("Spec"))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the arguments that are not at their defaults as plain data."""
+        return {name: plain_tree(value) for name, value in said_fields(self).items()}
+
+
 def data_frame(columns: Mapping[str, Any], index: Any = None, index_name: str | None = None) -> Any:
     """Return a pandas.DataFrame; raises UsageError where pandas is not installed."""
     try:
@@ -119,6 +137,15 @@ def plain_tree(value: Any) -> Any:
     if hasattr(value, "tolist"):
         return value.tolist()
     return [plain_tree(each) for each in value] if isinstance(value, tuple | list | frozenset) else value
+
+
+def leaves(tree: Any, name: str = "") -> Iterator[tuple[str, str]]:
+    """Yield every number and text of a plain tree with its place, a list of them as one."""
+    if isinstance(tree, Mapping):
+        for key, each in tree.items():
+            yield from leaves(each, f"{name}.{key}" if name else str(key))
+    elif tree is not None:
+        yield name, ", ".join(map(str, tree)) if isinstance(tree, list) else str(tree)
 
 
 Report = Callable[[float], None]

@@ -42,15 +42,20 @@ def freeze(record: object, *names: str) -> None:
         object.__setattr__(record, name, FrozenDict(content))
 
 
-def short_repr(record: Any, name: str) -> str:
-    """Return the `repr` of a dataclass under a name, with the fields that are not at their defaults alone."""
-    said = []
+def said_fields(record: Any) -> dict[str, Any]:
+    """Return the fields of a dataclass that are not at their defaults."""
+    said = {}
     for each in fields(record):
         default = each.default if each.default_factory is MISSING else each.default_factory()
         value = getattr(record, each.name)
         if each.repr and value != default:
-            said.append(f"{each.name}={value!r}")
-    return f"{name}({', '.join(said)})"
+            said[each.name] = value
+    return said
+
+
+def short_repr(record: Any, name: str) -> str:
+    """Return the `repr` of a dataclass under a name, with the fields that are not at their defaults alone."""
+    return f"{name}({', '.join(f'{field}={value!r}' for field, value in said_fields(record).items())})"
 
 
 class Rule(dict[str, Any]):

@@ -245,7 +245,7 @@ def validate_schedule(output: Output, path: Path, identified: Path | None) -> No
                 "file": files[name].path.name,
                 "checksum": files[name].checksum,
                 "passed": report.passed,
-                "checks": [each.tree() for each in report.checks],
+                "checks": [each.to_dict() for each in report.checks],
             }
             for name, report in reports.items()
         },

@@ -344,7 +344,7 @@ def _compared(output: Output, read: "ControllerFile", options: dict[str, Any]) -
 
 def checks_tree(report: "ValidationReport") -> list[dict[str, Any]]:
     """Return the checks as plain data, with the plant to blame where there is one."""
-    return [each.tree() for each in report.checks]
+    return [each.to_dict() for each in report.checks]
 
 
 def _print(

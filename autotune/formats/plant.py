@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from autotune.arguments import file_path
-from autotune.shown import ResultTable, Shown
+from autotune.shown import ResultTable, Said, data_frame
 from identification.result import (
     AxisEstimate,
     CouplingEstimate,
@@ -24,7 +24,7 @@ from identification.result import (
     WrenchFilterEstimate,
 )
 from problems.errors import ParameterError
-from problems.frozen import FrozenDict, short_repr
+from problems.frozen import FrozenDict
 from problems.model.robot import bandwidth_hz
 
 from .atomic import check_target, write_atomic
@@ -33,6 +33,7 @@ from .quantity import Interval, Quantity, Uncertain, as_interval, as_number, as_
 from .robot import LONGEST_DELAY_S, Robot
 from .schema import VERSION
 from .stiffness_units import DOUBTFUL_N_PER_M, check_surface_unit, doubtful_surface, interval_text
+from .written_values import UNITS, value_numbers, value_texts
 from .yaml12 import dump_yaml
 
 FORMAT = "autotune/plant"
@@ -71,28 +72,10 @@ DOMAIN_NAMES: Mapping[str, str] = FrozenDict(
     }
 )
 """What a name of a plant that a person writes is called in files and in sets of plants."""
-_UNITS: Mapping[str, str] = FrozenDict(
-    {
-        "mass": "kg",
-        "environment_stiffness": "N/m",
-        "coupling_stiffness": "N/m",
-        "coupling_damping": "N·s/m",
-        "drag": "N·s/m",
-        "robot.bandwidth": "Hz",
-        "robot.delay": "s",
-        "sample_time": "s",
-        "centre_of_mass": "m",
-        "force_bias": "N",
-        "torque_bias": "N·m",
-        "force_noise": "N RMS",
-        "wrench_corner": "Hz",
-        "wrench_delay": "s",
-    }
-)
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class Plant(Shown):
+class Plant(Said):
     """One straight axis of a cell as a person knows it, in SI.
 
     A plain number is **exact**: what is certified holds for that number only. A range (low, high) must all be safe, and
@@ -185,7 +168,7 @@ class Plant(Shown):
         for name, most in _MOST_OF_A_COMPONENT.items():
             given = getattr(self, name)
             if given is not None and max(map(abs, given)) > most:
-                raise ParameterError(name, given, f"at most {most:g} {_UNITS[name]} along every axis")
+                raise ParameterError(name, given, f"at most {most:g} {UNITS[name]} along every axis")
         if self.centre_of_mass is not None and math.hypot(*self.centre_of_mass) > _LONGEST_ARM_M:
             raise ParameterError("centre_of_mass", self.centre_of_mass, f"within {_LONGEST_ARM_M:g} m of the sensor")
         if self.sample_time > _LONGEST_PERIOD_S:
@@ -194,7 +177,7 @@ class Plant(Shown):
             raise ParameterError("sample_time", self.sample_time, f"at least {_SHORTEST_PERIOD_S:g} s")
         for name, most in _MOST.items():
             if self._intervals()[name][1] > most:
-                raise ParameterError(name, getattr(self, name), f"at most {most:g} {_UNITS[name]}")
+                raise ParameterError(name, getattr(self, name), f"at most {most:g} {UNITS[name]}")
         if self.wrench_delay is not None and self.wrench_corner is not None:
             raise ParameterError("wrench_delay", self.wrench_delay, "left out beside wrench_corner")
         if self.wrench_delay is not None and self.wrench_delay >= LONGEST_DELAY_S:
@@ -254,16 +237,13 @@ class Plant(Shown):
     def _headline(self) -> str:
         return f"Plant of axis {self.axis}"
 
-    def __repr__(self) -> str:
-        return short_repr(self, "Plant")
+    def _written(self) -> dict[str, Any]:
+        """Return what was said but for the axis, by name as written, `robot.` before what was said of the robot."""
+        every = {**_tree(self), **{f"robot.{name}": each for name, each in _tree(self.robot).items()}}
+        return {name: value for name, value in every.items() if name not in ("robot", "axis")}
 
     def _tables(self) -> Iterator[ResultTable]:
-        written = {**_tree(self), **{f"robot.{name}": each for name, each in _tree(self.robot).items()}}
-        rows = tuple(
-            (name, *_written(value), _UNITS.get(name, ""))
-            for name, value in written.items()
-            if name not in ("robot", "axis")
-        )
+        rows = tuple((name, *value_texts(name, value), UNITS.get(name, "")) for name, value in self._written().items())
         yield ResultTable(title="parameters", columns=("parameter", "value", "taken as", "unit"), rows=rows)
 
     def _notes(self) -> Sequence[str]:
@@ -272,6 +252,23 @@ class Plant(Shown):
     def to_dict(self) -> dict[str, Any]:
         """Return the tree of `plant.yaml`."""
         return {"format": FORMAT, "version": VERSION, **_tree(self)}
+
+    def to_pandas(self) -> Any:
+        """Return the parameters as a pandas.DataFrame of SI numbers, by name as in `robot.delay` and `force_bias.x`.
+
+        Columns are `value` and `std` (NaN of a range, 0 of what is exact), `low` and `high` between which all must be
+        safe, and `unit`.
+
+        Raises
+        ------
+        UsageError
+            pandas is not installed.
+
+        """
+        rows = {name: row for key, value in self._written().items() for name, row in value_numbers(key, value)}
+        columns = {name: [row[i] for row in rows.values()] for i, name in enumerate(("value", "std", "low", "high"))}
+        units = [UNITS.get(name) or UNITS.get(name.rpartition(".")[0], "") for name in rows]
+        return data_frame({**columns, "unit": units}, list(rows))
 
     def save(self, path: Path | str) -> str:
         """Write `plant.yaml` in one step and return its sha256.
@@ -325,19 +322,6 @@ def _tree(record: Plant | Robot) -> dict[str, Any]:
             value = {"value": value.value, "std": value.std}
         tree[each.name] = list(value) if isinstance(value, tuple) else value
     return tree
-
-
-def _written(value: Any) -> tuple[str, str]:
-    """Return a value of the tree as text, and how it is taken."""
-    if isinstance(value, Mapping):
-        return f"{value['value']:g} ± {value['std']:g}", "three deviations to each side"
-    if not isinstance(value, list):
-        return f"{value:g}", "exact"
-    return (
-        (f"{value[0]:g} to {value[1]:g}", "a range")
-        if len(value) == 2
-        else (", ".join(map("{:g}".format, value)), "exact")
-    )
 
 
 def _given(value: float | None) -> Estimate:

@@ -1,6 +1,6 @@
 """`problem.yaml`: what the user asks of the controller."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -8,6 +8,7 @@ from typing import Any, Literal, get_args
 
 from autotune.errors import UsageError
 from autotune.plugins import build_requirements, find_requirement, load_objective, load_requirement, objective_names
+from autotune.shown import ResultTable, Said, leaves, plain_tree
 from problems.contact.transient import Approach
 from problems.design.evaluation import CustomRequirement
 from problems.design.objectives import BUILT_IN as BUILT_IN_OBJECTIVES
@@ -16,7 +17,7 @@ from problems.design.problem import FURTHER_VARIABLES, VARIABLES
 from problems.design.requirements import BUILT_IN, FIELDS, Requirement, Requirements
 from problems.design.uncertainty import FURTHER_UNCERTAIN, UNCERTAIN
 from problems.errors import ParameterError
-from problems.frozen import freeze, short_repr
+from problems.frozen import freeze
 from problems.model.controller import check_feedback_damping
 from problems.model.plant import Bumper
 from problems.text import meant
@@ -48,8 +49,9 @@ _SHARE = "share_of_jitter"
 # What a plant that a person writes, and gains, call the same; a corner is in another unit than a time constant.
 _PLAIN_NAMES: Mapping[str, Mapping[str, str]] = {
     "bounds": {"lead": "lead_s", "feedback_damping": "feedback_damping_s"},
-    "uncertain": {plain: name for plain, name in DOMAIN_NAMES.items() if plain != "wrench_corner"},
+    "uncertain": {p: name for p, name in DOMAIN_NAMES.items() if name in FURTHER_UNCERTAIN and p != "wrench_corner"},
 }
+_ARGUMENTS = ("payload_mass=", "environment_stiffness=")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,7 +85,7 @@ class RotationalSpec:
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class ProblemSpec:
+class ProblemSpec(Said):
     """What is asked of a controller, by `problem.yaml`, options or arguments; None or empty where the default holds.
 
     `free` makes further parameters of the controller variables, with their bounds; `collision_threshold` bounds the
@@ -159,8 +161,18 @@ class ProblemSpec:
         freeze(self, "bounds", "uncertain", "free", "options")
         object.__setattr__(self, "objective", _objective(self.objective))
 
-    def __repr__(self) -> str:
-        return short_repr(self, "Problem")
+    def _headline(self) -> str:
+        return f"Problem, to be met on {'all axes' if self.axes is None else ', '.join(self.axes)}"
+
+    def _tables(self) -> Iterator[ResultTable]:
+        rows = tuple(leaves(self.to_dict()))
+        yield ResultTable(title="what is asked", columns=("name", "value"), rows=rows)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the arguments that were said, the objective and all requirements as plain data."""
+        asked, prices = plain_tree(self.requirements.asked()), self.requirements.soft_n
+        priced = {name: {"value": asked[name], "soft_n": price} for name, price in prices.items()}
+        return {**super().to_dict(), "objective": self.objective.name, "requirements": asked | priced}
 
     def _check_types(self) -> None:
         """Raise ParameterError for an argument that is no value of its type."""
@@ -261,9 +273,8 @@ def _unknown(field_name: str, name: str, names: Sequence[str], plain: Mapping[st
     """Return the error of a name that is none; those that are known are listed as a plant or gains call them."""
     short = {of_file: each for each, of_file in plain.items()}
     must = f"given for {', '.join(short.get(each, each) for each in names)} only"
-    is_own = name in ("environment_stiffness", "payload_mass")
-    hint = f"; {name} is an argument beside {field_name}" if is_own else meant(name, (*short.values(), *names))
-    return ParameterError(field_name, name, must, hint=hint)
+    near = "wrench_time_constant_s" if name == "wrench_corner" else name
+    return ParameterError(field_name, name, must, hint=meant(near, (*short.values(), *names, *_ARGUMENTS)))
 
 
 def _objective(given: object) -> Objective:

@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
+from autotune.shown import Said
 from problems.errors import ParameterError
 
 DEVIATIONS = 3.0
@@ -12,8 +13,8 @@ DEVIATIONS = 3.0
 Interval = tuple[float, float]
 
 
-@dataclass(frozen=True)
-class Uncertain:
+@dataclass(frozen=True, repr=False)
+class Uncertain(Said):
     """A value with one standard deviation; what is designed for it must hold over three of them to each side.
 
     Parameters

@@ -3,8 +3,8 @@
 import math
 from dataclasses import dataclass
 
+from autotune.shown import Said
 from problems.errors import ParameterError
-from problems.frozen import short_repr
 from problems.model.robot import RobotModel, bandwidth_hz, bandwidth_share
 
 from .quantity import Interval, Quantity, as_interval, as_numbers, as_quantity, nominal_value
@@ -14,7 +14,7 @@ SLOWEST_HZ, FASTEST_HZ = 0.01, 1000.0
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class Robot:
+class Robot(Said):
     """A position-controlled robot: how its flange follows a commanded position, r(s) exp(-s delay) with r(0) = 1.
 
     Parameters
@@ -69,9 +69,6 @@ class Robot:
             name, found = ("denominator", self.denominator) if given is None else ("bandwidth", self.bandwidth)
             must = f"{'' if given else 'of a bandwidth '}from {SLOWEST_HZ:g} to {FASTEST_HZ:g} Hz; mind its unit"
             raise ParameterError(name, found, must)
-
-    def __repr__(self) -> str:
-        return short_repr(self, "Robot")
 
     def ranges(self) -> dict[str, Interval]:
         """Return lowest and highest value of bandwidth [Hz] and damping ratio, as far as given, and of delay [s]."""

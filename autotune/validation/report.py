@@ -4,13 +4,14 @@ from dataclasses import dataclass
 from typing import Any
 
 from autotune.errors import CertificateError
+from autotune.shown import Shown
 from problems.design.uncertainty import ALWAYS_UNCERTAIN, Scenario
 
 from .bouncing import RefutedError
 
 
-@dataclass(frozen=True, kw_only=True)
-class Check:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Check(Shown):
     """One thing that was verified on one axis, in words; `passed` is the verdict.
 
     `warns`: nothing is wrong, but nothing was shown either, or somebody should look at it. `refuted_at` is the plant
@@ -29,7 +30,10 @@ class Check:
         """Return the verdict in a word: ok, note or FAILED."""
         return ("note" if self.warns else "ok") if self.passed else "FAILED"
 
-    def tree(self) -> dict[str, Any]:
+    def _headline(self) -> str:
+        return f"Check of axis {self.axis}, {self.name}: {self.verdict}, {self.message}"
+
+    def to_dict(self) -> dict[str, Any]:
         """Return it as plain data; parameters of the plant that are nominal are left out of `refuted_at`."""
         at = self.refuted_at
         always = {} if at is None else {name: getattr(at, name) for name in ALWAYS_UNCERTAIN}

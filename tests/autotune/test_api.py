@@ -4,6 +4,7 @@ import ast
 import copy
 import doctest
 import importlib
+import json
 import pickle
 import subprocess
 import sys
@@ -130,7 +131,7 @@ def test_a_plant_becomes_a_design_without_a_disk(design: at.Design) -> None:
 def test_every_result_shows_copies_and_pickles(design: at.Design, capsys: pytest.CaptureFixture[str]) -> None:
     prediction = at.predict(design, environment_stiffness=6e4)
     checked = design.validate(samples=0)
-    for result in (design, prediction, checked):
+    for result in (design, prediction, checked, checked.checks[0]):
         assert len(repr(result).splitlines()) == 1
         assert repr(pickle.loads(pickle.dumps(result))) == repr(result)
         assert repr(copy.deepcopy(result)) == repr(result)
@@ -169,6 +170,30 @@ def test_what_is_asked_and_what_was_identified_are_keys() -> None:
     found = at.Identification(result=plant.file().result, provenance={"logs": [{"path": "run.mcap"}]})
     for result in (asked, asked.requirements, found, plant, plant.robot):
         assert {copy.deepcopy(result): 1}[result] == 1
+
+
+def test_what_is_said_shows_itself_as_a_result_does() -> None:
+    robot, mass = at.Robot(bandwidth=3.2, delay=2.4e-3), at.Uncertain(16, 0.2)
+    asked = at.Problem(
+        axes=("x",),
+        uncertain={"drag": (300, 700)},
+        requirements=at.Requirements(modulus_margin=None, min_damping_ratio=0.2, soft_n={"min_damping_ratio": 5}),
+    )
+    for said in (robot, mass, asked):
+        assert said._repr_html_().startswith("<p>")
+        assert json.loads(json.dumps(said.to_dict())) == said.to_dict()
+        assert len(repr(said).splitlines()) == 1
+    assert str(robot) == repr(robot) == "Robot(bandwidth=3.2, delay=0.0024)"
+    assert robot.to_dict() == {"bandwidth": 3.2, "delay": 0.0024}
+    assert f"{mass}" == "Uncertain(value=16.0, std=0.2)"
+    assert mass.to_dict() == {"value": 16.0, "std": 0.2}
+    tree = asked.to_dict()
+    assert (tree["axes"], tree["objective"]) == (["x"], "contact_force")
+    assert tree["uncertain"] == {"drag_n_s_per_m": [300, 700]}
+    assert tree["requirements"]["min_damping_ratio"] == {"value": 0.2, "soft_n": 5}
+    assert "modulus_margin" not in tree["requirements"]
+    assert "uncertain.drag_n_s_per_m  " in str(asked)
+    assert "None" not in str(asked)
 
 
 def test_html_of_a_result_escapes_what_it_shows() -> None:
@@ -298,6 +323,16 @@ def test_tables_go_to_pandas(design: at.Design, monkeypatch: pytest.MonkeyPatch)
     contact.to_pandas()
     assert frame.index.name == "time [s]"
     assert len(taken["index"]) == len(taken["columns"]["contact_force"])
+    robot = at.Robot(numerator=(20,), denominator=(1, 20), delay=(2e-3, 3e-3))
+    written_plant(mass=at.Uncertain(16, 0.5), robot=robot, force_bias=(1, 2, 3)).to_pandas()
+    columns = taken["columns"]
+    rows = dict(zip(taken["index"], zip(*columns.values(), strict=True), strict=True))
+    assert list(columns) == ["value", "std", "low", "high", "unit"]
+    assert rows["mass"] == (16.0, 0.5, 14.5, 17.5, "kg")
+    assert rows["force_bias.z"] == (3.0, 0.0, 3.0, 3.0, "N")
+    assert rows["robot.denominator.1"] == (20.0, 0.0, 20.0, 20.0, "")
+    assert np.isnan(rows["robot.delay"][:2]).all()
+    assert rows["robot.delay"][2:] == (2e-3, 3e-3, "s")
 
 
 def test_a_design_is_compared_with_one_in_memory_as_with_its_file(design: at.Design, tmp_path: Path) -> None:

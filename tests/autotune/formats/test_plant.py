@@ -285,6 +285,8 @@ def test_it_shows_itself_as_a_table() -> None:
     assert "10 to 22" in text
     assert "0.0024 ± 0.0001" in text
     assert "taken as" in plant()._repr_html_()
+    # Two coefficients are no range.
+    assert "1, 20 " in str(plant(robot=Robot(numerator=(20,), denominator=(1, 20))))
     assert "force_bias" not in repr(plant())
     assert eval(repr(plant()), {"Plant": Plant, "Robot": Robot, "Uncertain": Uncertain}) == plant()
 
@@ -352,6 +354,16 @@ def test_names_of_a_plant_and_of_gains_will_do() -> None:
     assert list(spec.uncertain) == ["drag_n_s_per_m", "delay_s", "coupling_stiffness_n_per_m"]
     with pytest.raises(ParameterError, match="each parameter once"):
         ProblemSpec(uncertain={"drag": (1.0, 2.0), "drag_n_s_per_m": (1.0, 2.0)})
-    for name in ("wrench_corner", "mass"):
-        with pytest.raises(ParameterError, match="uncertain must be given for"):
+    unknown: tuple[tuple[Any, str], ...] = (
+        ("wrench_corner", "; wrench_time_constant_s may be meant"),
+        ("mass", ""),
+        ("payload_mass", "; payload_mass= may be meant"),
+        ("draag", "; drag may be meant"),
+        (3, ""),
+    )
+    for name, hint in unknown:
+        with pytest.raises(
+            ParameterError, match=r"uncertain must be given for .*, drag, .*, robot\.delay, "
+        ) as refused:
             ProblemSpec(uncertain={name: (1.0, 2.0)})
+        assert str(refused.value).endswith(f"found {name!r}{hint}.")
