@@ -130,19 +130,21 @@ def coupled_lines(controller: "Controller", unchecked: str = "") -> Iterator[str
         yield f"{each.of_what()}: {_proved(claim, each.share)}"
 
 
-def print_worst_plants(simulated: "Sequence[AxisMonteCarlo]") -> None:
-    """Print the worst plants of a study that is larger than usual, and the quantiles of their contact force."""
+def print_samples(simulated: "Sequence[AxisMonteCarlo]") -> None:
+    """Print the quantiles of the sampled contact force, and of a study that is larger than usual the worst plants."""
     from autotune.formats.units import axis_units
     from autotune.text import scenario_text
     from autotune.validation.monte_carlo import QUANTILES, SAMPLES
 
     for found in simulated:
-        if found.count <= SAMPLES or found.contact is None:
+        if found.contact is None:
             continue
         units = axis_units(found.axis)
         quantiles = zip(QUANTILES, found.contact.observed.quantiles, strict=True)
         text = ", ".join(f"{value:.2f} {units.force} in {100.0 * share:g} %" for share, value in quantiles)
         print_message(f"axis {found.axis}, contact force of {found.count} plants: at most {text}")
+        if found.count <= SAMPLES:
+            continue
         rows = [(f"worst plants of {found.axis}", "contact", "sensor"), ("", units.force, units.force)]
         rows += [
             (scenario_text(each.plant, units), f"{each.contact:.2f}", f"{each.sensor:.2f}") for each in found.worst

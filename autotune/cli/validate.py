@@ -26,7 +26,7 @@ from ._options import (
     span_options,
     urdf_options,
 )
-from ._proved import led_lines, print_worst_plants
+from ._proved import led_lines, print_samples
 from ._report import check_report, print_report_path, report_option, report_refusal, write_report
 from ._schedule import validate_schedule
 from ._terminal import echo, painted, print_message, print_table, printable
@@ -276,7 +276,7 @@ class _Seen:
             raise ValueError("nothing was verified yet")
         for line in (*led_lines(self.read.controller, self.force_limit), *limit_lines(self.read.controller)):
             print_message(line)
-        print_worst_plants(self.simulated)
+        print_samples(self.simulated)
         _print(self.report, self.path, short(self.read.checksum), self.compared, self.signed_by)
         print_report_path(page)
 

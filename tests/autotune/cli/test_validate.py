@@ -67,7 +67,8 @@ def test_a_true_file_passes_and_every_check_is_reported(run_cli: RunCli, good: P
     assert lines[0].startswith("axis x, led by hand: ")
     assert lines[1].startswith("axis x, driven on for 0.2 s after the touch by ")
     assert lines[2].startswith("limits of the runtime: ")
-    reported = [re.match(r"ok +axis x, ([^:]+): \S", line)[1] for line in lines[4:-1]]  # type: ignore[index]
+    assert lines[4].startswith("axis x, contact force of 4 plants: at most ")
+    reported = [re.match(r"ok +axis x, ([^:]+): \S", line)[1] for line in lines[5:-1]]  # type: ignore[index]
     assert reported == [*EVERY_CHECK, *SIMULATED]
     assert lines[-1] == f"controller.yaml: valid, checksum {short(read_controller(good).checksum)}"
     assert [path.name for path in good.parent.iterdir()] == ["controller.yaml"]
@@ -125,6 +126,15 @@ def test_json_is_one_object_and_quiet_is_silent(run_cli: RunCli, good: Path) -> 
     assert tree["monte_carlo"]["x"]["samples"] == 4
     quiet = run_cli("validate", "controller.yaml", "--quiet", "--samples", "0")
     assert (quiet.returncode, quiet.stdout, quiet.stderr) == (0, "", "")
+
+
+def test_quantiles_of_the_sampled_peak_are_printed(run_cli: RunCli, good: Path) -> None:
+    done = run_cli("validate", good, "--samples", "16", "--json")
+    quantiles = json.loads(done.stdout)["monte_carlo"]["x"]["contact"]["observed"]["quantiles"]
+    said = ", ".join(f"{value:.2f} N in {100.0 * float(share):g} %" for share, value in quantiles.items())
+    lines = run_cli("validate", good, "--samples", "16").stdout.splitlines()
+    assert f"axis x, contact force of 16 plants: at most {said}" in lines
+    assert not any(line.startswith("worst plants") for line in lines)
 
 
 def test_a_larger_study_prints_quantiles_and_the_worst_plants(run_cli: RunCli, good: Path) -> None:
