@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from autotune.arguments import axis_names, count, errors_in_arguments, file_path, file_paths, interval, priors
 from autotune.design import Design
 from autotune.errors import UsageError
+from autotune.formats.kinds import name_of
 from autotune.formats.plant import Plant
 from autotune.formats.quantity import Quantity, Uncertain
 from autotune.formats.robot import Robot
@@ -93,7 +94,7 @@ def identify(
     except ValueError as error:
         raise UsageError(f"windows: {error}") from None
     options = replace(read, allow_partial=allow_partial, given=priors(given), windows_s=windows_s)
-    with reporting(progress, f"identifying {', '.join(path.name for path in files)}") as report:
+    with reporting(progress, f"identifying {', '.join(map(name_of, files))}") as report:
         return identify_log(
             files,
             options,

@@ -15,7 +15,7 @@ from autotune.arguments import count, errors_in_arguments, file_path, file_paths
 from autotune.errors import UsageError
 from autotune.formats.atomic import check_target
 from autotune.formats.cell import CellFile, read_cell
-from autotune.formats.kinds import is_log
+from autotune.formats.kinds import is_log, name_of
 from autotune.pipeline import IdentifyOptions
 from autotune.results import finding_notes
 from autotune.shown import ResultTable, Shown, data_frame, plain_tree
@@ -71,7 +71,7 @@ class Log(Shown):
         return 1e-9 * (self.summary.end_ns - self.summary.start_ns)
 
     def _headline(self) -> str:
-        names = ", ".join(path.name for path in self.paths)
+        names = ", ".join(map(name_of, self.paths))
         what = "lacks " + " ".join(self.missing) if self.missing else "ready to identify"
         return f"Log {names}: {self.duration:.1f} s, {len(self.summary.channels)} channels, {what}"
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from autotune.drift import MASS, identified_values
+from autotune.formats.kinds import name_of
 from autotune.windows import Window, axes_shown, most_telling
 from identification.errors import EstimateError, FewPosesError, LogError, OutsideSpanError, PayloadChangedError
 from identification.evidence import Evidence
@@ -65,7 +66,7 @@ class LogPiece:
     @property
     def name(self) -> str:
         """How findings call it."""
-        return ", ".join(path.name for path in self.files) if self.window is None else self.window.name
+        return ", ".join(map(name_of, self.files)) if self.window is None else self.window.name
 
     def cut(self, change: PayloadChangedError) -> "tuple[LogPiece, LogPiece]":
         """Return the two sides of a change of the payload in a window."""

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from autotune.formats.cell import CellFile
+from autotune.formats.kinds import name_of
 from autotune.pieces import LogPiece, PieceOutcome, PieceRun, RunSource, pieces_of, telling, work_on_windows
 from autotune.processes import map_in_processes
 from autotune.results import Identification
@@ -184,7 +185,7 @@ def identify_log(
         result=result,
         provenance=_provenance([run.source for run in done], options, windows),
         evidence=tuple(run.evidence for run in done if run.evidence is not None),
-        names=tuple(path.name for path in files),
+        names=tuple(map(name_of, files)),
     )
     if not (options.allow_partial or defers_refusal):
         found.require()

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from autotune.formats.kinds import LOG
+from autotune.formats.kinds import LOG, name_of
 
 from ._common import Output, output_options
 from ._options import (
@@ -131,7 +131,7 @@ def command(
     with report_refusal(output, report, sources, seen.refused_page):
         cell = None if cell_path is None else read_cell(cell_path)
         seen.options = replace(options, cell=cell, given=parse_given(given))
-        with output.progress(f"identifying {', '.join(log.name for log in logs)}", 1.0) as advance:
+        with output.progress(f"identifying {', '.join(map(name_of, logs))}", 1.0) as advance:
             found = seen.found = identify_log(
                 logs,
                 seen.options,

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from autotune.errors import UsageError
-from autotune.formats.kinds import LOG
+from autotune.formats.kinds import LOG, name_of
 
 from ._common import Output, output_options
 from ._options import LOGS, FilePath, GroupedCommand, cell_option, salvage_option, span_options, urdf_options
@@ -79,7 +79,7 @@ def command(
             raise UsageError("--write-cell begins a cell.yaml where there is none; leave out --cell.")
         check_new(start_path, force=force)
     cell = (Cell() if cell_path is None else read_cell(cell_path).cell).with_urdf(urdf, tip)
-    with output.progress(f"reading {', '.join(log.name for log in logs)}", None):
+    with output.progress(f"reading {', '.join(map(name_of, logs))}", None):
         try:
             summary = inspect_log(logs, cell, salvage=salvage, span=span)
         except UntimedError:
@@ -94,7 +94,7 @@ def command(
     if start_path is not None and guess is not None and (guess.roles or guess.tables or guess.wrenches):
         # What the log lacks is now what it lacks with the guesses, not what it lacked before them.
         begun = read_cell(start_path).cell.with_urdf(urdf, tip)
-        with output.progress(f"reading {', '.join(log.name for log in logs)}", None), suppress(LogError):
+        with output.progress(f"reading {', '.join(map(name_of, logs))}", None), suppress(LogError):
             summary = inspect_log(logs, begun, salvage=salvage, span=span)
         output.note(_guessed(guess, summary))
     output.result(summary_tree(summary), lambda: print_summary(summary))

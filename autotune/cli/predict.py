@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from autotune.formats.kinds import LOG, PLANTS
+from autotune.formats.kinds import LOG, PLANTS, name_of
 
 from ._common import Output, output_options
 from ._options import (
@@ -240,7 +240,7 @@ def _compared(output: Output, identified: Path, options: dict[str, Any]) -> "Tou
         raise click.UsageError("Give the gains with --gains, or with --controller.")
     law = None if controller is None else read_controller(controller).controller
     logs = options["logs"]
-    with output.progress(f"comparing with {', '.join(log.name for log in logs)}", 2.0) as advance:
+    with output.progress(f"comparing with {', '.join(map(name_of, logs))}", 2.0) as advance:
         reading = {name: options[name] for name in ("urdf", "tip", "start", "stop", "salvage")}
         # A wall differs from a hand by the speed that the gains make of F^d.
         said = () if options["axis"] in ROTATIONAL_AXES else ("mass", "damping", "lead")
@@ -250,7 +250,7 @@ def _compared(output: Output, identified: Path, options: dict[str, Any]) -> "Tou
         shown = identify_windows(logs, declared, progress=advance)
         if not shown:
             found = identify_log(logs, declared, progress=advance)
-            shown = ((", ".join(log.name for log in logs), found.result),)
+            shown = ((", ".join(map(name_of, logs)), found.result),)
         return compare_with_touches(file, shown, gains, law, asked, advance)
 
 

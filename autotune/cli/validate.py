@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from autotune.formats.kinds import LOG
+from autotune.formats.kinds import LOG, name_of
 from autotune.formats.units import ROTATIONAL_AXES, axis_units
 
 from ._common import Output, output_options
@@ -371,7 +371,7 @@ def compare_logs(
     cell = Cell() if options["cell_path"] is None else read_cell(options["cell_path"]).cell
     cell = cell.with_topics(wrench=None, pose=None, command=options["command_topic"])
     cell, span = cell.with_urdf(options["urdf"], options["tip"]), LogSpan(start=options["start"], stop=options["stop"])
-    with output.progress(f"comparing with {', '.join(log.name for log in logs)}", 1.0) as advance:
+    with output.progress(f"comparing with {', '.join(map(name_of, logs))}", 1.0) as advance:
         return compare_with_logs(controller, logs, cell, span, advance, salvage=options["salvage"])
 
 

@@ -15,6 +15,7 @@ from identification.logs.summary import Candidate, LogSummary, RoleSummary
 from problems.frozen import FrozenDict
 
 from .atomic import write_atomic
+from .kinds import name_of
 from .records import EntryError, read_record
 from .schema import Violation, check_format, violations
 from .yaml12 import Document, load_document, parse_document
@@ -145,8 +146,8 @@ def cell_text(summary: LogSummary, guess: CellGuess | None = None) -> str:
     """
     guess = guess or CellGuess()
     lines = [
-        f"# Begun by `autotune inspect` from {_plain(summary.path.name)}. Lines without # were found in the log, or",
-        "# guessed where evidence follows them: check those. The others are questions: answer those that",
+        f"# Begun by `autotune inspect` from {_plain(name_of(summary.path))}. Lines without # were found in the log,",
+        "# or guessed where evidence follows them: check those. The others are questions: answer those that",
         "# matter and take the # away. docs/cell.md says what they mean.",
         "format: autotune/cell",
         "version: 1",

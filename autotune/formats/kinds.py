@@ -51,6 +51,11 @@ _COMMANDS: Mapping[str, str] = FrozenDict(
 _SEALED = ("controller", "schedule")
 
 
+def name_of(path: Path) -> str:
+    """Return the name of a file or folder; of `.` and `..` that of the folder which they are."""
+    return path.name if path.name.strip(".") else path.resolve().name
+
+
 def kind_of(path: Path) -> str | None:
     """Return the kind of a file of this tool, such as "controller"; None for a log or a file of another program.
 

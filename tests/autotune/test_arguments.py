@@ -10,6 +10,7 @@ import pytest
 
 import autotune as at
 from autotune.arguments import count, in_arguments, priors
+from autotune.formats.cell import cell_text
 from autotune.text import si_parameters
 from identification.given import Given
 from tests.autotune.formats.test_plant import WHOLE, plant
@@ -115,6 +116,18 @@ def test_whole_numbers_of_numpy_are_whole() -> None:
     for wrong in (True, 1.5, None, "1"):
         with pytest.raises(at.UsageError):
             count("seed", wrong)
+
+
+def test_the_folder_in_which_one_is_has_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shorten_logs(monkeypatch)
+    folder = tmp_path / "run 7"
+    folder.mkdir()
+    at.simulate_log(folder / "part.mcap")
+    monkeypatch.chdir(folder)
+    log = at.read_log(".")
+    assert repr(log).startswith("<Log run 7: ")
+    assert repr(at.identify(log, allow_partial=True)).startswith("<Identification of run 7: ")
+    assert "from run 7. Lines without #" in cell_text(log.summary)
 
 
 def test_priors_are_exact_or_have_a_deviation() -> None:
