@@ -119,7 +119,7 @@ class _Work:
         self.done: dict[str, RunOutcome] = {}
         self._is_shared = False
         self._hosts = ""
-        self._told: set[str] = set()
+        self._noted: set[str] = set()
 
     def look(self) -> None:
         """Take what the state knows; `free` are then the tasks that nobody works on."""
@@ -130,8 +130,8 @@ class _Work:
         self.free.extend(sight.free)
         self._hosts = ", ".join(sorted(sight.hosts))
         self._replace(sight.older)
-        if lost := ", ".join(name for name in sight.lost if name not in self._told):
-            self._told.update(sight.lost)
+        if lost := ", ".join(name for name in sight.lost if name not in self._noted):
+            self._noted.update(sight.lost)
             self.note(f"Done again, since files of their results are missing or altered: {lost}.")
 
     def _replace(self, older: Sequence[tuple[RunTask, RunOutcome]]) -> None:
@@ -142,8 +142,8 @@ class _Work:
                 f"{self.folder} has controllers of {counted(len(gone), 'run')} that would be removed, and not made "
                 f"again without optimizing: {', '.join(gone)}. Name another folder with -o, or leave --no-optimize out."
             )
-        if names := [task.run.name for task, _ in older if task.run.name not in self._told]:
-            self._told.update(names)
+        if names := [task.run.name for task, _ in older if task.run.name not in self._noted]:
+            self._noted.update(names)
             self.note(
                 "Done again, since inputs, options or version are not those of their results in the folder, which are "
                 f"replaced: {', '.join(names)}."
@@ -151,8 +151,8 @@ class _Work:
 
     def wait(self) -> None:
         """Wait a moment for what others work on, and say so once."""
-        if self._hosts not in self._told:
-            self._told.add(self._hosts)
+        if self._hosts not in self._noted:
+            self._noted.add(self._hosts)
             self.note(f"Waiting for {self._hosts} to finish {counted(len(self.left), 'run')}.")
         time.sleep(_WAIT_S)
 

@@ -141,11 +141,11 @@ def _looks(output: Output, manifest: Path, watch: float | None) -> "Iterator[tup
     from autotune.campaign.manifest import read_manifest
     from autotune.errors import UsageError
 
-    told: set[str] = set()
+    noted: set[str] = set()
 
     def note(text: str) -> None:
-        if text not in told:
-            told.add(text)
+        if text not in noted:
+            noted.add(text)
             output.note(f"warning: {text}")
 
     yield read_manifest(manifest, may_be_empty=watch is not None, note=note)
