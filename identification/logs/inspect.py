@@ -82,7 +82,7 @@ class _Contents:
     roles: tuple[RoleSummary, ...]
     choices: Mapping[Role, Choice]
     missing: tuple[str, ...]
-    series: Mapping[Channel, Series]
+    series: dict[Channel, Series]
     findings: tuple[Finding, ...]
 
 
@@ -132,6 +132,7 @@ def _summarised(
         held = [each.log_ns for each in series.values() if each.log_ns.size]
         ends = (min((int(each[0]) for each in held), default=0), max((int(each[-1]) for each in held), default=0))
     ends = _by_headers(ends, [series[choice.info.channel] for choice in choices.values()])
+    series.clear()  # reading for `identify` holds the same numbers, and lets go of them when it has copied its own
     if Role.WRENCH in choices and Role.POSE in choices:
         if reading is None:
             reading = _read_findings(files, read.cell, findings, logs, salvage=salvage, span=span)

@@ -168,6 +168,13 @@ class OpenedLogs:
         """Read the chosen channels, each file once; one mapping per file, with the roles that it holds."""
         return [_read_roles(part, [c for c in choices if part in self._having(c.info)]) for part in self.parts]
 
+    def let_go(self) -> None:
+        """Forget the numbers that are held, and what was found of them."""
+        self.examined.clear()
+        for part in self.parts:
+            if isinstance(part, ContainerLog):
+                part.held.clear()
+
     def _having(self, info: ChannelInfo) -> list[OpenedLog]:
         return [part for part in self.parts if any(h.channel == info.channel and h.count for h in part.infos)]
 

@@ -340,6 +340,7 @@ def _read(
         findings = (*about_log, *about_span, *chosen, *cautions, *idle, *questions, *about_clocks, *about_samples)
         beside = joint_findings(choices[Role.POSE], recording, cell, chain, logs)
         findings = (*findings, *recording.findings, *beside)
+        logs.let_go()
     # Many windows of a log do not each read all of it for its digest.
     sha256 = {} if is_window else digests(files)
     return replace(recording, sha256=sha256, findings=findings, keeps_holes=keeps_holes), times, start

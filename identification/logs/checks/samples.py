@@ -303,6 +303,10 @@ class ExaminedRoles:
     def __init__(self) -> None:
         self._seen: dict[tuple[Role, str], tuple[tuple[object, ...], tuple[NDArray[Any], ...], list[Finding]]] = {}
 
+    def clear(self) -> None:
+        """Forget the findings, and let go of the numbers that they are of."""
+        self._seen.clear()
+
     def faults(
         self,
         role: Role,

@@ -118,9 +118,11 @@ class Series:
         return tuple(field is not None for field in self.fields)
 
     def part(self, keep: NDArray[np.bool_]) -> "Series":
-        """Return the rows that a mask (n,) keeps."""
-        stamps = None if self.stamp_ns is None else self.stamp_ns[keep]
-        return replace(self, log_ns=self.log_ns[keep], stamp_ns=stamps, values=self.values[keep])
+        """Return the rows that a mask (n,) keeps; of rows one behind the other no copy is made."""
+        first, count = int(np.argmax(keep)) if keep.size else 0, int(np.count_nonzero(keep))
+        rows = slice(first, first + count) if bool(keep[first : first + count].all()) else keep
+        stamps = None if self.stamp_ns is None else self.stamp_ns[rows]
+        return replace(self, log_ns=self.log_ns[rows], stamp_ns=stamps, values=self.values[rows])
 
 
 def parse_path(path: str) -> tuple[Token, ...]:
