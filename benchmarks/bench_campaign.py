@@ -14,13 +14,14 @@ import os
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does
 
 import argparse
-import resource
 import sys
 import tempfile
 import time
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
-from multiprocessing import get_context
+from contextlib import suppress
+from multiprocessing import active_children, get_context
 from pathlib import Path
+from threading import Thread
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
@@ -35,6 +36,7 @@ from autotune.simulation.truth import SimulatedCell
 from autotune.simulation.write import write_mcap
 
 _SHORT = Program(pose_count=6, pose_hold_s=0.7, pose_move_s=0.6, jogging_s=0.0, sweep_s=5.0, contact_count=2)
+_LOOK_S = 0.2
 _IDENTIFY = RunOptions(optimize=False)
 
 
@@ -78,6 +80,23 @@ def _folder_s(folder: Path, count: int = 100) -> float:
     return (time.perf_counter() - begun) / count
 
 
+class _Memory(Thread):
+    """Looks at the workers' peaks of resident memory, without what their parent had before they began."""
+
+    def __init__(self) -> None:
+        super().__init__(daemon=True)
+        self.largest_mb = 0.0
+
+    def run(self) -> None:
+        while True:
+            for child in (each.pid for each in active_children()):
+                with suppress(OSError):
+                    lines = Path(f"/proc/{child}/status").read_text(encoding="utf-8").splitlines()
+                    peaks = (1.024e-3 * float(line.split()[1]) for line in lines if line.startswith("VmHWM:"))
+                    self.largest_mb = max(self.largest_mb, *peaks, 0.0)
+            time.sleep(_LOOK_S)
+
+
 def _spent_s() -> float:
     times = os.times()
     return times.user + times.system + times.children_user + times.children_system
@@ -97,6 +116,8 @@ def main() -> int:
         _write_refused(folder / "refused", options.refused)
         _write_refused(folder / "alone", 1)
         _identify(folder / "logs" / "cell000" / "run.mcap")  # kernels are compiled once
+        memory = _Memory()
+        memory.start()
         one = _timed("campaign, one worker", folder / "logs", folder / "one", 1, at)
         two = _timed("campaign, two workers", folder / "logs", folder / "two", 2, at)
         shared = _timed("two campaigns, one worker each", folder / "logs", folder / "shared", 1, at, campaigns=2)
@@ -111,7 +132,6 @@ def main() -> int:
             f"{options.refused} runs refused at once, one worker", folder / "refused", folder / "none", 1, at
         )
         again = _timed("the same again", folder / "refused", folder / "none", 1, at)
-        memory = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
         print(f"two workers are {one / two:.2f} times as fast as one; {two / peer:.2f} of the time of the pool alone")
         print(f"two campaigns are {one / shared:.2f} times as fast as one")
         each, new = 1e3 / options.refused, 1e3 / (options.refused - 1)
@@ -121,7 +141,7 @@ def main() -> int:
             end=", ",
         )
         print(f"one that is done {each * again:.2f} ms; a worker starts in {start:.1f} s")
-        print(f"largest worker: {memory:.0f} MB")
+        print(f"largest worker: {memory.largest_mb:.0f} MB")
     return 0
 
 
