@@ -136,7 +136,7 @@ def prepare_worker() -> None:
         threading.Thread(target=_end_with, args=(waiting,), daemon=True).start()
     for name in _THREADS:
         os.environ.setdefault(name, "1")
-    Finalize(None, _leave, exitpriority=-1)  # as the last of what a process of multiprocessing does at its end
+    Finalize(None, _leave, exitpriority=-100)  # as the last of what a process of multiprocessing does at its end
 
 
 def _leave() -> None:

@@ -189,3 +189,15 @@ def test_a_script_that_works_again_while_it_is_imported_to_work_is_refused(monke
     monkeypatch.setattr(current_process(), "_inheriting", True, raising=False)
     with pytest.raises(UsageError, match='under `if __name__ == "__main__":`'), worker_pool(1):
         pytest.fail("a pool was started")
+
+
+def test_what_a_worker_prints_is_not_lost_at_its_end(tmp_path: Path) -> None:
+    """It ends without taking Python down, which would write out what is left in its buffers."""
+    script = tmp_path / "printing.py"
+    script.write_text(
+        "from autotune.processes import map_in_processes\n"
+        "if __name__ == '__main__':\n    map_in_processes(print, ['one', 'two', 'three'], 2)\n"
+    )
+    buffered = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
+    found = subprocess.run([sys.executable, script], env=buffered, capture_output=True, text=True, check=True)
+    assert sorted(found.stdout.split()) == ["one", "three", "two"]
