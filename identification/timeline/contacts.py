@@ -296,6 +296,11 @@ def _window(hold: Span, free: Sequence[Span], count: int, period_s: float, found
     return Span(start=max([0, hold.start - furthest, *before]), stop=min([count, hold.stop + furthest, *after]))
 
 
+def lead_samples(period_s: float) -> int:
+    """Return how far from the ends of what is searched a touch begins or ends that the log shows, in samples."""
+    return max(1, round(CONTACT.smallest_lead_s / period_s))
+
+
 def _contact(
     of: AxisContacts, sign: float, hold: Span, window: Span, touches: BoolArray, period_s: float
 ) -> ContactTimes:
@@ -304,7 +309,7 @@ def _contact(
     touches[held] = True
     joined = without_pauses(touches, round(CONTACT.longest_bounce_s / period_s))
     run = next(s for s in spans_of(joined) if s.start <= held.start < s.stop)
-    lead = max(1, round(CONTACT.smallest_lead_s / period_s))
+    lead = lead_samples(period_s)
     is_entered, is_left = run.start > lead, run.stop < len(touches) - lead
     span = Span(start=window.start + run.start, stop=window.start + run.stop)
     onset = span.start if is_entered else None

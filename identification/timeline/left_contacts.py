@@ -10,7 +10,7 @@ from problems.frozen import freeze
 from ..result import CONTACT_UNEXPLAINED, EnvironmentEstimate, Estimate, Finding, LogPhase, Status
 from ..signals.contact_rule import CONTACT
 from ..verdicts import unidentifiable
-from .contacts import ContactTimes, Pressed
+from .contacts import ContactTimes, Pressed, lead_samples
 from .payload import AxisContacts, PayloadMotion, press_sign
 
 _FEWEST_SAMPLES = 12
@@ -24,6 +24,7 @@ _LEAST_SHARE = 0.2
 _MOST_LISTED = 10
 _BESIDE_S = 0.5
 """Nearer to a hole the way in or out of a contact may be missing."""
+_BEGINNING, _END, _HOLE = "the beginning of what is read", "the end of what is read", "a hole of the log"
 _METHOD = "slope of the contact force over the payload's way, of contacts that the fit did not use"
 _ADVICE = (
     "Press there again at 1 to 3 cm/s with 20 to 50 N, hold for 1 s, hands off; or give optimize a range that holds "
@@ -110,12 +111,12 @@ class Accounted:
 class _Left:
     """A contact that no fit used: its place in the time line or None, and its slope if that is clear.
 
-    `is_cut` says that a hole of the log cuts it, and that a surface is known on its side.
+    `cut_by` names what of the log cuts it where a surface is known on its side, and is empty otherwise.
     """
 
     phase: int | None
     slope: ContactSlope | None
-    is_cut: bool
+    cut_by: str
     start_s: float
     peak_n: float
 
@@ -123,7 +124,8 @@ class _Left:
 def account_for_contacts(phases: Sequence[LogPhase], axes: Sequence[ObservedAxis], period_s: float) -> Accounted:
     """Give every contact of a time line a surface, or name it in a finding of severity `error`.
 
-    One that a hole of the log cuts, or its last half second before, is a warning where its side has a fitted surface.
+    One that the beginning or the end of the log cuts, or a hole in it or within half a second of it, is a warning where
+    its side has a fitted surface.
 
     `phases` name the surfaces of the contacts that a fit used. Of the others, `learn_slope` shows the stiffness: that
     of a fitted surface where it lies within 3 deviations or 20 % of that, else a new surface, which is `weak`. Rests
@@ -147,10 +149,11 @@ def account_for_contacts(phases: Sequence[LogPhase], axes: Sequence[ObservedAxis
             for name in new.names
         )
         findings += [_added(axis, surface) for surface in surfaces[axis.name]]
-        unexplained = [each for each in left if each.slope is None and not each.is_cut]
+        unexplained = [each for each in left if each.slope is None and not each.cut_by]
         findings += [_unexplained(axis, unexplained)] if unexplained else []
-        cut = [each for each in left if each.slope is None and each.is_cut]
-        findings += [_cut(axis, cut)] if cut else []
+        for cut_by in (_BEGINNING, _END, _HOLE):
+            cut = [each for each in left if each.slope is None and each.cut_by == cut_by]
+            findings += [_cut(axis, cut, cut_by)] if cut else []
     return Accounted(phases=tuple(changed), surfaces=surfaces, findings=tuple(findings))
 
 
@@ -167,7 +170,7 @@ def _left_of(axis: ObservedAxis, phases: Sequence[LogPhase], period_s: float) ->
         return _Left(
             phase=phase,
             slope=learn_slope(axis.of, axis.payload, contact, _on_path(axis)),
-            is_cut=_is_cut(axis, contact, period_s),
+            cut_by=_cut_by(axis, contact, period_s),
             start_s=contact.span.start * period_s,
             peak_n=axis.lever_m * float(np.nanmax(np.abs(force))),
         )
@@ -183,14 +186,18 @@ def _left_of(axis: ObservedAxis, phases: Sequence[LogPhase], period_s: float) ->
     return [*left, *(each for each in perhaps if each.slope is not None)]
 
 
-def _is_cut(axis: ObservedAxis, contact: ContactTimes, period_s: float) -> bool:
-    """Return whether a hole is in or right beside a contact on a side that has a fitted surface."""
-    beside = round(_BESIDE_S / period_s)
-    around = axis.of.axis.force_n[max(0, contact.span.start - beside) : contact.span.stop + beside]
+def _cut_by(axis: ObservedAxis, contact: ContactTimes, period_s: float) -> str:
+    """Return what cuts a contact on a side that has a fitted surface: an end of the log, or a hole in or beside it."""
     sign = int(press_sign(axis.of, contact.hold))
-    return bool(np.any(np.isnan(around))) and any(
-        side == sign and surface.stiffness_n_per_m.value is not None for side, surface in axis.surfaces
-    )
+    if not any(side == sign and surface.stiffness_n_per_m.value is not None for side, surface in axis.surfaces):
+        return ""
+    force, span = axis.of.axis.force_n, contact.span
+    if contact.onset is None and span.start <= lead_samples(period_s):
+        return _BEGINNING
+    if contact.release is None and span.stop >= len(force) - lead_samples(period_s):
+        return _END
+    beside = round(_BESIDE_S / period_s)
+    return _HOLE if np.any(np.isnan(force[max(0, span.start - beside) : span.stop + beside])) else ""
 
 
 def _on_path(axis: ObservedAxis) -> Estimate:
@@ -292,11 +299,11 @@ def _listed(axis: ObservedAxis, left: Sequence[_Left]) -> str:
     return f"{shown} and {len(left) - _MOST_LISTED} more" if len(left) > _MOST_LISTED else shown
 
 
-def _cut(axis: ObservedAxis, left: Sequence[_Left]) -> Finding:
+def _cut(axis: ObservedAxis, left: Sequence[_Left], cut_by: str) -> Finding:
     return Finding(
         code="contact-cut",
         severity="warning",
-        message=f"Axis {axis.name}: what was touched at {_listed(axis, left)} is not used: a hole of the log cuts it, "
+        message=f"Axis {axis.name}: what was touched at {_listed(axis, left)} is not used: {cut_by} cuts it, "
         "and which surface it was is not known.",
         advice="Press there again if it is none of the surfaces of this axis.",
         axis=axis.name,

@@ -131,21 +131,38 @@ def test_what_the_way_in_does_not_show_is_an_error_with_its_time_and_peak() -> N
 
 
 @pytest.mark.parametrize("side", [1, -1])
-def test_what_a_hole_cuts_is_a_warning_where_its_side_has_a_surface(side: int) -> None:
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize(
+    ("read", "hole", "cut_by"),
+    [
+        ("hold", False, "the beginning of what is read"),
+        ("from the hold", False, "the beginning of what is read"),
+        ("to the hold", False, "the end of what is read"),
+        ("all", True, "a hole of the log"),
+        ("all", False, ""),
+    ],
+)
+def test_what_is_cut_is_a_warning_where_its_side_has_a_surface(
+    read: str, hole: bool, cut_by: str, sign: float, side: int
+) -> None:
     press = there_and_back(1.5e5, 3e-4)
-    inside = slice(press.first + 300, press.last - 300)
-    cut = Press(position_m=press.position_m[inside], force_n=press.force_n[inside], first=0, last=0)
-    accounted, axis = seen(cut, fitted=surface("x1", 1.5e5))
-    assert [each.severity for each in accounted.findings] == ["error"]
+    inside = slice(
+        0 if read in {"all", "to the hold"} else press.first + 300,
+        None if read in {"all", "from the hold"} else press.last - 300,
+    )
+    part = Press(position_m=press.position_m[inside], force_n=press.force_n[inside], first=0, last=0)
+    # Without a coupling no slope says which surface it is.
+    accounted, axis = seen(part, fitted=surface("x1", 1.5e5), coupling=UNDECIDED, sign=sign)
     force_n = axis.of.axis.force_n.copy()
-    force_n[-3:] = np.nan
-    (_, known), of = axis.surfaces[0], replace(axis.of, axis=replace(axis.of.axis, force_n=force_n))
-    axis = replace(axis, of=of, surfaces=((side * axis.surfaces[0][0], known),))
+    if hole:
+        force_n[press.first - 100 : press.first - 60] = np.nan
+    (known_side, known), of = axis.surfaces[0], replace(axis.of, axis=replace(axis.of.axis, force_n=force_n))
+    axis = replace(axis, of=of, surfaces=((side * known_side, known),))
     (finding,) = account_for_contacts(accounted.phases, [axis], H_S).findings
-    if side > 0:
+    if cut_by and side > 0:
         assert (finding.code, finding.severity) == ("contact-cut", "warning")
-        assert "Axis x: what was touched at 0.0 s (" in finding.message
-        assert "is not used: a hole of the log cuts it" in finding.message
+        assert finding.message.startswith("Axis x: what was touched at ")
+        assert f"is not used: {cut_by} cuts it" in finding.message
     else:
         assert (finding.code, finding.severity) == (CONTACT_UNEXPLAINED, "error")
 
