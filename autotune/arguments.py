@@ -65,16 +65,16 @@ def file_paths(name: str, given: object) -> tuple[Path, ...]:
     raise UsageError(f"{name} must be the path of a file or several in a list, found {_kind(given)}.")
 
 
-def count(name: str, given: object) -> int:
-    """Return a whole number that is not negative; raises UsageError for anything else."""
+def count(name: str, given: object, *, least: int = 0) -> int:
+    """Return a whole number of at least `least`; raises UsageError for anything else."""
     try:
         if isinstance(given, bool):
             raise TypeError(name)
         found = index(given)  # type: ignore[arg-type]
     except TypeError:
-        found = -1
-    if found < 0:
-        raise UsageError(f"{name} must be a whole number of at least 0, found {shown(given)}.")
+        found = least - 1
+    if found < least:
+        raise UsageError(f"{name} must be a whole number of at least {least}, found {shown(given)}.")
     return found
 
 

@@ -9,10 +9,12 @@ from pathlib import Path
 from typing import Any
 from warnings import warn
 
-from autotune.arguments import errors_in_arguments, file_path
+from autotune.arguments import count, errors_in_arguments, file_path
 from autotune.drift import Change, change_text
+from autotune.errors import UsageError
 from autotune.processes import count_processors
 from autotune.shown import Progress, ResultTable, Shown, data_frame, plain_tree, reporting
+from problems.errors import shown
 from problems.progress import no_progress
 
 from .dask_pool import dask_executor
@@ -126,23 +128,26 @@ def run_campaign(
     Raises
     ------
     UsageError
-        The manifest names what cannot be read, a result cannot be written or would replace what no campaign has
-        written, or the state cannot be kept.
+        An argument is none, the manifest names what cannot be read, a result cannot be written or would replace what
+        no campaign has written, or the state cannot be kept.
 
     """
-    runs = read_manifest(file_path("manifest", manifest), note=partial(warn, stacklevel=4))
-    target, count = Path(folder), jobs or count_processors()
+    path, target, seed = file_path("manifest", manifest), file_path("folder", folder), count("seed", seed)
+    jobs = count_processors() if jobs is None else count("jobs", jobs, least=1)
+    if not isinstance(executor, Executor | None):
+        raise UsageError(f"executor must be one of concurrent.futures, found {shown(executor)}.")
+    runs = read_manifest(path, note=partial(warn, stacklevel=4))
     check_tables(target)
     with ExitStack() as stack:
         if scheduler is not None:
-            executor, _ = stack.enter_context(dask_executor(scheduler, count))
+            executor, _ = stack.enter_context(dask_executor(scheduler, jobs))
         report = stack.enter_context(reporting(progress, "campaign")) or no_progress
         weights = {"checksums": _CHECKSUMS, "campaign": 1.0 - _CHECKSUMS}
         outcomes = work_on_runs(
             runs,
             target,
             RunOptions(optimize=optimize, seed=seed, allow_partial=allow_partial, salvage=salvage),
-            jobs=count,
+            jobs=jobs,
             executor=executor,
             storage=storage,
             progress=lambda what, total: nullcontext(lambda *_: report(weights[what] / total)),

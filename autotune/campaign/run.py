@@ -2,7 +2,7 @@
 
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
 from contextlib import AbstractContextManager, nullcontext
 from multiprocessing import get_context
@@ -19,7 +19,7 @@ from .manifest import LoggedRun
 from .options import RunOptions
 from .state import CampaignState, Sight, open_state
 from .text import counted, left_text
-from .work import RunOutcome, RunTask, build_task, work_on
+from .work import RunOutcome, RunTask, build_task, work_on, written_before
 
 Phase = Callable[[str, int], AbstractContextManager[Callable[..., None]]]
 """Shows how far a part of the work is, as `Output.progress` of the command line does."""
@@ -129,14 +129,25 @@ class _Work:
         self.free.clear()
         self.free.extend(sight.free)
         self._hosts = ", ".join(sorted(sight.hosts))
-        self._replace(sight.older)
+        self._replace(
+            [(task, outcome.files) for task, outcome in sight.older],
+            "inputs, options or version are not those of their results in the folder, which are replaced",
+        )
+        unknown = [(task, written_before(task.folder)) for task in sight.unknown]
+        self._replace(
+            [(task, files) for task, files in unknown if files],
+            "the state of this campaign knows nothing of their results in the folder, which are replaced",
+        )
         if lost := ", ".join(name for name in sight.lost if name not in self._noted):
             self._noted.update(sight.lost)
             self.note(f"Done again, since files of their results are missing or altered: {lost}.")
 
-    def _replace(self, older: Sequence[tuple[RunTask, RunOutcome]]) -> None:
-        """Say which results will be replaced; raises UsageError where a controller would go and none take its place."""
-        gone = [task.run.name for task, outcome in older if _CONTROLLER in outcome.files and not task.options.optimize]
+    def _replace(self, older: Sequence[tuple[RunTask, Collection[str]]], reason: str) -> None:
+        """Say which results, with these files, will be replaced, and why.
+
+        Raises UsageError where a controller would go and none take its place.
+        """
+        gone = [task.run.name for task, files in older if _CONTROLLER in files and not task.options.optimize]
         if gone:
             raise UsageError(
                 f"{self.folder} has controllers of {counted(len(gone), 'run')} that would be removed, and not made "
@@ -144,10 +155,7 @@ class _Work:
             )
         if names := [task.run.name for task, _ in older if task.run.name not in self._noted]:
             self._noted.update(names)
-            self.note(
-                "Done again, since inputs, options or version are not those of their results in the folder, which are "
-                f"replaced: {', '.join(names)}."
-            )
+            self.note(f"Done again, since {reason}: {', '.join(names)}.")
 
     def wait(self) -> None:
         """Wait a moment for what others work on, and say so once."""

@@ -72,13 +72,15 @@ class Sight:
 
     `known` are those with a result, `free` those that may be claimed, `lost` the names of those of them that have a
     result whose files are not in the folder, `older` the free ones that have a result of other inputs, options or
-    another version, with it, and `hosts` the machines that work on the others.
+    another version, with it, `unknown`, at the first look, those that nobody has begun yet, and `hosts` the machines
+    that work on the others.
     """
 
     known: list[tuple[RunTask, RunOutcome]] = field(default_factory=list)
     free: list[RunTask] = field(default_factory=list)
     lost: list[str] = field(default_factory=list)
     older: list[tuple[RunTask, RunOutcome]] = field(default_factory=list)
+    unknown: list[RunTask] = field(default_factory=list)
     hosts: set[str] = field(default_factory=set)
 
 
@@ -112,6 +114,7 @@ class CampaignState:
             self._seen = {_name(row): row for row in self._rows(question)}
         if self._failed is None:
             self._failed = {name: row.attempts for name, row in self._seen.items() if row.state in TRIED_AGAIN}
+            sight.unknown.extend(task for task in tasks if not self._seen[task.run.name].attempts)
         for task in tasks:
             if task.run.name not in self._held:
                 self._sort(task, self._seen[task.run.name], sight)

@@ -3,7 +3,7 @@
 import json
 import shutil
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from hashlib import sha256
 from pathlib import Path
@@ -16,6 +16,7 @@ from autotune.formats.cell import read_cell
 from autotune.formats.certificate_record import AxisDomain
 from autotune.formats.controller import controller_tree, read_controller
 from autotune.formats.identified import identified_tree, parse_identified, read_identified
+from autotune.formats.kinds import kind_of
 from autotune.formats.problem import ProblemSpec, read_problem
 from autotune.formats.units import axis_units
 from autotune.formats.yaml12 import dump_yaml
@@ -183,12 +184,8 @@ def work_on(task: RunTask) -> RunOutcome:
 
     What was not foreseen ends the run and not the campaign; nothing is written of it, so that it is tried again.
     """
-    others = sorted(path.name for path in task.folder.glob("*") if path.name not in _WRITTEN)
-    if others:
-        raise UsageError(
-            f"{task.folder} holds {', '.join(others)}, which no campaign has written and this one would delete; move "
-            "that to another folder, and the same command goes on."
-        )
+    others = [path.name for path in task.folder.glob("*") if path.name not in _WRITTEN or path.is_dir()]
+    _check_others(task.folder, others)
     files: dict[str, str] = {}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -208,6 +205,29 @@ def work_on(task: RunTask) -> RunOutcome:
         raise UsageError(f"{task.folder} cannot be written: {error.strerror or error}.") from error
     digests = {name: sha256(text.encode()).hexdigest() for name, text in files.items()}
     return replace(outcome, files=digests, own_key=task.own_key, identified_key=task.identified_key)
+
+
+def written_before(folder: Path) -> tuple[str, ...]:
+    """Return which files the folder of a run has from an older campaign, where the state knows nothing of the run.
+
+    Raises UsageError where a file has the name of one and is another.
+    """
+    try:
+        kinds = {name: kind_of(folder / name) for name in sorted(_WRITTEN)}
+    except OSError as error:
+        raise UsageError(f"{error.filename} cannot be read: {error.strerror or error}.") from error
+    found = [name for name, kind in kinds.items() if name == f"{kind}.yaml"]
+    _check_others(folder, [name for name, kind in kinds.items() if kind != "" and name not in found])
+    return tuple(found)
+
+
+def _check_others(folder: Path, others: Sequence[str]) -> None:
+    """Raise UsageError where there are files that no campaign has written."""
+    if others:
+        raise UsageError(
+            f"{folder} holds {', '.join(sorted(others))}, which no campaign has written and this one would delete; "
+            "move that to another folder, and the same command goes on."
+        )
 
 
 def _check_again(task: RunTask, known: RunOutcome) -> RunOutcome:

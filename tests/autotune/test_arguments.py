@@ -36,6 +36,10 @@ WRONG: dict[str, Callable[[], Any]] = {
     "given must be a dictionary": lambda: at.identify("run.mcap", given=3),  # type: ignore[arg-type]
     "must be a finite number": lambda: at.identify("run.mcap", given={"mass_kg": math.nan}),
     "mass_kg must be at least 0": lambda: at.identify("run.mcap", given={"mass_kg": -1.0}),
+    "jobs must be a whole number of at least 1, found 0": lambda: at.run_campaign("logs", "out", jobs=0),
+    "seed must be a whole number of at least 0, found -2": lambda: at.run_campaign("logs", "out", seed=-2),
+    "executor must be one of concurrent.futures, found 3": lambda: at.run_campaign("logs", "out", executor=3),  # type: ignore[arg-type]
+    "folder must be the path": lambda: at.run_campaign("logs", 3),  # type: ignore[arg-type]
     "Nothing called massx": lambda: at.identify("run.mcap", given={"massx": 1.0}),
 }
 

@@ -14,6 +14,8 @@ from autotune.campaign.tables import write_tables
 from autotune.campaign.work import RunOutcome, RunTask
 from tests.autotune.own_process import OwnProcess
 
+PLANT = "format: autotune/identified\n"
+
 
 def written_logs(folder: Path, count: int) -> Path:
     """Tables that `identify` refuses at once: what is tried here is the work around it."""
@@ -38,8 +40,8 @@ def until(holds: Callable[[], bool], limit_s: float = 60.0) -> None:
 
 def identified_at_once(task: RunTask, files: dict[str, str]) -> RunOutcome:
     """Stands for the work on a log: two files, one of some length, that follow from it."""
-    files["identified.yaml"] = f"key: {task.key}\n"
-    files["controller.yaml"] = f"cell: {task.run.name}\n" * 500
+    files["identified.yaml"] = f"{PLANT}key: {task.key}\n"
+    files["controller.yaml"] = "format: autotune/controller\n" + f"cell: {task.run.name}\n" * 500
     return RunOutcome(cell=task.run.cell, run=task.run.run, key=task.key, values={"m": (1.0, 0.1)})
 
 

@@ -25,6 +25,7 @@ from autotune.campaign.work import RunTask, build_task
 from autotune.errors import UsageError
 from problems.errors import MissingExtraError
 from tests.autotune.campaign.sharing import (
+    PLANT,
     Slow,
     campaign,
     identified_at_once,
@@ -294,7 +295,7 @@ def test_a_state_that_is_restored_from_an_older_copy_claims_nothing_that_is_not_
         outcomes = campaign(logs, out, names=tmp_path / "worked")
         for run, each in zip(runs, outcomes, strict=True):
             files = out / "cells" / run.cell / run.run
-            assert (files / "identified.yaml").read_text(encoding="utf-8") == f"key: {each.key}\n"
+            assert (files / "identified.yaml").read_text(encoding="utf-8") == f"{PLANT}key: {each.key}\n"
         return [name for _, name in worked(tmp_path)]
 
     worked_on()
@@ -317,7 +318,7 @@ def test_a_run_that_is_refused_leaves_no_files_of_a_former_log(logs: Path, tmp_p
     run = read_manifest(logs)[0]
     task = build_task(run, tmp_path / "out", RunOptions())
     task.folder.mkdir(parents=True)
-    (task.folder / "identified.yaml").write_text("of another log", encoding="utf-8")
+    (task.folder / "identified.yaml").write_text(PLANT, encoding="utf-8")
     assert work_on_runs([run], tmp_path / "out")[0].files == {}
     assert not task.folder.exists()
 

@@ -149,6 +149,48 @@ def test_what_no_campaign_has_written_is_not_deleted(run_cli: RunCli, fleet: Pat
 
 
 @pytest.mark.usefixtures("in_this_process")
+@pytest.mark.parametrize("name", ["identified.yaml", "controller.yaml"])
+@pytest.mark.parametrize("content", ["mine: 1\n", "format: autotune/problem\nversion: 1\n", None])
+def test_a_file_of_another_kind_with_the_name_of_a_result_is_not_replaced(
+    run_cli: RunCli, fleet: Path, tmp_path: Path, name: str, content: str | None
+) -> None:
+    file = tmp_path / "out" / "cells" / "press" / "tue" / name
+    if content is None:
+        (file / "of the user").mkdir(parents=True)
+    else:
+        file.parent.mkdir(parents=True)
+        file.write_text(content)
+    for _ in range(2):
+        done = run_cli("campaign", fleet, "-o", "out", "--no-optimize", "--jobs", "1")
+        assert done.returncode == 2
+        assert f"tue holds {name}, which no campaign has written" in done.stderr.replace("\n", " ")
+        assert (file / "of the user").is_dir() if content is None else file.read_text() == content
+    file.rename(tmp_path / "moved")
+    assert run_cli("campaign", fleet, "-o", "out", "--no-optimize", "--jobs", "1").returncode == 0
+
+
+@pytest.mark.usefixtures("in_this_process")
+def test_results_of_which_the_state_knows_nothing_are_named_where_they_are_replaced(
+    run_cli: RunCli, fleet: Path, tmp_path: Path
+) -> None:
+    words, folder = ("campaign", fleet, "-o", "out", "--no-optimize", "--jobs", "1"), tmp_path / "out" / "cells"
+    said = "knows nothing of their results in the folder, which are replaced: press/mon."
+    first = run_cli(*words)
+    (tmp_path / "out" / "campaign.sqlite").unlink()
+    second, third = run_cli(*words), run_cli(*words)
+    assert [said in done.stderr.replace("\n", " ") for done in (first, second, third)] == [False, True, False]
+    # What cannot be made again stays.
+    (folder / "press" / "tue").mkdir()
+    write_controller(folder / "press" / "tue" / "controller.yaml", small_controller())
+    assert run_cli(*words).returncode == 0  # the state knows that tue has no files, and it is not worked on
+    (tmp_path / "out" / "campaign.sqlite").unlink()
+    done = run_cli(*words)
+    assert done.returncode == 2
+    assert "has controllers of 1 run that would be removed" in done.stderr.replace("\n", " ")
+    assert (folder / "press" / "tue" / "controller.yaml").is_file()
+
+
+@pytest.mark.usefixtures("in_this_process")
 @pytest.mark.parametrize("name", ["campaign.csv", "campaign.parquet"])
 def test_a_table_that_no_campaign_has_written_is_not_replaced(
     run_cli: RunCli, fleet: Path, tmp_path: Path, name: str
