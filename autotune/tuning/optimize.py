@@ -314,13 +314,14 @@ def _search(
     try:
         found = solve_design(problem, seed=seed, start=start, progress=portion)
     except InfeasibleError as error:
-        lowered = lower_default(problem, seed=seed) if relax else None
-        if lowered is not None:
-            return _search(name, lowered, seed, start, relax, structures, report, portion)
         freer = structures.beyond_gains(name, problem)
         if freer is not None:
             portion.finish()
             return freer
+        # Less is asked of what nobody asked for where no law of the structure that is asked has it.
+        lowered = lower_default(problem, seed=seed) if relax else None
+        if lowered is not None:
+            return _search(name, lowered, seed, start, relax, structures, report, portion)
         if not relax:
             raise InfeasibleError(f"Axis {name}: {error}") from error
         # In the place of what a controller would still have to pass.

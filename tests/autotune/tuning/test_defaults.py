@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import autotune as at
 from autotune.formats.problem import read_problem
 from autotune.formats.records import record_tree
 from autotune.tuning.defaults import beside_margins, default_admittance, default_message, follow_robot, lower_default
@@ -126,3 +127,25 @@ def test_the_price_of_the_band_is_that_of_a_search_with_the_usual_one() -> None:
     assert reported.objective_with_usual is not None
     assert reported.objective_with_usual > reported.objective
     assert default_admittance(fixed, solve_design(fixed)) is None
+
+
+def test_the_default_stays_where_a_freer_structure_has_it_beside_a_limit_of_the_peak() -> None:
+    """Four gains in their bounds have it above 45 N only; at the same noise, with wider bounds, a law has 40 N."""
+    plant = at.Plant(
+        mass=16.2,
+        coupling_stiffness=3.1e5,
+        coupling_damping=150,
+        drag=330,
+        robot=at.Robot(bandwidth=3.18, delay=2.4e-3),
+        environment_stiffness=1.2e5,
+        sample_time=8e-4,
+        force_noise=0.14,
+    )
+    design = at.optimize(plant, problem=at.Problem(requirements=at.Requirements(max_peak_force_n=42.0)))
+    assert design.optimized is not None
+    found = design.optimized.searches["x"]
+    target = found.problem.requirements.free_space_admittance
+    assert target is not None
+    assert target.min_m_s_per_n == AdmittanceTarget().min_m_s_per_n
+    assert 38.0 < found.evaluation.cost < 42.0
+    assert not any("cannot be had" in each for each in design.notes)
