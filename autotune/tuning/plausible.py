@@ -10,6 +10,10 @@ from identification.result import CONTACT_UNEXPLAINED, AxisEstimate, Finding, Id
 from problems.design.problem import DesignProblem
 
 Interval = tuple[float, float]
+_SAID = {
+    "environment_stiffness": ("--environment-stiffness", "environment_stiffness_n_per_m"),
+    "payload_mass": ("--payload-mass", "payload_mass_kg"),
+}
 
 # A range this many times off what was identified, and near it a factor of a thousand further on, is in another unit;
 # one that is off by far more is wrong whatever its unit.
@@ -33,21 +37,27 @@ def check_plausible(identified: Identified, names: Sequence[str], straight: Prob
         mass = (axis.mass_kg.value if axis.mass_kg is not None else None) if turns else identified.payload.mass_kg.value
         stiffness = [value for value in known if value is not None and value > 0.0]
         masses = [mass] if mass is not None and mass > 0.0 else []
-        option = "rotational.environment_stiffness_n_m_per_rad" if turns else "--environment-stiffness"
+        said = "rotational.environment_stiffness_n_m_per_rad" if turns else _said(spec, "environment_stiffness")
         if "environment_stiffness" not in spec.with_unit:
-            _check(spec.environment_stiffness, stiffness, option, "stiffness", units.stiffness)
-        option = "rotational.payload_inertia_kg_m2" if turns else "--payload-mass"
+            _check(spec.environment_stiffness, stiffness, said, "stiffness", units.stiffness)
+        said = "rotational.payload_inertia_kg_m2" if turns else _said(spec, "payload_mass")
         if "payload_mass" not in spec.with_unit:
-            _check(spec.payload_mass, masses, option, "mass", units.mass)
+            _check(spec.payload_mass, masses, said, "mass", units.mass)
     heaviest = max(straight.payload_mass or (0.0,))
     if heaviest > _HEAVIEST_KG:
         raise UsageError(
-            f"--payload-mass asks for {heaviest:g} kg; a payload of {_HEAVIEST_KG:g} kg is the heaviest that a "
-            "controller file holds."
+            f"{_said(straight, 'payload_mass')} asks for {heaviest:g} kg; a payload of {_HEAVIEST_KG:g} kg is the "
+            "heaviest that a controller file holds."
         )
 
 
-def _check(asked: Interval | None, known: Sequence[float], option: str, kind: str, unit: str) -> None:
+def _said(spec: ProblemSpec, name: str) -> str:
+    """Return the option that said a range, or the key of the file."""
+    option, key = _SAID[name]
+    return option if name in spec.options else key
+
+
+def _check(asked: Interval | None, known: Sequence[float], name: str, kind: str, unit: str) -> None:
     if asked is None or not known:
         return
     off = _distance(asked, known)
@@ -59,10 +69,12 @@ def _check(asked: Interval | None, known: Sequence[float], option: str, kind: st
     if not likely and off <= _FAR_OFF[kind]:
         return
     meant = f"; did you mean {_range_text((factor * asked[0], factor * asked[1]), kind)}?" if likely else "."
-    said = (
-        f" If it is meant, say its unit: {option} {_range_text(asked, kind)}{unit}." if option.startswith("--") else ""
-    )
-    wanted = f"{option} asks for {_range_text(asked, kind)} {unit}"
+    said = ""
+    for option, key in _SAID.values():
+        typed = f"{option} {_range_text(asked, kind)}{unit}"
+        if name in (option, key):
+            said = f" If it is meant, say its unit: {typed if name == option else f'`autotune optimize … {typed}`'}."
+    wanted = f"{name} asks for {_range_text(asked, kind)} {unit}"
     raise UsageError(f"{wanted}, and the plant has {_identified(known, kind, unit)}{meant}{said}")
 
 

@@ -44,9 +44,12 @@ def test_a_payload_that_no_file_holds_is_refused_before_a_search_whatever_its_un
         build_problems(IDENTIFIED, spec)
 
 
-def test_a_problem_file_is_held_against_it_too() -> None:
-    with pytest.raises(UsageError, match="and the plant has 110 N/mm"):
+def test_a_problem_file_is_held_against_it_too_and_its_key_named() -> None:
+    with pytest.raises(UsageError, match=r"^environment_stiffness_n_per_m asks .* and the plant has 110 N/mm") as found:
         build_problems(IDENTIFIED, ProblemSpec(environment_stiffness=(20.0, 500.0)))
+    assert str(found.value).endswith(": `autotune optimize … --environment-stiffness 20:500N/m`.")
+    with pytest.raises(UsageError, match=r"^payload_mass_kg asks for 16200 kg"):
+        build_problems(IDENTIFIED, ProblemSpec(payload_mass=(16200.0, 16200.0)))
 
 
 @pytest.mark.parametrize(
