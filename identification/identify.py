@@ -48,7 +48,7 @@ from .signals.aligned import AlignedLog, align, check_regular, without_wrench
 from .signals.recording import Frames, PoseSignal, Recording, find_gaps, unmeasured
 from .signals.segments import MotionSpans, find_motion
 from .signals.spikes import without_spikes
-from .turn_estimate import identify_turn, unidentified_turn
+from .turn_estimate import identify_turn, is_change_of_pose, unidentified_turn
 from .verdicts import missing
 
 _OBLIQUE_SHARE = 0.3
@@ -308,7 +308,8 @@ def _identify_axes(
     for turn in cell.turns:
         part = ProgressSlice(report, share)
         turned = identify_turn(cell, turn, inertia, part)
-        if turned is None:
+        # Where no other axis is seen, what is missing of this one is said.
+        if turned is None or (axes and is_change_of_pose(turn, turned)):
             findings.append(unidentified_turn(turn))
         else:
             axes[turn.name] = turned

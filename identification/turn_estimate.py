@@ -63,6 +63,13 @@ def identify_turn(
     return replace(result, findings=(*findings, *inertia_findings(result.fit, turn, inertia)))
 
 
+def is_change_of_pose(turn: AxisTurn, result: AxisResult) -> bool:
+    """Return whether the tool only turned from rest to rest, pressed nothing by that, and shows nothing of K_s."""
+    stiffness = result.estimate.coupling.stiffness_n_per_m
+    is_unknown = stiffness.value is None and stiffness.ci95 is None
+    return is_unknown and not turn.is_swept and not result.contacts.holds
+
+
 def unidentified_turn(turn: AxisTurn) -> Finding:
     """Return the finding that the coupling about an axis was not identified though the tool turned."""
     return Finding(

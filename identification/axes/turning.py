@@ -38,12 +38,14 @@ class AxisTurn:
 
     `motion` holds the angle from `reference_BS` [rad] as `position_m` and the torque about the axis without bias and
     weight [N·m] as `force_n`, on the log's clock. `weight_n_m_per_rad` is by how much the payload's weight turns back
-    what is turned; the part of it that the coupling's own turning makes is left out of every model.
+    what is turned; the part of it that the coupling's own turning makes is left out of every model. `is_swept` says
+    that the tool went to and fro without a rest in between, and not only from rest to rest.
     """
 
     motion: AxisMotion
     reference_BS: Rotation
     weight_n_m_per_rad: float
+    is_swept: bool
 
     @property
     def name(self) -> str:
@@ -157,15 +159,16 @@ def _turn(
 ) -> AxisTurn | None:
     """Return the turn about one axis from where the longest span is, with the spans that are near it; None if few."""
     reference = log.orientation_BS[max(spans, key=len).slice].mean()
-    near, crossed, widest = [], 0.0, 0.0
+    near, crossed, widest, is_swept = [], 0.0, 0.0, False
     for span in spans:
         away = np.asarray((reference.inv() * log.orientation_BS[span.slice]).as_rotvec())
         aside = np.linalg.norm(np.delete(away, index, axis=1), axis=1)
         if float(np.max(aside)) < _LARGEST_ASIDE_RAD and float(np.max(np.abs(away))) < _LARGEST_TURN_RAD:
             near.append(span)
             steps = np.abs(np.diff(low_pass(away[:, index], log.period_s, _RATE_BAND_HZ)))
-            crossed += float(np.sum(steps[steps > _TURNING_RAD_S * log.period_s]))
-            widest = max(widest, float(np.ptp(away[:, index])))
+            way, width = float(np.sum(steps[steps > _TURNING_RAD_S * log.period_s])), float(np.ptp(away[:, index]))
+            crossed, widest = crossed + way, max(widest, width)
+            is_swept |= way >= _FEWEST_CROSSINGS * width
     if widest < _SMALLEST_TURN_RAD or crossed < _FEWEST_CROSSINGS * widest:
         return None
     moment = gravity.compensated_torque_S_n_m(log)
@@ -179,6 +182,7 @@ def _turn(
         ),
         reference_BS=reference,
         weight_n_m_per_rad=_weight_stiffness(gravity, reference, index),
+        is_swept=is_swept,
     )
     # Position is interpolated by cubic splines, orientation by straight turns, which would flatten a fast sweep.
     along = aligned_position(replace(recording, pose=turned.unrolled(recording.pose))) @ turned.motion.direction_B

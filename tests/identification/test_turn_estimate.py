@@ -29,7 +29,7 @@ from identification.robot.coupling import CouplingFit, FreeMotion, Noise, identi
 from identification.robot.position_loop import identify_robot
 from identification.signals.aligned import align
 from identification.signals.segments import Span, find_motion
-from identification.turn_estimate import fit_about_axis, identify_turn, inertia_findings, path_of
+from identification.turn_estimate import fit_about_axis, identify_turn, inertia_findings, is_change_of_pose, path_of
 from identification.verdicts import unidentifiable
 from problems.arrays import FloatArray
 from problems.model.axis_kind import LEVER_M
@@ -140,6 +140,28 @@ def test_the_inertia_of_a_turn_is_compared_with_the_tensors(value: float, std: f
         assert "Axis rx" in found[0].message
         assert "0.48 ± 0.00048" in found[0].message
     assert inertia_findings(fit, turn, unknown) == ()
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        ({}, True),
+        ({"is_swept": True}, False),
+        ({"holds": (Span(start=5, stop=9),)}, False),
+        ({"stiffness": replace(unidentifiable(), ci95=(1.0, 9.0))}, False),
+        ({"stiffness": Estimate(value=6e3, std=60.0, status=Status.IDENTIFIED)}, False),
+    ],
+    ids=["turned", "swept", "pressed", "bounded", "identified"],
+)
+def test_a_change_of_pose_is_no_sweep_with_a_bad_fit(change: dict[str, Any], expected: bool) -> None:
+    turn = replace(any_turn(0.0), is_swept=change.get("is_swept", False))
+    result: Any = SimpleNamespace(
+        estimate=SimpleNamespace(
+            coupling=SimpleNamespace(stiffness_n_per_m=change.get("stiffness", unidentifiable(note="not swept")))
+        ),
+        contacts=SimpleNamespace(holds=change.get("holds", ())),
+    )
+    assert is_change_of_pose(turn, result) is expected
 
 
 def held_up(angle: FloatArray, load: Load, weight: float) -> FloatArray:

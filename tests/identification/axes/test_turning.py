@@ -113,6 +113,17 @@ def test_an_unrolled_turn_is_a_path_at_the_lever() -> None:
     np.testing.assert_allclose(commanded.command_m, commanded.position_m, rtol=0.0, atol=1e-12)
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize(("angle", "is_swept"), [(5.0 * sweep(6.0, RATE_HZ), True), (to_and_fro(times=3), False)])
+def test_a_sweep_goes_to_and_fro_without_a_rest(angle: FloatArray, is_swept: bool, sign: float) -> None:
+    rest = np.zeros(400)
+    swept = np.concatenate([rest, angle, rest])
+    # A sweep remains one beside larger turns from rest to rest.
+    for turned in (swept, np.concatenate([swept, to_and_fro(angle=0.3)])):
+        (turn,) = turns_of(recorded(np.outer(sign * turned, [0.0, 1.0, 0.0])))
+        assert turn.is_swept is is_swept
+
+
 def test_a_command_without_orientation_says_so() -> None:
     recording = recorded(np.outer(to_and_fro(), [0.0, 0.0, 1.0]))
     (turn,) = turns_of(recording)
