@@ -4,7 +4,7 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from scipy.signal import detrend
+import scipy
 
 from problems.model.axis_kind import LEVER_M
 from problems.progress import ProgressSlice
@@ -83,7 +83,7 @@ def unidentified_turn(turn: AxisTurn) -> Finding:
 def _noise(cell: CellSignals, unrolled: Unrolled) -> float:
     """Return the force's noise at rest on the path, drift taken out, as the median rest has it."""
     rests = [unrolled.axis.force_n[span.slice] for span in cell.motion.still]
-    return float(np.median([np.std(detrend(force)) for force in rests]))
+    return float(np.median([np.std(scipy.signal.detrend(force)) for force in rests]))
 
 
 def path_of(torque: tuple[float, float]) -> tuple[float, float]:

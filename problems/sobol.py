@@ -1,6 +1,7 @@
 """Points of a Sobol' sequence."""
 
 import numpy as np
+import scipy
 
 from .arrays import FloatArray
 
@@ -10,7 +11,5 @@ def sobol_points(width: int, count: int, *, seed: int | None) -> FloatArray:
 
     A power of two covers every part of the cube alike.
     """
-    from scipy.stats import qmc  # noqa: PLC0415 - takes half a second to import, and is not always needed
-
     rng = None if seed is None else np.random.default_rng(seed)
-    return np.asarray(qmc.Sobol(width, scramble=seed is not None, rng=rng).random(count))
+    return np.asarray(scipy.stats.qmc.Sobol(width, scramble=seed is not None, rng=rng).random(count))

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import welch
+import scipy
 
 from autotune.charts.chart import (
     Band,
@@ -243,7 +243,7 @@ def _spectrum(signals: Sequence[FloatArray], period_s: float) -> tuple[FloatArra
     kept = [signal for signal in signals if len(signal) >= window]
     if not kept:
         return None
-    found = [welch(signal, 1.0 / period_s, nperseg=window) for signal in kept]
+    found = [scipy.signal.welch(signal, 1.0 / period_s, nperseg=window) for signal in kept]
     power = np.average([p for _, p in found], axis=0, weights=[len(signal) for signal in kept])
     return np.asarray(found[0][0][1:]), np.asarray(power[1:])
 

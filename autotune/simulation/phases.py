@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.signal import butter, sosfilt
+import scipy
 
 from autotune.recording.motions import FreeMotions, smooth_ramp
 from problems.arrays import BoolArray, FloatArray
@@ -131,8 +131,8 @@ def _poses(program: Program, h: float) -> Script:
 def _jogging(program: Program, h: float, rng: np.random.Generator) -> Script:
     """Lead the payload by hand: slow pushes of random strength, homed softly, silent at both ends."""
     samples = round(program.jogging_s / h)
-    sections = butter(2, _GUIDED_BAND_HZ, fs=1.0 / h, output="sos")
-    force = sosfilt(sections, rng.standard_normal(samples))
+    sections = scipy.signal.butter(2, _GUIDED_BAND_HZ, fs=1.0 / h, output="sos")
+    force = scipy.signal.sosfilt(sections, rng.standard_normal(samples))
     force *= program.jogging_force_n / max(float(np.std(force)), 1e-12)
     edge, homing = max(2, round(0.5 / h)), min(round(_HOMING_S / h), samples // 2)
     push, hold = np.ones(samples), np.ones(samples)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
+import scipy
 from scipy.linalg import expm, schur
 
 from autotune.formats.controller_record import Controller
@@ -161,9 +162,8 @@ class _Continuous:
 
 def _continuous(plant: CoupledPlant, *, touching: bool) -> _Continuous:
     """Write Newton's equations: M q'' = −F − B q' − Jᵀ (K_e J q + B_e J q'), F = K (q − x) + B (q' − x')."""
-    from scipy.signal import tf2ss  # noqa: PLC0415 - half a second, for axes that share a payload only
-
-    k, robots = len(plant.plants), [tf2ss(each.robot.numerator, each.robot.denominator) for each in plant.plants]
+    k = len(plant.plants)
+    robots = [scipy.signal.tf2ss(each.robot.numerator, each.robot.denominator) for each in plant.plants]
     filters = [each.wrench_filter.time_constant_s for each in plant.plants]
     orders = [len(robot[0]) for robot in robots]
     first = np.concatenate([[0], np.cumsum(orders)]).astype(int)
@@ -213,8 +213,6 @@ def _delays(plant: CoupledPlant, sample_time_s: float) -> tuple[list[int], list[
 
 def _law_parts(law: AdmittanceController, sample_time_s: float) -> list[tuple[FloatArray, ...]]:
     """Return A(1 + C_ff) N, C_fb and P̂ O_a in their Tustin form, as state-space systems by scipy."""
-    from scipy.signal import cont2discrete, tf2ss  # noqa: PLC0415 - half a second, for axes that share a payload only
-
     v, a = law.velocity_filter_rad_per_s, law.acceleration_filter_rad_per_s
     zero, pole = law.biquad_zero_s, law.biquad_pole_s
     above = np.trim_zeros(np.array([zero**2, 2.0 * law.biquad_zero_damping_ratio * zero, 1.0]), "f")
@@ -229,7 +227,8 @@ def _law_parts(law: AdmittanceController, sample_time_s: float) -> list[tuple[Fl
         if not any(top):
             found.append((np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.zeros((1, 1))))
             continue
-        parts = cont2discrete(tf2ss(np.trim_zeros(top, "f"), bottom), sample_time_s, method="bilinear")[:4]
+        system = scipy.signal.tf2ss(np.trim_zeros(top, "f"), bottom)
+        parts = scipy.signal.cont2discrete(system, sample_time_s, method="bilinear")[:4]
         found.append(tuple(np.atleast_2d(np.asarray(each, dtype=np.float64)) for each in parts))
     return found
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+import scipy
 from scipy.linalg import expm
 
 from autotune.formats.limits import VariableDampingSettings
@@ -234,10 +235,8 @@ def _biquad(law: AdmittanceController, h: float) -> tuple[tuple[float, float, fl
     """Return the coefficients of the biquad in powers of z⁻¹ by scipy's bilinear rule, 1 without one."""
     if not law.has_biquad:
         return (1.0, 0.0, 0.0), (0.0, 0.0)
-    from scipy.signal import bilinear  # noqa: PLC0415 - half a second, for laws with a biquad only
-
     zero, pole = law.biquad_zero_s, law.biquad_pole_s
-    above, below = bilinear(
+    above, below = scipy.signal.bilinear(
         [zero**2, 2.0 * law.biquad_zero_damping_ratio * zero, 1.0],
         [pole**2, 2.0 * law.biquad_pole_damping_ratio * pole, 1.0],
         fs=1.0 / h,

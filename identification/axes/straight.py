@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from scipy.interpolate import make_interp_spline
-from scipy.signal import find_peaks
 from scipy.spatial.transform import Rotation
 
 from problems.arrays import FloatArray
@@ -216,7 +216,8 @@ def find_ringing(
 def _taps(axis: AxisMotion, span: Span, noise_rms_n: float, period_s: float) -> list[Span]:
     force = np.abs(axis.force_n[span.slice] - np.median(axis.force_n[span.slice]))
     lowest = max(_NOISES * noise_rms_n, _TAP_SHARE * float(np.max(force)))
-    peaks = find_peaks(np.pad(force, 1), height=lowest, distance=max(1, round(_BETWEEN_TAPS_S / period_s)))[0] - 1
+    apart = max(1, round(_BETWEEN_TAPS_S / period_s))
+    peaks = scipy.signal.find_peaks(np.pad(force, 1), height=lowest, distance=apart)[0] - 1
     last = min(span.stop + round(_BEHIND_S / period_s), len(axis.force_n))
     let_go = round(_LET_GO_S / period_s)
     edges = [*(span.start + int(peak) - let_go for peak in peaks), last]

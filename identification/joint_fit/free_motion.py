@@ -5,7 +5,7 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-from scipy.signal import detrend
+import scipy
 
 from problems.arrays import FloatArray
 
@@ -155,7 +155,7 @@ def quiet_rests(data: JointData) -> list[slice]:
 
 def detrended(values: FloatArray) -> FloatArray:
     """Return values (n,) without their straight line."""
-    return np.asarray(detrend(values))
+    return np.asarray(scipy.signal.detrend(values))
 
 
 def centred(values: FloatArray) -> FloatArray:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import lfilter, oaconvolve, welch
+import scipy
 from scipy.special import chdtrc
 
 from problems.arrays import FloatArray
@@ -31,7 +31,7 @@ class Whitener:
 
     def apply(self, columns: FloatArray) -> FloatArray:
         """Whiten along the first axis; the samples without a past are left out."""
-        return np.asarray(lfilter(self.coefficients / self.rms, [1.0], columns, axis=0)[self.order :])
+        return np.asarray(scipy.signal.lfilter(self.coefficients / self.rms, [1.0], columns, axis=0)[self.order :])
 
 
 def fit_whitener(residuals: Sequence[FloatArray]) -> Whitener:
@@ -76,7 +76,7 @@ class Smoother:
         """
         if self.taps is None:
             return np.full(len(values), mean)
-        return np.asarray(oaconvolve(values - mean, self.taps, mode="valid") + mean)
+        return np.asarray(scipy.signal.oaconvolve(values - mean, self.taps, mode="valid") + mean)
 
 
 def fit_smoother(moving: Sequence[FloatArray], resting: Sequence[FloatArray], period_s: float) -> Smoother:
@@ -108,7 +108,7 @@ def _spectrum(spans: Sequence[FloatArray], length: int, period_s: float) -> tupl
     long = [s for s in spans if len(s) >= length]
     if not long:
         return np.empty(0), 0.0
-    parts = [welch(s, 1.0 / period_s, nperseg=length, detrend="linear")[1] for s in long]
+    parts = [scipy.signal.welch(s, 1.0 / period_s, nperseg=length, detrend="linear")[1] for s in long]
     weights = np.array([len(s) // length for s in long], dtype=float)
     return np.average(parts, axis=0, weights=weights), float(np.sum(weights))
 

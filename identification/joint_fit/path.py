@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
+import scipy
 from scipy.interpolate import CubicSpline, make_interp_spline
-from scipy.signal import cont2discrete, lfilter
 
 from problems.arrays import FloatArray
 
@@ -236,8 +236,8 @@ def smooth_answer(values: FloatArray, command_m: FloatArray, period_s: float) ->
     late = path(np.clip(ticks - delay_s / period_s, 0.0, count - 1.0)) - command_m[0]
     answers = []
     for numerator in (poles[-1:], np.append(poles[-1:], 0.0)):
-        b, a, _ = cont2discrete((numerator, poles), period_s / _FINER, method="foh")
-        answers.append(lfilter(np.ravel(b), a, late)[::_FINER])
+        b, a, _ = scipy.signal.cont2discrete((numerator, poles), period_s / _FINER, method="foh")
+        answers.append(scipy.signal.lfilter(np.ravel(b), a, late)[::_FINER])
     place, speed = command_m[0] + answers[0], period_s * answers[1]
     out = np.column_stack([place, speed, np.zeros(count), np.zeros(count)])
     way = np.diff(place)
@@ -311,8 +311,8 @@ def given_way(values: FloatArray, force_n: FloatArray, period_s: float) -> Float
     """
     omega = float(values[0])
     poles = [1.0, omega] if len(values) == 2 else [1.0, 2.0 * float(values[1]) * omega, omega**2]
-    b, a, _ = cont2discrete(([poles[-1]], poles), period_s, method="foh")
-    place, out = lfilter(np.ravel(b), a, force_n - force_n[0]), np.empty((len(force_n), 4))
+    b, a, _ = scipy.signal.cont2discrete(([poles[-1]], poles), period_s, method="foh")
+    place, out = scipy.signal.lfilter(np.ravel(b), a, force_n - force_n[0]), np.empty((len(force_n), 4))
     # By parts: the equations of a long log's spline would be the most that is ever in memory.
     for first in range(0, len(place), _PART):
         ticks = np.arange(first, min(first + _PART, len(place)))
@@ -376,7 +376,7 @@ class SensorDynamics:
             keep = math.exp(-period_s / self.time_constant_s)
             late = 1.0 - math.exp(-(1.0 - fraction) * period_s / self.time_constant_s)
             pushed = np.concatenate([[0.0], (1.0 - keep) * before[:-1] + late * jumps[:-1]])
-            shown = np.asarray(lfilter([1.0], [1.0, -keep], pushed))
+            shown = np.asarray(scipy.signal.lfilter([1.0], [1.0, -keep], pushed))
             return shown if self.delay_s == 0.0 else _later(shown, self.delay_s / period_s)
         ticks = np.arange(len(before)) - self.delay_s / period_s
         whole = np.floor(ticks)
@@ -406,7 +406,7 @@ def low_passed(forces: FloatArray, time_constant_s: float, period_s: float) -> F
         sum(weight * each for weight, each in zip(b[k:], past, strict=False)) + (keep * older if k == 1 else 0.0)
         for k in (1, 2, 3)
     ]
-    shown = lfilter(b, [1.0, -keep], newest, axis=-1, zi=np.concatenate(state, axis=-1))[0]
+    shown = scipy.signal.lfilter(b, [1.0, -keep], newest, axis=-1, zi=np.concatenate(state, axis=-1))[0]
     return np.concatenate([older, shown], axis=-1)
 
 

@@ -9,8 +9,8 @@ u holds something that follows the speed, and is left without it as slow motion 
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from scipy.interpolate import make_interp_spline
-from scipy.signal import butter, cont2discrete, lfilter, sosfiltfilt
 
 from problems.arrays import FloatArray
 
@@ -74,13 +74,13 @@ def take_out_turning(data: JointData, problem: Problem, point: Point) -> Without
 
 
 def _smoothed(signal: FloatArray, period_s: float) -> FloatArray:
-    return np.asarray(sosfiltfilt(_low_pass(_HIGHEST_HZ, period_s), signal))
+    return np.asarray(scipy.signal.sosfiltfilt(_low_pass(_HIGHEST_HZ, period_s), signal))
 
 
 def _low_pass(cutoff_hz: float, period_s: float) -> FloatArray:
     """Return a filter as sections, below what a slow log can show whatever the fit says of the payload's frequency."""
     cutoff_hz = min(cutoff_hz, _HIGHEST_SHARE / period_s)
-    return np.asarray(butter(_ORDER, cutoff_hz, fs=1.0 / period_s, output="sos"))
+    return np.asarray(scipy.signal.butter(_ORDER, cutoff_hz, fs=1.0 / period_s, output="sos"))
 
 
 def _without_drag(turning: FloatArray, problem: Problem, point: Point) -> FloatArray:
@@ -95,7 +95,7 @@ def _without_drag(turning: FloatArray, problem: Problem, point: Point) -> FloatA
         first, last = max(segment.start - margin, 0), min(segment.stop + margin, len(speed))
         speed[first:last] = np.pad(mine, (segment.start - first, last - segment.stop), mode="edge")
         if len(segment) * period >= _LONG_S:
-            seen, moved = (sosfiltfilt(slow, each) for each in (turning[segment.slice], mine))
+            seen, moved = (scipy.signal.sosfiltfilt(slow, each) for each in (turning[segment.slice], mine))
             along, square = along + float(seen @ moved), square + float(moved @ moved)
     return turning - (along / square if square > 0.0 else 0.0) * speed
 
@@ -116,7 +116,7 @@ def _weights(problem: Problem, count: int) -> FloatArray:
 
 def _as_path(force_n: FloatArray, values: FloatArray, period_s: float) -> FloatArray:
     """Return w with K_s w + B_s w' = u, value and derivatives over factorials per sample (n, 4)."""
-    top, bottom, *_ = cont2discrete(([1.0], [float(values[1]), float(values[0])]), period_s, method="foh")
-    path = make_interp_spline(np.arange(len(force_n)), lfilter(np.ravel(top), bottom, force_n), k=5)
+    top, bottom, *_ = scipy.signal.cont2discrete(([1.0], [float(values[1]), float(values[0])]), period_s, method="foh")
+    path = make_interp_spline(np.arange(len(force_n)), scipy.signal.lfilter(np.ravel(top), bottom, force_n), k=5)
     ticks = np.arange(len(force_n))
     return np.column_stack([path(ticks, nu=order) / over for order, over in ((0, 1.0), (1, 1.0), (2, 2.0), (3, 6.0))])

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.signal import butter, sosfiltfilt
+import scipy
 
 from problems.arrays import FloatArray
 from problems.text import significant
@@ -106,8 +106,8 @@ def _beside(motion: AdmittanceMotion, fit: AdmittanceRobotFit) -> tuple[FloatArr
     steps = (motion.moved_m_s - robot_response(whole, fit.model)) * np.diff(motion.edge_s)
     way = np.concatenate([[0.0], np.cumsum(steps)])
     usual_s = float(np.median(np.diff(motion.edge_s)))
-    slow = butter(2, min(2.0 * _SLOW_HZ * usual_s, 0.9), output="sos")
-    return motion.edge_s, np.asarray(sosfiltfilt(slow, way, padlen=0))
+    slow = scipy.signal.butter(2, min(2.0 * _SLOW_HZ * usual_s, 0.9), output="sos")
+    return motion.edge_s, np.asarray(scipy.signal.sosfiltfilt(slow, way, padlen=0))
 
 
 def _is_off(fit: AdmittanceRobotFit) -> bool:

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from scipy.interpolate import CubicSpline
 from scipy.optimize import least_squares
-from scipy.signal import cont2discrete, lfilter
 from scipy.special import stdtrit
 
 from problems.arrays import FloatArray
@@ -291,9 +291,9 @@ def robot_response(motion: AdmittanceMotion, model: RobotModel) -> FloatArray:
     The admittance's velocity is taken as linear between its samples; the antiderivative of the response, which is
     smooth, is read T before the stamps of the pose.
     """
-    discrete = cont2discrete((model.numerator, model.denominator), motion.period_s, method="foh")
+    discrete = scipy.signal.cont2discrete((model.numerator, model.denominator), motion.period_s, method="foh")
     begin = motion.asked_m_s[0] if motion.approach_m_s is None else motion.approach_m_s
-    velocity = begin + lfilter(np.squeeze(discrete[0]), discrete[1], motion.asked_m_s - begin)
+    velocity = begin + scipy.signal.lfilter(np.squeeze(discrete[0]), discrete[1], motion.asked_m_s - begin)
     path = CubicSpline(np.arange(len(velocity)) * motion.period_s, velocity).antiderivative()
     read_s = motion.edge_s - model.delay_s
     late = path(np.maximum(read_s, 0.0)) + begin * np.minimum(read_s, 0.0)

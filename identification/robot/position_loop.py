@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+import scipy
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.interpolate import CubicSpline
 from scipy.optimize import least_squares
-from scipy.signal import cont2discrete, lfilter
 
 from problems.arrays import FloatArray
 from problems.model.robot import RobotModel
@@ -138,7 +138,7 @@ def robot_response(model: RobotModel, command: FloatArray, period_s: float, coun
     whole, fraction = split_delay(model.delay_s, period_s)
     numerator, denominator = held_robot(model, period_s, fraction)
     late = np.concatenate([np.zeros(whole), command[: len(command) - whole]])
-    return np.asarray(lfilter(numerator, denominator, late))
+    return np.asarray(scipy.signal.lfilter(numerator, denominator, late))
 
 
 def _smooth(command: FloatArray, period_s: float) -> Callable[..., FloatArray]:
@@ -153,8 +153,8 @@ def _smooth(command: FloatArray, period_s: float) -> Callable[..., FloatArray]:
         samples = len(command) if count is None else count
         time = np.arange(samples * _FINER) * step - model.delay_s
         late = path(np.clip(time, 0.0, path.x[-1]))
-        discrete = cont2discrete((model.numerator, model.denominator), step, method="foh")
-        return np.asarray(lfilter(np.squeeze(discrete[0]), discrete[1], late)[::_FINER])
+        discrete = scipy.signal.cont2discrete((model.numerator, model.denominator), step, method="foh")
+        return np.asarray(scipy.signal.lfilter(np.squeeze(discrete[0]), discrete[1], late)[::_FINER])
 
     return answer
 

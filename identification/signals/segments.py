@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+import scipy
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import uniform_filter1d
-from scipy.signal import butter, sosfiltfilt
 
 from problems.arrays import BoolArray, FloatArray, IntArray
 
@@ -47,18 +47,18 @@ def low_pass(values: FloatArray, period_s: float, cutoff_hz: float) -> FloatArra
     sections = _sections(min(cutoff_hz, 0.45 / period_s), 1.0 / period_s)
     known = finite_rows(values.reshape(len(values), -1))
     if bool(np.all(known)):
-        return np.asarray(sosfiltfilt(sections, values, axis=0))
+        return np.asarray(scipy.signal.sosfiltfilt(sections, values, axis=0))
     smooth = np.full(values.shape, np.nan)
     for span in spans_of(np.asarray(known)):
         if len(span) > _FEWEST_FILTERED:
-            smooth[span.slice] = sosfiltfilt(sections, values[span.slice], axis=0)
+            smooth[span.slice] = scipy.signal.sosfiltfilt(sections, values[span.slice], axis=0)
     return smooth
 
 
 @lru_cache(maxsize=32)
 def _sections(cutoff_hz: float, rate_hz: float) -> FloatArray:
     """Return the low-pass (2, 6): its design takes as long as filtering a second."""
-    return np.asarray(butter(3, cutoff_hz, fs=rate_hz, output="sos"))
+    return np.asarray(scipy.signal.butter(3, cutoff_hz, fs=rate_hz, output="sos"))
 
 
 def rate_of(values: FloatArray, period_s: float) -> FloatArray:

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from scipy.ndimage import median_filter
-from scipy.signal import detrend, welch
 
 from problems.arrays import FloatArray
 
@@ -92,7 +92,7 @@ def identify_sensor_noise(log: AlignedLog, still: Sequence[Span], wrench: Wrench
         return None
     torque = log.torque_S_n_m if log.has_torque else np.zeros_like(log.force_S_n)
     held = (np.hstack([log.force_S_n[rest], torque[rest]]) for rest in rests)
-    pieces = _quiet([np.asarray(detrend(each, axis=0)) for each in held])
+    pieces = _quiet([np.asarray(scipy.signal.detrend(each, axis=0)) for each in held])
     frequency, density, segments = _spectrum(pieces, 1.0 / log.period_s)
     samples = np.array([len(piece) for piece in pieces], dtype=np.float64)
     # Detrending takes two degrees of freedom of each rest.
@@ -140,7 +140,7 @@ def _spectrum(pieces: Sequence[FloatArray], rate_hz: float) -> tuple[FloatArray,
     held = [piece for piece in pieces if len(piece) >= length]
     total, weight, frequency = np.zeros((length // 2 + 1, 6)), 0, np.zeros(length // 2 + 1)
     for piece in held:
-        frequency, power = welch(piece, fs=rate_hz, nperseg=length, detrend="linear", axis=0)
+        frequency, power = scipy.signal.welch(piece, fs=rate_hz, nperseg=length, detrend="linear", axis=0)
         count = 1 + 2 * (len(piece) - length) // length
         total, weight = total + count * power, weight + count
     return frequency, total / weight, weight

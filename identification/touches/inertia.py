@@ -4,9 +4,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import nnls
-from scipy.signal import bilinear, lfilter, savgol_filter
 
 from problems.arrays import FloatArray
 
@@ -123,7 +123,7 @@ def without_turning(
     width = _even_width(signals)
     if count < width:
         return tuple(found), ()
-    rate = np.asarray(savgol_filter(turn_rad_s, width, 2, axis=0))
+    rate = np.asarray(scipy.signal.savgol_filter(turn_rad_s, width, 2, axis=0))
     fast = np.linalg.norm(rate, axis=1) > _TURNING_RAD_S
     spans = [
         Span(start=i * count + part.start, stop=i * count + part.stop)
@@ -151,14 +151,16 @@ def _turning_columns(found: Sequence[AxisTouches], rate: FloatArray, width: int)
     """Return the columns (3 n, 4) of m and m c, and the force (3 n,): the three axes one behind the other."""
     period = found[0].signals.period_s
     speed, change = (
-        np.column_stack([savgol_filter(a.signals.travel_m, width, 2, deriv=d, delta=period) for a in found])
+        np.column_stack(
+            [scipy.signal.savgol_filter(a.signals.travel_m, width, 2, deriv=d, delta=period) for a in found]
+        )
         for d in (1, 2)
     )
     linear = change + np.cross(rate, speed)
-    turning = np.asarray(savgol_filter(rate, width, 2, deriv=1, delta=period, axis=0))
+    turning = np.asarray(scipy.signal.savgol_filter(rate, width, 2, deriv=1, delta=period, axis=0))
     about = [np.cross(turning, arm) + np.cross(rate, np.cross(rate, arm)) for arm in np.eye(3)]
     columns = -np.stack([linear, *about], axis=-1)
-    force = np.stack([savgol_filter(axis.signals.force_n, width, 2) for axis in found])
+    force = np.stack([scipy.signal.savgol_filter(axis.signals.force_n, width, 2) for axis in found])
     return columns.transpose(1, 0, 2).reshape(-1, 4), force.reshape(-1)
 
 
@@ -271,7 +273,8 @@ def _swung(motion: FloatArray, hz: float, ratio: float, period_s: float) -> Floa
     omega = 2.0 * np.pi * hz
     rate = 0.5 * omega / np.tan(0.5 * omega * period_s)  # Tustin's form with the mode where it is
     damped = 2.0 * ratio / omega
-    return np.asarray(lfilter(*bilinear([damped, 1.0], [omega**-2.0, damped, 1.0], rate), motion))
+    numerator, denominator = scipy.signal.bilinear([damped, 1.0], [omega**-2.0, damped, 1.0], rate)
+    return np.asarray(scipy.signal.lfilter(numerator, denominator, motion))
 
 
 def _even_width(signals: AxisSignals) -> int:
