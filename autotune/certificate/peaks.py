@@ -308,8 +308,8 @@ def _weights(whole: FloatArray, is_endless: bool) -> FloatArray | None:
         return np.ones(len(whole))
     w = np.ones(len(whole))
     for _ in range(200):
-        w = whole @ w + 1e-9 * np.max(w)
-        w /= np.max(w)
+        w = whole @ w + 1e-9 * w.max()
+        w /= w.max()
     return w if np.all(np.isfinite(whole)) and np.all(whole @ w * _OUT < w) else None
 
 

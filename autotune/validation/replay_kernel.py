@@ -207,10 +207,20 @@ def next_damping(schedule: DampingSchedule, damping: float, speed: float) -> flo
 
 
 @equation
+def moved(phi: FloatArray, gamma: FloatArray, state: FloatArray, command: float) -> FloatArray:
+    """Return phi state + gamma command, row by row: for so few states a call of BLAS takes longer than its work."""
+    out = gamma * command
+    for row in range(len(out)):
+        for column in range(len(state)):
+            out[row] += phi[row, column] * state[column]
+    return out
+
+
+@equation
 def over_sample(step: SampleStep, state: FloatArray, older: float, newer: float) -> FloatArray:
     """Return the state one sample later."""
-    between = step.phi_older @ state + step.gamma_older * older
-    return step.phi_newer @ between + step.gamma_newer * newer
+    between = moved(step.phi_older, step.gamma_older, state, older)
+    return moved(step.phi_newer, step.gamma_newer, between, newer)
 
 
 @equation
@@ -244,7 +254,7 @@ def contact_sample(
             return ahead
     for sub in range(SUBSTEPS):
         side = contact.near if is_touching(contact, state) else contact.far
-        state = side.phi @ state + side.gamma * (older if sub < contact.late else newer)
+        state = moved(side.phi, side.gamma, state, older if sub < contact.late else newer)
     return state
 
 
@@ -273,11 +283,11 @@ def moving_sample(
             if force < 0.0:
                 wall[_JOINED], wall[_PLACE], wall[_SPEED] = 0.0, state[_PAYLOAD], state[_VELOCITY]
         if wall[_JOINED] == 1.0:
-            state = contact.near.phi @ state + contact.near.gamma * command
+            state = moved(contact.near.phi, contact.near.gamma, state, command)
             wall[_PLACE], wall[_SPEED] = state[_PAYLOAD], state[_VELOCITY]
             wall[_FORCE] = joined_force(contact, state, command)
         else:
-            state = contact.far.phi @ state + contact.far.gamma * command
+            state = moved(contact.far.phi, contact.far.gamma, state, command)
             wall[:2], wall[_FORCE] = contact.alone @ wall[:2], 0.0
     return state, wall
 

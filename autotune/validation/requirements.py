@@ -318,7 +318,10 @@ def _weighed_squares(moves: FloatArray, spectrum: RelativeSpectrum, h: float) ->
 
 
 class _Plants:
-    """Plants of one robot order (p,), advanced together by a sample at a time, each with its own delay."""
+    """Plants of one robot order (p,), advanced together by a sample at a time, each with its own delay.
+
+    The plants are the last axis, along which numpy is fast.
+    """
 
     def __init__(self, plants: Sequence[Plant], h: float) -> None:
         matrices = [build_plant_matrices(plant, h) for plant in plants]
@@ -328,35 +331,37 @@ class _Plants:
         self.is_split = np.array(fraction) > _NOTHING
         before = [hold(m.a, m.b, share) for m, share in zip(matrices, fraction, strict=True)]
         after = [hold(m.a, m.b, 1.0 - share) for m, share in zip(matrices, fraction, strict=True)]
-        self.before = np.array([phi for phi, _ in before]), np.array([gamma for _, gamma in before])
-        self.after = np.array([phi for phi, _ in after]), np.array([gamma for _, gamma in after])
-        self.c_force = np.array([m.c_force for m in matrices])
-        self.c_position = np.array([m.c_position for m in matrices])
+        both = list(zip(before, after, strict=True))
+        # What a sample makes of the state, of the older command and of the newer one.
+        self.step = np.stack([late_phi @ early_phi for (early_phi, _), (late_phi, _) in both], axis=-1)
+        self.older = np.stack([late_phi @ early_gamma for (_, early_gamma), (late_phi, _) in both], axis=-1)
+        self.newer = np.stack([gamma for _, gamma in after], axis=-1)
+        self.c_force = np.stack([m.c_force for m in matrices], axis=-1)
+        self.c_position = np.stack([m.c_position for m in matrices], axis=-1)
         self.d_force = np.array([m.d_force for m in matrices])
         # Without any delay the force at a tick depends on the command of that tick, which depends on it.
         self.direct = np.where((self.whole == 0) & ~self.is_split, self.d_force, 0.0)
         self.state = np.zeros(self.c_force.shape)
-        self.rows = np.arange(len(plants))
+        self.columns = np.arange(len(plants))
         # The newest command first.
         self.commands = np.zeros((int(np.max(self.whole)) + 2, len(plants)))
 
     def force(self) -> FloatArray:
         """Return F, where the delay ends at a tick that of right after it; what the next command adds is `direct`."""
         age = np.where(self.is_split, self.whole, np.maximum(self.whole - 1, 0))
-        held = (self.d_force - self.direct) * self.commands[age, self.rows]
-        return np.asarray(np.sum(self.c_force * self.state, axis=1) + held)
+        held = (self.d_force - self.direct) * self.commands[age, self.columns]
+        return np.asarray(np.einsum("np,np->p", self.c_force, self.state) + held)
 
     def position(self) -> FloatArray:
         """Return the flange's position."""
-        return np.asarray(np.sum(self.c_position * self.state, axis=1))
+        return np.asarray(np.einsum("np,np->p", self.c_position, self.state))
 
     def advance(self, command: FloatArray) -> None:
         """Send a command and advance by a sample."""
         self.commands = np.vstack([command, self.commands[:-1]])
-        older = np.where(self.is_split, self.commands[self.whole + 1, self.rows], 0.0)
-        newer = self.commands[self.whole, self.rows]
-        for (phi, gamma), held in ((self.before, older), (self.after, newer)):
-            self.state = np.einsum("pij,pj->pi", phi, self.state) + gamma * held[:, None]
+        older = np.where(self.is_split, self.commands[self.whole + 1, self.columns], 0.0)
+        newer = self.commands[self.whole, self.columns]
+        self.state = np.einsum("mnp,np->mp", self.step, self.state) + self.older * older + self.newer * newer
 
 
 def passive_band_hz(

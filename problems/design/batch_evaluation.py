@@ -16,7 +16,8 @@ from ..arrays import FloatArray, IntArray
 from ..contact.transient import Approach, SampledContact, longest_run
 from ..errors import ParameterError
 from ..model.controller import THETA, AdmittanceController
-from ..model.sampled import SampledPlant, build_loop, spectral_radius
+from ..model.radii import spectral_radii
+from ..model.sampled import SampledPlant, build_loop
 from ..stability.margin_kernel import DELAY_S, GAIN_DB, MARGINS, MODULUS, PHASE_RAD
 from ..stability.margins import check_finite
 from ..stability.polynomials import DOUBTFUL, STABLE, UNSTABLE
@@ -348,11 +349,10 @@ class BatchEvaluator:
             found.objective_rows[index] = self.prepared.problem.objective.costs(asked, design)
 
     def _radius(self, whole: FloatArray, designs: FloatArray) -> FloatArray:
-        radius = np.zeros(len(whole))
-        for i in np.flatnonzero(whole[:, VERDICT] == UNSTABLE):
-            failed = self.prepared.plants[int(whole[i, FAILED])].sampled
-            loop = build_loop(failed, self.prepared.problem.controller(designs[i]))
-            radius[i] = max(spectral_radius(loop), 1.0)
+        radius, unstable = np.zeros(len(whole)), np.flatnonzero(whole[:, VERDICT] == UNSTABLE)
+        failed = [self.prepared.plants[int(plant)].sampled for plant in whole[unstable, FAILED]]
+        laws = [self.prepared.problem.controller(design) for design in designs[unstable]]
+        radius[unstable] = np.maximum(spectral_radii(list(map(build_loop, failed, laws))), 1.0)
         return radius
 
     def _rows(

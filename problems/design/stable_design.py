@@ -6,12 +6,11 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, TypeVar
 
-import numpy as np
-
 from ..arrays import FloatArray
 from ..contact.transient import Approach, SampledContact, transient_from
 from ..model.controller import AdmittanceController
 from ..model.plant import WrenchFilter
+from ..model.radii import spectral_radii
 from ..model.robot import RobotModel
 from ..model.sampled import Controller, SampledLoop, SampledPlant, build_loop, spectral_radius
 from ..stability.margins import Margins, PreparedMargins
@@ -40,11 +39,15 @@ class Peak:
 
 @dataclass(frozen=True, kw_only=True)
 class StableLoop:
-    """One sampled plant with a controller that it is stable with; `prepared` is what its margins are found with."""
+    """One sampled plant with a controller that it is stable with; `prepared` is what its margins are found with.
+
+    `known_radius` is its spectral radius, where that was found together with others.
+    """
 
     sampled: SampledPlant
     controller: Controller
     prepared: PreparedMargins | None = None
+    known_radius: float | None = None
 
     @property
     def sample_time_s(self) -> float:
@@ -59,7 +62,7 @@ class StableLoop:
     @cached_property
     def spectral_radius(self) -> float:
         """The largest |z| of the loop."""
-        return spectral_radius(self.matrices)
+        return spectral_radius(self.matrices) if self.known_radius is None else self.known_radius
 
     @cached_property
     def margins(self) -> Margins:
@@ -144,7 +147,13 @@ class StableDesign:
     @cached_property
     def radii(self) -> FloatArray:
         """The spectral radius of every plant's loop (p,)."""
-        return np.array([self.loop(i).spectral_radius for i in range(len(self.prepared.plants))])
+        plants, law = self.prepared.plants, self.controller
+        found = spectral_radii([build_loop(plant.sampled, law) for plant in plants])
+        self._loops = {
+            i: StableLoop(sampled=plant.sampled, controller=law, prepared=plant, known_radius=radius)
+            for i, (plant, radius) in enumerate(zip(plants, found.tolist(), strict=True))
+        }
+        return found
 
     def loop(self, plant: int) -> StableLoop:
         """Return the loop of one plant."""
