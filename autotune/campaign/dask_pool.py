@@ -63,8 +63,10 @@ class DaskPool(Executor):
 def dask_executor(scheduler: str, jobs: int) -> Iterator[tuple[Executor, str]]:
     """Yield the executor of a Dask cluster and its dashboard's address: `dask` starts one here, else its own address.
 
-    Raises MissingExtraError without Dask, UsageError where the cluster does not answer.
+    Raises MissingExtraError without Dask, UsageError for what is neither, or where the cluster does not answer.
     """
+    if scheduler != "dask" and "://" not in str(scheduler):
+        raise UsageError(f"--scheduler must be dask, or an address as in tcp://head:8786; found {scheduler}.")
     require_extra("--scheduler", "distributed", "dask")
     from distributed import Client, LocalCluster  # noqa: PLC0415 - takes a second
 

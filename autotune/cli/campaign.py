@@ -102,11 +102,8 @@ def command(
     """
     from autotune.campaign.options import RunOptions
     from autotune.campaign.text import outcome_text
-    from autotune.errors import UsageError
     from autotune.processes import count_processors
 
-    if scheduler is not None and scheduler != "dask" and "://" not in scheduler:
-        raise UsageError(f"--scheduler must be dask, or an address as in tcp://head:8786; found {scheduler}.")
     check_report(report, [manifest] if manifest.is_file() else [])
     options = RunOptions(optimize=optimize, seed=seed, allow_partial=allow_partial, salvage=salvage)
     count = jobs or count_processors()

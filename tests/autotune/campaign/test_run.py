@@ -339,6 +339,8 @@ def test_a_campaign_from_python_takes_any_executor_and_shows_what_came_of_it(log
     assert sum(shares) == pytest.approx(1.0)
     with pytest.raises(UsageError, match="nothing is not there; name a folder of logs"):
         run_campaign(tmp_path / "nothing", tmp_path / "out")
+    with pytest.raises(UsageError, match=r"^scheduler must be dask, or an address as in tcp://head:8786; found 3\.$"):
+        run_campaign(logs, tmp_path / "out", scheduler=3)  # type: ignore[arg-type]
 
 
 def test_from_python_logs_in_deeper_folders_are_warned_of_where_the_campaign_is_called(
