@@ -19,7 +19,7 @@ from pathlib import Path
 
 from autotune.errors import UsageError
 
-from .kinds import check_replaced, kind_of
+from .kinds import check_replaceable, kind_of
 
 _PROCESS = re.compile(r"(?P<where>[0-9a-f]{8})-(?P<process>[0-9]+)-(?P<mark>[0-9a-f]{16})")
 _NAME = re.compile(rf"\.autotune-(?P<of>{_PROCESS.pattern})\.(?P<end>tmp|old)")
@@ -143,7 +143,7 @@ def check_target(
     """Raise UsageError now if `write_atomic` could not write there later: worth asking before long work.
 
     With `sources`, what the work reads, the target may be none of them, nor a file that is not one of the tool's own.
-    With `kind` it may be none but one of that kind (`is_own` as in `autotune.formats.kinds.check_replaced`).
+    With `kind` it may be none but one of that kind (`is_own` as in `autotune.formats.kinds.check_replaceable`).
     `option` is what names the target on the command line.
     """
     folder = Path(path).resolve().parent
@@ -157,7 +157,7 @@ def check_target(
                 f"{path} is what is read, and would be replaced by the result; name another file with {option}."
             )
     if kind is not None:
-        check_replaced(path, kind, option=option, is_own=is_own)
+        check_replaceable(path, kind, option=option, is_own=is_own)
     elif sources is not None and kind_of(Path(path)) is None:
         raise UsageError(
             f"{path} exists and is no file of this tool, so it is not replaced; name another one with {option}."

@@ -156,21 +156,36 @@ def describe_existing(path: Path | str) -> str:
     return f"the {kind} of checksum {short(found)}" if tree.get("checksum") == found else f"a {kind} that is not whole"
 
 
-def check_replaced(
-    path: Path | str, kind: str, *, option: str = "-o", is_own: Callable[[Path], bool] | None = None
-) -> str:
+def check_replaced(path: Path | str, kind: str, *, option: str = "-o") -> str:
     """Return what a file of `kind` will replace, in words as `describe_existing`; "" where nothing would be lost.
 
-    `is_own` decides instead of `kind_of` for kinds that this module does not know, such as exports. Raises UsageError
-    where another file exists: only a file of the same kind is replaced.
+    Raises UsageError as `check_replaceable`.
+    """
+    check_replaceable(path, kind, option=option)
+    try:
+        return describe_existing(path)
+    except OSError as error:
+        raise _unreadable(path, error) from error
+
+
+def check_replaceable(
+    path: Path | str, kind: str, *, option: str = "-o", is_own: Callable[[Path], bool] | None = None
+) -> None:
+    """Raise UsageError where another file exists: only a file of the same kind is replaced.
+
+    `is_own` decides instead of `kind_of` for kinds that this module does not know, such as exports.
     """
     path = Path(path)
     try:
         found = kind_of(path)
         if found == "" or (found == kind if is_own is None else is_own(path)):
-            return describe_existing(path)
+            return
     except OSError as error:
-        raise UsageError(f"{path} cannot be read: {error.strerror or error}.") from error
+        raise _unreadable(path, error) from error
     noun = "file of this tool" if found is None and is_own is None else _noun(kind)
     what = f" ({_noun(found)})" if found is not None else ""
     raise UsageError(f"{path} exists and is no {noun}{what}, so it is not replaced; name another one with {option}.")
+
+
+def _unreadable(path: Path | str, error: OSError) -> UsageError:
+    return UsageError(f"{path} cannot be read: {error.strerror or error}.")
