@@ -31,6 +31,8 @@ _CORNER = 60.0
 # What the fading part has at least, which holds what lies above π/h.
 _LEAST_FADING = 0.1
 _SMALL, _DIGITS = 1e-4, 4
+# Of the rows of the program each so many-th is taken at first; so many join it at a time, that miss by more than this.
+_EACH, _JOINING, _SAME_ROOM = 16, 40, 1e-9
 
 
 def spring_response(
@@ -74,7 +76,7 @@ def find_multiplier(families: Sequence[Family], law: Controller) -> Multiplier |
     for answer in answers:
         sprung = answer + 1.0 / stiffness
         rows.append(np.real(columns * (sprung / np.abs(sprung) / scale)[:, None]))
-    found = _most_room(np.concatenate(rows))
+    found = most_room(np.concatenate(rows))
     if found is None:
         return None
     kept = [float(f"{each:.{_DIGITS}g}") if each > _SMALL else 0.0 for each in found]
@@ -129,8 +131,26 @@ def _plants(family: Family) -> list[Plant]:
     return [free.plant(point) for point in points]
 
 
-def _most_room(rows: FloatArray) -> FloatArray | None:
-    """Return weights ≥ 0 of sum 1 that make the least of rows·weights the largest; None where it is not above 0."""
+def most_room(rows: FloatArray) -> FloatArray | None:
+    """Return weights ≥ 0 of sum 1 that make the least of rows·weights the largest; None where it is not above 0.
+
+    Few of the rows bind: a program of some is solved, and those that its weights miss most join it, until none is left.
+    """
+    taken = np.zeros(len(rows), dtype=bool)
+    taken[::_EACH] = True
+    while (found := _most_room_of(rows[taken])) is not None:
+        weights, least = found[:-1], found[-1]
+        room = np.where(taken, np.inf, rows @ weights)
+        missed = np.argsort(room, kind="stable")[:_JOINING]
+        missed = missed[room[missed] < (1.0 - _SAME_ROOM) * least]
+        if not len(missed):
+            return weights
+        taken[missed] = True
+    return None
+
+
+def _most_room_of(rows: FloatArray) -> FloatArray | None:
+    """Solve the linear program of these rows; return the weights with the least of rows·weights behind them."""
     count = rows.shape[1]
     bounded = np.concatenate([-rows, np.ones((len(rows), 1))], axis=1)
     fading = np.zeros(count + 1)
@@ -145,4 +165,4 @@ def _most_room(rows: FloatArray) -> FloatArray | None:
     )
     if not found.success or not found.x[-1] > 0.0:
         return None
-    return np.asarray(found.x[:-1])
+    return np.asarray(found.x)
