@@ -65,16 +65,17 @@ def file_paths(name: str, given: object) -> tuple[Path, ...]:
     raise UsageError(f"{name} must be the path of a file or several in a list, found {_kind(given)}.")
 
 
-def count(name: str, given: object, *, least: int = 0) -> int:
-    """Return a whole number of at least `least`; raises UsageError for anything else."""
+def count(name: str, given: object, *, least: int = 0, most: int | None = None) -> int:
+    """Return a whole number of at least `least`, and at most `most`; raises UsageError for anything else."""
     try:
         if isinstance(given, bool):
             raise TypeError(name)
         found = index(given)  # type: ignore[arg-type]
     except TypeError:
         found = least - 1
-    if found < least:
-        raise UsageError(f"{name} must be a whole number of at least {least}, found {shown(given)}.")
+    if found < least or (most is not None and found > most):
+        allowed = f"of at least {least}" if most is None else f"from {least} to {most}"
+        raise UsageError(f"{name} must be a whole number {allowed}, found {shown(given)}.")
     return found
 
 

@@ -17,6 +17,7 @@ from autotune.formats.limits import Biquad
 from autotune.formats.plant import Plant
 from autotune.formats.units import axis_units
 from autotune.formats.yaml12 import dump_yaml
+from autotune.processes import MOST_SAMPLES
 from autotune.results import Identification, Validation
 from autotune.shown import Progress, ResultTable, Shown, data_frame, reporting
 from autotune.text import NOTHING_BEFORE, scenario_text, stiffness_text
@@ -287,7 +288,7 @@ class Design(Shown):
         """
         from autotune.validation.verify import verify  # noqa: PLC0415 - what validates is not needed before
 
-        samples, seed = count("samples", samples), count("seed", seed)
+        samples, seed = count("samples", samples, most=MOST_SAMPLES), count("seed", seed)
         with reporting(progress, "validating", 2.0 if samples else 1.0) as report:
             return Validation(checks=verify(self.controller, samples=samples, seed=seed, progress=report).checks)
 

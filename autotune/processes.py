@@ -18,6 +18,9 @@ from autotune.errors import UsageError
 _Task = TypeVar("_Task")
 _Result = TypeVar("_Result")
 
+# Plants that a validation simulates at most, all of whose peaks are kept: ten minutes of two processors for the demo's.
+MOST_SAMPLES = 10_000_000
+
 _THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 # Left to itself, glibc keeps the holes that large arrays of a long log leave; with a threshold of its own it would give
 # back and ask again for what smaller arrays take by turns.

@@ -16,6 +16,7 @@ from identification.errors import EstimateError
 from identification.result import Finding
 
 _SHORTEST_S = 20.0
+_LONGEST_S = 1e7  # 116 days
 """A window must hold a few poses at rest, a sweep or a contact."""
 _MOST_USED = 8
 _OF_A_SURFACE, _OF_A_COUPLING = ".stiffness_n_per_m", ".coupling_stiffness_n_per_m"
@@ -76,8 +77,8 @@ class Window:
 def window_length_s(said: float | str) -> float:
     """Return the length of windows [s] out of a number or a text as `10min`; raises ValueError where it is none."""
     seconds = parse_quantity(str(said), "duration").value
-    if not _SHORTEST_S <= seconds < math.inf:
-        raise ValueError(f"must be {_SHORTEST_S:g} s or longer, for example 10min.")
+    if not _SHORTEST_S <= seconds <= _LONGEST_S:
+        raise ValueError(f"must be from {_SHORTEST_S:g} s to {_LONGEST_S:g} s, for example 10min.")
     return seconds
 
 

@@ -148,7 +148,7 @@ def _check_whole(known: KnownPayload, read: ReadLog, fits: BoolArray) -> None:
     sample = 0.5 * (read.poses[before].span.stop + read.poses[after].span.start)
     raise PayloadChangedError(
         f"The payload of {known.source} explains the force at rest on one side of {sample * read.log.period_s:.2f} s "
-        "only: payload or bias changed there.",
+        "only: payload or bias changed there, or all rests beyond it are contacts.",
         "Cut the log there.",
         read.log.start_ns,
         sample * read.log.period_s,

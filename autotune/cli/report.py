@@ -5,6 +5,7 @@ from pathlib import Path
 import click
 
 from autotune.formats.kinds import LOG
+from autotune.processes import MOST_SAMPLES
 
 from ._common import Output, output_options
 from ._options import LOGS, SETTINGS, FilePath, GroupedCommand, PresentType, output_option
@@ -38,7 +39,7 @@ _SEARCH = b'-convergence"'
 )
 @click.option(
     "--samples",
-    type=click.IntRange(0),
+    type=click.IntRange(0, MOST_SAMPLES),
     default=256,
     show_default=True,
     help="Plants of each certified set to simulate with all disturbances; 0: none.",

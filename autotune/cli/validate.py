@@ -10,6 +10,7 @@ import click
 
 from autotune.formats.kinds import LOG, name_of
 from autotune.formats.units import ROTATIONAL_AXES, axis_units
+from autotune.processes import MOST_SAMPLES
 
 from ._common import Output, output_options
 from ._optimized import limit_lines
@@ -111,7 +112,7 @@ def _force_limit(ctx: click.Context, param: click.Parameter, value: str | None) 
 @salvage_option
 @click.option(
     "--samples",
-    type=click.IntRange(0),
+    type=click.IntRange(0, MOST_SAMPLES),
     default=256,
     show_default=True,
     help="Plants drawn from the certified set to simulate with deadband, noise, clipping and late commands; 0: none.",

@@ -163,14 +163,16 @@ def commanded_motion(recording: Recording, command: PoseSignal, log: AlignedLog,
 def _moving_ns(log: AlignedLog, axis: AxisMotion, command_ns: StampArray, pose_ns: StampArray) -> tuple[float, float]:
     """Return from when to when the axis moves, with 0.3 s of rest on both sides; of a log with holes the longest part.
 
-    A part begins at rest; after a hole that is the first span that begins 0.3 s or more behind it.
+    A part begins at rest; after a hole, and in a log that begins in motion, that is the first span that begins 0.3 s or
+    more behind it, where there is one.
     """
     spans = [
         (log.start_ns + log.time_s[s.start] * 1e9, log.start_ns + log.time_s[s.stop - 1] * 1e9) for s in axis.spans
     ]
     gaps = [(float(ns[i]), float(ns[i + 1])) for ns in (command_ns, pose_ns) for i in find_gaps(ns).tolist()]
     parts = []
-    for begin in (-np.inf, *(stop for _, stop in gaps)):
+    is_moved = len(axis.spans) > 1 and axis.spans[0].start == 0
+    for begin in (float(log.start_ns) if is_moved else -np.inf, *(stop for _, stop in gaps)):
         end = min([start for start, _ in gaps if start > begin], default=np.inf)
         # Clipped where they run over a hole of the command that the pose does not have.
         inside = [(a, min(b, end)) for a, b in spans if begin + _REST_NS <= a < end]

@@ -27,6 +27,8 @@ SHARPEST_DELAY_SAMPLES = 1e-3
 UNSEEN_SHARE, HIGHEST_PART_HZ = 0.05, 120.0
 _SWING_STIFFNESS_SHARE, _SWING_DAMPING_SHARE = 0.02, 0.1
 _FREE_MISFITS, _CONTACT_MISFITS = 40, 10
+# Where the profile over K_s is looked at, up to fifteen times softer and stiffer, and from which rise on it ends.
+_APART, _PLACES, _RUN_OUT = 1.4, 8, 25.0
 _LEVEL = 3.841  # the 95 % quantile of χ² with one degree of freedom
 _PROFILE_STEPS = 3
 _TRIES = 3
@@ -144,6 +146,41 @@ def _excess(scores: FloatArray) -> FloatArray:
     values, vectors = np.linalg.eigh(used.T @ used)
     limit = (1.0 + np.sqrt(scores.shape[1] / len(used))) ** 2
     return np.asarray((vectors * np.where(values > limit, values - 1.0, 0.0)) @ vectors.T)
+
+
+def along_stiffness(problem: Problem, point: Point, blocks: Sequence[Block], spread: Spread) -> Spread:
+    """Return the covariance by the profile likelihood over K_s, where its curvature does not know K_s to 2 %.
+
+    A spring that hardly gives has many minima with little between them, each as sharp as if it were the only one. The
+    second moments of log K_s, and of what moves with it, are those of e^(−Δ/2), Δ being the rise of −2 log L with all
+    other parameters fitted again; beside them stays what all are uncertain by at one K_s. Of two such covariances the
+    one with the larger deviation of K_s counts.
+    """
+    local = spread.covariance
+    if local[0, 0] < _KNOWN_SHARE**2:
+        return spread
+    part, start = _part(problem, point, blocks, 0)
+    sizes = sizes_of(point.values, problem.layout, problem.signals.period_s)
+    floor, level = cost(part, start), float(local[0, 0] / spread.plain[0, 0])
+    held, moves, rises = replace(part, fixed=(*part.fixed, 0)), [np.zeros(len(sizes))], [0.0]
+    for way in (1, -1):
+        at = start
+        for place in range(1, _PLACES + 1):
+            values = at.values.copy()
+            values[0] = start.values[0] * _APART ** (way * place)
+            at, there = minimise(held, replace(at, values=values), _PROFILE_STEPS)
+            moves.append((at.values - point.values) / sizes)
+            moves[-1][0] = way * place * np.log(_APART)
+            rises.append((there - floor) / level)
+            if not rises[-1] < _RUN_OUT:
+                break
+    shares = np.exp(-0.5 * (np.array(rises) - min(rises)))
+    profile = np.einsum("k,ki,kj->ij", shares / np.sum(shares), np.array(moves), np.array(moves))
+    if profile[0, 0] <= local[0, 0]:
+        return spread
+    covariance = local - np.outer(local[0], local[0]) / local[0, 0] + profile
+    widening = float(np.sqrt(np.max(np.diag(covariance) / np.diag(spread.plain))))
+    return replace(spread, covariance=covariance, widening=widening)
 
 
 def other_minima(problem: Problem, point: Point, spread: Spread) -> Spread:

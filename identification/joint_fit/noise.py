@@ -5,13 +5,15 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy
-from scipy.special import chdtrc
+from scipy.special import chdtrc, fdtri, ndtr
 
 from problems.arrays import FloatArray
 
 _ORDERS = (0, 1, 2, 4, 8, 16, 24)
-_SMOOTHED_BINS = 5
-_CHANCES = 4.5
+# Neighbouring bins of a spectrum that are averaged; a window is worth so many squares of normal numbers then.
+_SMOOTHED_BINS, _FREEDOMS = 5, 6.0
+# In standard deviations of a normal law. With fewer windows at rest than enough, so many more bins are averaged.
+_CHANCES, _ENOUGH = 4.5, 4.0
 _WINDOW_S = 0.2
 _LAGS = 40
 _SPLINE_HALF_WIDTH = 24
@@ -89,9 +91,15 @@ def fit_smoother(moving: Sequence[FloatArray], resting: Sequence[FloatArray], pe
     signal, signal_count = _spectrum(moving, length, period_s)
     if min(noise_count, signal_count) < 1.0:
         return Smoother(taps=None)
-    ratio = _smoothed(signal) / np.maximum(_smoothed(noise), 1e-300)
-    chance = np.sqrt((1.0 / noise_count + 1.0 / signal_count) / (0.6 * _SMOOTHED_BINS))
-    keep = np.where(ratio > 1.0 + _CHANCES * chance, 1.0 - 1.0 / np.maximum(ratio, 1e-300), 0.0)
+    few = noise_count < _ENOUGH
+    bins = 2 * round(0.5 * _SMOOTHED_BINS * _ENOUGH / noise_count) + 1 if few else _SMOOTHED_BINS
+    ratio = _smoothed(signal, _SMOOTHED_BINS) / np.maximum(_smoothed(noise, bins), 1e-300)
+    if few:
+        # A bin of so few windows may well be small by chance: the ratio of two spectra of one noise follows F.
+        least = fdtri(_FREEDOMS * signal_count, _FREEDOMS * _ENOUGH, ndtr(_CHANCES))
+    else:
+        least = 1.0 + _CHANCES * np.sqrt(2.0 * (1.0 / noise_count + 1.0 / signal_count) / _FREEDOMS)
+    keep = np.where(ratio > least, 1.0 - 1.0 / np.maximum(ratio, 1e-300), 0.0)
     if not np.any(keep > 0.0):
         return Smoother(taps=None)
     taps = np.fft.fftshift(np.fft.irfft(keep, length))
@@ -113,11 +121,11 @@ def _spectrum(spans: Sequence[FloatArray], length: int, period_s: float) -> tupl
     return np.average(parts, axis=0, weights=weights), float(np.sum(weights))
 
 
-def _smoothed(values: FloatArray) -> FloatArray:
-    half = _SMOOTHED_BINS // 2
+def _smoothed(values: FloatArray, bins: int) -> FloatArray:
+    half = bins // 2
     # The lowest bin is the detrended one: its neighbour speaks for it.
     padded = np.pad(np.concatenate([values[1:2], values[1:]]), half, mode="reflect")
-    return np.convolve(padded, np.full(_SMOOTHED_BINS, 1.0 / _SMOOTHED_BINS), mode="valid")
+    return np.convolve(padded, np.full(bins, 1.0 / bins), mode="valid")
 
 
 def whiteness(residuals: Sequence[FloatArray]) -> float:

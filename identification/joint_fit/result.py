@@ -10,7 +10,15 @@ from problems.frozen import freeze
 from problems.model.robot import RobotModel
 
 from ..fit_quality import FitQuality
-from .covariance import Spread, bounded_intervals, count_misfits, other_minima, widened, with_competing_minimum
+from .covariance import (
+    Spread,
+    along_stiffness,
+    bounded_intervals,
+    count_misfits,
+    other_minima,
+    widened,
+    with_competing_minimum,
+)
 from .data import HeldCommand
 from .latency import CompetingMinimum, WrenchLatency
 from .model import robot_model
@@ -144,7 +152,8 @@ def build_joint_fit(
     """Turn the minimum into a result; the delay counts from the command and not from the tick before it."""
     layout, blocks = problem.layout, linearise(problem, point)
     share, ratio = _fit(problem, point, rest_rms_n)
-    spread = other_minima(problem, point, widened(blocks, len(layout), problem.signals.period_s))
+    spread = along_stiffness(problem, point, blocks, widened(blocks, len(layout), problem.signals.period_s))
+    spread = other_minima(problem, point, spread)
     blurred = command is not None and command.is_mean
     spread = with_competing_minimum(problem, point, spread, competing, blurred=blurred)
     spread = count_misfits(problem, spread, ratio)

@@ -43,6 +43,13 @@ WRONG: dict[str, Callable[[], Any]] = {
     "Nothing called massx": lambda: at.identify("run.mcap", given={"massx": 1.0}),
 }
 
+
+def test_more_than_enough_is_refused_with_the_range() -> None:
+    assert count("samples", 10, most=10) == 10
+    with pytest.raises(at.UsageError, match="samples must be a whole number from 0 to 10, found 11"):
+        count("samples", 11, most=10)
+
+
 NO_KIND = " must be a controller.yaml, identified.yaml or plant.yaml, found no format entry."
 
 

@@ -40,6 +40,13 @@ def test_a_pose_without_motion_is_taken_for_noise() -> None:
     np.testing.assert_array_equal(Smoother(taps=None).spline(noise[0], 0.5), np.full(6000, 0.5))
 
 
+def test_beside_one_short_rest_noise_is_taken_for_noise() -> None:
+    """A window of 0.4 s has bins that are small by chance, beside which the same noise is no motion."""
+    rng = np.random.default_rng(RNG_SEED)
+    for _ in range(200):
+        assert fit_smoother([rng.standard_normal(9000)], [rng.standard_normal(700)], 0.8e-3).taps is None
+
+
 def test_what_is_smoothed_away_does_not_bias_a_slope() -> None:
     """Errors in the regressor pull a slope towards zero; with Wiener's filter they do not."""
     rng, slope = np.random.default_rng(RNG_SEED), 3.0
