@@ -39,7 +39,7 @@ from .checksums import FILES, Checksums
 from .manifest import STATE
 from .work import RunOutcome, RunTask, parse_outcome
 
-TRIED_AGAIN = ("killed", "unforeseen")
+TRIED_AGAIN = ("killed", "unforeseen", "unreadable")
 """Refusals that are none of the log: the next campaign tries such a run again."""
 _LEASE = timedelta(seconds=120)
 _RENEWAL_S = 5.0
@@ -55,7 +55,7 @@ _RUNS = Table(
     Column("cell", Text, primary_key=True),
     Column("run", Text, primary_key=True),
     Column("key", Text, nullable=False),
-    Column("state", Text, nullable=False),  # waiting, running, done, refused, killed, unforeseen
+    Column("state", Text, nullable=False),  # waiting, running, done, refused, or one of TRIED_AGAIN
     Column("attempts", Integer, nullable=False),
     Column("owner", Text, nullable=False),
     Column("host", Text, nullable=False),
@@ -103,7 +103,7 @@ class CampaignState:
     def look(self, tasks: Sequence[RunTask]) -> Sight:
         """Return what is known of the tasks that this process does not hold.
 
-        A run of which the first look shows that it was killed has no result until somebody tries it again.
+        A run of which the first look shows that it is to be tried again has no result until somebody tries it again.
         """
         now, sight = self._now(), Sight()
         shown = (_RUNS, (_RUNS.c.lease > now).label("is_held"), (_RUNS.c.ended > now - _LEASE).label("is_new"))

@@ -182,7 +182,8 @@ def _key_of(said: Mapping[str, Any]) -> str:
 def work_on(task: RunTask) -> RunOutcome:
     """Identify a run, search its controller, and write all that is known as one folder; a refusal is a result too.
 
-    What was not foreseen ends the run and not the campaign; nothing is written of it, so that it is tried again.
+    What was not foreseen, or a file that cannot be read, ends the run and not the campaign; nothing is written of it,
+    so that it is tried again.
     """
     others = [path.name for path in task.folder.glob("*") if path.name not in _WRITTEN or path.is_dir()]
     _check_others(task.folder, others)
@@ -194,6 +195,8 @@ def work_on(task: RunTask) -> RunOutcome:
                 return _check_again(task, task.known)
             outcome = _identify_and_tune(task, files)
         except Exception as error:  # noqa: BLE001 - one log must not end the work on all others
+            if _is_unreadable(error, task):
+                return task.refused("unreadable", f"{error} It is tried again by the next campaign.")
             return task.refused("unforeseen", f"Unforeseen {type(error).__name__}: {error}")
     try:
         if files:
@@ -232,9 +235,10 @@ def _check_others(folder: Path, others: Sequence[str]) -> None:
 
 def _check_again(task: RunTask, known: RunOutcome) -> RunOutcome:
     """Return a result that is known with the controller that the manifest names now; what was written stays."""
-    outside = _broken(task.run.controller)
-    if task.run.controller is not None and _IDENTIFIED in known.files:
-        outside = _outside(task.run.controller, read_identified(task.folder / _IDENTIFIED).result)
+    if _IDENTIFIED in known.files:
+        outside = _outside(task, read_identified(task.folder / _IDENTIFIED).result)
+    else:
+        outside = _broken(task)
     return replace(known, key=task.key, outside=outside)
 
 
@@ -254,23 +258,41 @@ def _identify_and_tune(task: RunTask, files: dict[str, str]) -> RunOutcome:
             files[_IDENTIFIED] = path.read_text(encoding="utf-8")
             result = parse_identified(files[_IDENTIFIED], path).result
             outcome = replace(outcome, recorded_s=known.recorded_s, values=known.values, damage=known.damage)
-        if run.controller is not None:
-            outcome = replace(outcome, outside=_outside(run.controller, result))
+        outcome = replace(outcome, outside=_outside(task, result))
         if task.options.optimize:
             outcome = _tune(task, files, outcome)
     except AutotuneError as error:
+        if _is_unreadable(error, task):
+            raise
         kind = next((name for of, name in _STEPS.items() if isinstance(error, of)), "usage")
-        outside = _broken(run.controller) if outcome.outside is None else outcome.outside
+        outside = _broken(task) if outcome.outside is None else outcome.outside
         return replace(outcome, refused=kind, reason=str(error), outside=outside)
     return outcome
 
 
-def _broken(controller: Path | None) -> tuple[str, ...] | None:
+def _is_unreadable(error: Exception, task: RunTask) -> bool:
+    """Return whether an error is that a file cannot be read or is gone, which the bytes of the key do not imply.
+
+    What is only wrong in a file may be an OSError of a library too, which has no number then.
+    """
+    reason: BaseException | None = error if isinstance(error, AutotuneError) else None
+    while reason is not None:
+        if isinstance(reason, OSError) and reason.errno is not None:
+            return True
+        reason = reason.__cause__
+    run = task.run
+    files = (*run.logs, run.cell_file, run.problem, run.controller, task.options.urdf)
+    return isinstance(error, AutotuneError) and not all(path is None or path.exists() for path in files)
+
+
+def _broken(task: RunTask) -> tuple[str, ...] | None:
     """Return why a controller's file certifies nothing, None where it may hold: without a log nobody knows more."""
     try:
-        if controller is not None:
-            read_controller(controller)
+        if task.run.controller is not None:
+            read_controller(task.run.controller)
     except AutotuneError as error:
+        if _is_unreadable(error, task):
+            raise
         return (str(error).rstrip("."),)
     return None
 
@@ -287,13 +309,17 @@ def _damage(result: Identified) -> str:
     return " ".join(finding.message for finding in result.findings if finding.code == "salvaged")
 
 
-def _outside(controller: Path, result: Identified) -> tuple[str, ...]:
+def _outside(task: RunTask, result: Identified) -> tuple[str, ...] | None:
     """Return what of a plant lies outside of what a controller is certified for, or why its file certifies nothing."""
     from autotune.validation.domain import check_domain  # noqa: PLC0415 - compiles
 
+    if task.run.controller is None:
+        return None
     try:
-        checks = check_domain(read_controller(controller).controller, result)
+        checks = check_domain(read_controller(task.run.controller).controller, result)
     except AutotuneError as error:
+        if _is_unreadable(error, task):
+            raise
         return (str(error).rstrip("."),)
     return tuple(f"axis {each.axis}, {each.name}: {each.message}" for each in checks if not each.passed)
 
