@@ -50,6 +50,13 @@ class LoggedRun:
         """Cell and run, as in messages and as the folder of the results."""
         return f"{self.cell}/{self.run}"
 
+    def in_any_folder(self) -> "LoggedRun":
+        """Return the run with absolute paths, for processes that have another current folder."""
+        said = (None if path is None else path.absolute() for path in (self.cell_file, self.problem, self.controller))
+        cell_file, problem, controller = said
+        logs = tuple(path.absolute() for path in self.logs)
+        return replace(self, logs=logs, cell_file=cell_file, problem=problem, controller=controller)
+
 
 def read_manifest(
     path: Path, *, may_be_empty: bool = False, note: Callable[[str], None] | None = None

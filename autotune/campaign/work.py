@@ -148,13 +148,14 @@ def build_task(run: LoggedRun, folder: Path, options: RunOptions, of_log: Callab
     """Return the task of a run; its key is the SHA-256 of version, options and the bytes of every file.
 
     What the manifest says of the run's options goes before those of the campaign. `of_log` returns the SHA-256 of a
-    log, which may be known already.
+    log, which may be known already. Paths of the task are absolute: who works on it may have another current folder.
 
     Raises UsageError where a file cannot be read.
     """
     files = {"cell_file": run.cell_file, "problem": run.problem}
     options = replace(options, **run.options)
     if options.urdf is not None:
+        options = replace(options, urdf=options.urdf.absolute())
         files["urdf"] = options.urdf
     try:
         digests = {key: None if path is None else digest_of(path) for key, path in files.items()}
@@ -166,8 +167,8 @@ def build_task(run: LoggedRun, folder: Path, options: RunOptions, of_log: Callab
     read = {**said, "options": replace(options, optimize=True, seed=0).tree(), "problem": None}
     identified_key, own_key, key = (_key_of(each) for each in (read, said, {**said, "controller": controller}))
     return RunTask(
-        run=run,
-        folder=folder / CELLS / run.cell / run.run,
+        run=run.in_any_folder(),
+        folder=folder.absolute() / CELLS / run.cell / run.run,
         key=key,
         own_key=own_key,
         identified_key=identified_key,

@@ -11,7 +11,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
+from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import closing, contextmanager, suppress
 from dataclasses import replace
 from multiprocessing import active_children
@@ -20,6 +20,7 @@ from typing import Any
 
 import pytest
 
+from autotune.campaign import work
 from autotune.campaign.dask_pool import dask_executor
 from autotune.campaign.manifest import STATE, LoggedRun, read_manifest
 from autotune.campaign.options import RunOptions
@@ -31,6 +32,8 @@ from autotune.errors import UsageError
 from autotune.pipeline import IdentifyOptions
 from autotune.processes import worker_environment
 from identification.errors import LogError
+from identification.logs.containers.formats import sha256_of
+from tests.autotune.own_process import FORKED
 
 TEXT = "no log at all\n"
 
@@ -154,6 +157,46 @@ def test_what_the_manifest_says_of_a_run_goes_before_the_options_of_the_campaign
     monkeypatch.setattr("autotune.campaign.work.identify_log", refusing)
     work_on(build_task(spanned, tmp_path, RunOptions(salvage=True, allow_partial=True)))
     assert seen == [IdentifyOptions(stop=30.0, allow_partial=True)]
+
+
+def _all_read(task: RunTask, files: dict[str, str]) -> RunOutcome:
+    """A run of which every file is read, of whichever path a message may speak."""
+    named = (*task.run.logs, task.run.cell_file, task.run.problem, task.run.controller, task.options.urdf)
+    files["identified.yaml"] = "".join(f"{path}: {sha256_of(path)}\n" for path in named if path is not None)
+    return RunOutcome(cell=task.run.cell, run=task.run.run, key=task.key, damage=files["identified.yaml"])
+
+
+def _elsewhere(folder: Path) -> None:
+    os.chdir(folder)
+    work._identify_and_tune = _all_read
+
+
+def test_workers_in_another_folder_read_and_write_the_same(
+    logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (elsewhere := tmp_path / "elsewhere").mkdir()
+    for name in ("cell", "problem", "controller"):
+        (logs / f"{name}.yaml").write_text(f"format: autotune/{name}\nversion: 1\n", encoding="utf-8")
+    (logs / "arm.urdf").write_text("<robot/>", encoding="utf-8")
+    (logs / "runs.csv").write_text(
+        "cell,log,cell_file,problem,controller,urdf\n"
+        "a,cell0/run0.csv;cell0/run1.csv,cell.yaml,problem.yaml,controller.yaml,arm.urdf\n",
+        encoding="utf-8",
+    )
+    monkeypatch.setattr("autotune.campaign.work._identify_and_tune", _all_read)
+    runs = read_manifest(Path("logs/runs.csv"))
+    here = work_on_runs(runs, Path("here"), executor=Counting())
+    with ProcessPoolExecutor(1, mp_context=FORKED, initializer=_elsewhere, initargs=(elsewhere,)) as executor:
+        there = work_on_runs(runs, Path("there"), executor=executor)
+    assert [f"{os.sep}{name}: " in here[0].damage for name in ("run1.csv", "cell.yaml", "arm.urdf")] == [True] * 3
+    written = []
+    for folder, outcomes in (("here", here), ("there", there)):
+        write_tables(tmp_path / folder, outcomes)
+        files = ("campaign.csv", "cells/a/run0/identified.yaml")
+        written.append([(tmp_path / folder / name).read_bytes() for name in files])
+    assert written[0] == written[1]
+    assert list(elsewhere.iterdir()) == []
 
 
 @pytest.mark.parametrize(("outside", "holds"), [(None, None), ((), True), (("axis x",), False)])
