@@ -2,6 +2,7 @@
 
 import csv
 import re
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -25,6 +26,7 @@ _COLUMNS = ("cell", "log", "run", "cell_file", "problem", "controller")
 _FILES = ("cell_file", "problem", "controller")
 _NAME = re.compile(r"[\w.+-][\w .+-]*")
 _BESIDE = ("cell.yaml", "problem.yaml", "controller.yaml")
+_LEAST_REST_S = 5.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,6 +102,50 @@ def _check_settings(runs: Iterable[LoggedRun]) -> None:
         read_cell(path)
     for path in dict.fromkeys(run.problem for run in runs if run.problem is not None):
         read_problem(path)
+
+
+class LogWatch:
+    """Looks again and again at the runs of a manifest, and tells those whose logs may still grow.
+
+    A log rests when it is as it was at the look before, and was last changed `rest_s` ago or earlier: the time between
+    two looks, but at least 5 s. At the first look, or where its time lies in the future, one of both must do.
+    """
+
+    def __init__(self, interval_s: float) -> None:
+        self.rest_s = max(interval_s, _LEAST_REST_S)
+        self._seen: dict[str, tuple[int, int] | None] | None = None
+        self._waiting: set[str] = set()
+
+    def look(self, runs: Sequence[LoggedRun]) -> tuple[tuple[LoggedRun, ...], tuple[str, ...]]:
+        """Return the runs whose logs rest, and the names of those that wait and did not at the look before."""
+        now_ns, before = time.time_ns(), self._seen
+        self._seen = {run.name: _state(run) for run in runs}
+        rested = tuple(run for run in runs if self._rests(self._seen[run.name], run.name, before, now_ns))
+        waiting = {run.name for run in runs} - {run.name for run in rested}
+        new = tuple(run.name for run in runs if run.name in waiting - self._waiting)
+        self._waiting = waiting
+        return rested, new
+
+    def _rests(
+        self,
+        state: tuple[int, int] | None,
+        name: str,
+        before: Mapping[str, tuple[int, int] | None] | None,
+        now_ns: int,
+    ) -> bool:
+        is_old = state is not None and state[1] <= now_ns - round(1e9 * self.rest_s)
+        if state is None or before is None:
+            return is_old
+        return before.get(name) == state and (is_old or state[1] > now_ns)
+
+
+def _state(run: LoggedRun) -> tuple[int, int] | None:
+    """Return the size of the logs of a run and when they were last changed [ns]; None where one cannot be looked at."""
+    try:
+        found = [each.stat() for log in run.logs for each in (log, *(log.rglob("*") if log.is_dir() else ()))]
+    except OSError:
+        return None
+    return sum(each.st_size for each in found), max(each.st_mtime_ns for each in found)
 
 
 # What is a log by its name alone: one that is empty or damaged from its beginning on is refused, not passed over.

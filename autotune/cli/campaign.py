@@ -73,7 +73,7 @@ def _finite(ctx: click.Context, param: click.Parameter, value: float | None) -> 
     type=click.FloatRange(min=1.0),
     callback=_finite,
     metavar="S",
-    help="Look for new runs every S seconds until interrupted.",
+    help="Look for new runs every S seconds until interrupted; a log that has changed meanwhile waits.",
 )
 @report_option
 @output_options
@@ -134,8 +134,12 @@ def command(
 
 
 def _looks(output: Output, manifest: Path, watch: float | None) -> "Iterator[tuple[LoggedRun, ...]]":
-    """Yield the runs of a manifest, with `watch` again after so many seconds; a mistake in a file then ends no look."""
-    from autotune.campaign.manifest import read_manifest
+    """Yield the runs of a manifest, with `watch` again after so many seconds, and then of logs that rest only.
+
+    A mistake in a file then ends no look.
+    """
+    from autotune.campaign.manifest import LogWatch, read_manifest
+    from autotune.campaign.text import runs_by_text
     from autotune.errors import UsageError
 
     noted: set[str] = set()
@@ -145,9 +149,21 @@ def _looks(output: Output, manifest: Path, watch: float | None) -> "Iterator[tup
             noted.add(text)
             output.note(f"warning: {text}")
 
-    yield read_manifest(manifest, may_be_empty=watch is not None, note=note)
-    mistake = ""
-    while watch is not None:
+    runs = read_manifest(manifest, may_be_empty=watch is not None, note=note)
+    if watch is None:
+        yield runs
+        return
+    looks, mistake = LogWatch(watch), ""
+
+    def rested() -> "tuple[LoggedRun, ...]":
+        found, waiting = looks.look(runs)
+        why = f"a log that has changed within {looks.rest_s:g} s may still grow"
+        for names in runs_by_text((name, why) for name in waiting).values():
+            output.note(f"Waits for {names}: {why}.")
+        return found
+
+    yield rested()
+    while True:
         time.sleep(watch)
         try:
             runs = read_manifest(manifest, may_be_empty=True, note=note)
@@ -159,7 +175,7 @@ def _looks(output: Output, manifest: Path, watch: float | None) -> "Iterator[tup
             if mistake:
                 output.note("Mended: the campaign goes on.")
             mistake = ""
-            yield runs
+            yield rested()
 
 
 def _once(

@@ -1,10 +1,11 @@
 """A manifest names runs: a folder, a table and a document say the same; what is wrong in one is said with its place."""
 
+import os
 from pathlib import Path
 
 import pytest
 
-from autotune.campaign.manifest import LoggedRun, read_manifest
+from autotune.campaign.manifest import LoggedRun, LogWatch, read_manifest
 from autotune.campaign.options import RunOptions
 from autotune.errors import UsageError
 from identification.given import Given
@@ -197,3 +198,38 @@ def test_a_span_that_cannot_be_and_an_unknown_option_are_refused(logs: Path) -> 
     )
     with pytest.raises(UsageError, match="speed"):
         read_manifest(logs / "runs.yaml")
+
+
+def test_a_log_that_is_watched_rests_when_it_is_old_and_as_it_was(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now_s, looks = 1_000_000.0, LogWatch(2.0)
+    monkeypatch.setattr("autotune.campaign.manifest.time.time_ns", lambda: round(1e9 * now_s))
+    paths = {name: tmp_path / f"{name}.mcap" for name in ("old", "slow", "ahead", "moved")}
+    (bag := tmp_path / "bag").mkdir()
+    runs = [LoggedRun(cell="a", run=name, logs=(path,)) for name, path in {**paths, "bag": bag}.items()]
+
+    def changed(path: Path, age_s: float, *, size: int = 1) -> None:
+        path.write_bytes(size * b"x")
+        for each in (path, path.parent) if path.parent == bag else (path,):
+            os.utime(each, (now_s - age_s, now_s - age_s))
+
+    def looked() -> tuple[list[str], list[str]]:
+        rested, waiting = looks.look([run for run in runs if run.logs[0].exists()])
+        return [run.run for run in rested], [name.removeprefix("a/") for name in waiting]
+
+    changed(paths["old"], 5.0)
+    changed(paths["slow"], 4.9)
+    changed(paths["ahead"], -3600.0)
+    changed(bag / "bag_0.db3", 60.0)
+    assert looked() == (["old", "bag"], ["slow", "ahead"])
+    now_s += 2.0
+    changed(paths["slow"], 0.1, size=2)
+    changed(paths["moved"], 3600.0)  # whose time a copy may have set before its end
+    changed(bag / "bag_1.db3", 0.1)
+    assert looked() == (["old", "ahead"], ["moved", "bag"])
+    now_s += 2.0
+    assert looked() == (["old", "ahead", "moved"], [])
+    now_s += 3.0
+    changed(paths["old"], 0.0)
+    assert looked() == (["slow", "ahead", "moved", "bag"], ["old"])

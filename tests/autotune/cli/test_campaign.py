@@ -2,6 +2,7 @@
 
 import csv
 import json
+import os
 from collections.abc import Iterator
 from concurrent.futures import Executor
 from contextlib import contextmanager
@@ -324,12 +325,19 @@ def test_a_time_that_nobody_waits_is_refused(run_cli: RunCli, fleet: Path, wait:
     assert "must be 1 to 604800 seconds" in done.stderr
 
 
+def rested(*logs: Path) -> None:
+    """Let logs be of yesterday: no copy of them is under way."""
+    for log in logs:
+        os.utime(log, (log.stat().st_mtime - 86400.0,) * 2)
+
+
 @pytest.mark.usefixtures("forked")
 def test_a_folder_that_is_watched_says_what_is_new_and_nothing_else(
     run_cli: RunCli, fleet: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (fleet / "weld").mkdir()
     looks, cut = 0, fleet / "press" / "tue.mcap"
+    rested(*cut.parent.iterdir())
 
     def wait(seconds: float) -> None:
         """Between the looks: nothing, a log that is cut, and an end by hand."""
@@ -338,6 +346,7 @@ def test_a_folder_that_is_watched_says_what_is_new_and_nothing_else(
         assert seconds == 7.0
         if looks == 2:
             (fleet / "weld" / "new.mcap").write_bytes(cut.read_bytes())
+            rested(fleet / "weld" / "new.mcap")
         elif looks == 4:
             raise KeyboardInterrupt
 
@@ -350,6 +359,34 @@ def test_a_folder_that_is_watched_says_what_is_new_and_nothing_else(
     assert said.count("refused (log): press/tue: ") == said.count("refused (log): weld/new: ") == 1
 
 
+@pytest.mark.usefixtures("in_this_process")
+def test_a_log_that_is_copied_in_slowly_is_waited_for_and_refused_at_no_look(
+    run_cli: RunCli, fleet: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    slow, looks = fleet / "press" / "tue.mcap", 0
+    whole = (fleet / "press" / "mon.mcap").read_bytes()
+    rested(fleet / "press" / "mon.mcap")
+
+    def wait(_seconds: float) -> None:
+        """Between the looks: a piece, four times, and its rest."""
+        nonlocal looks
+        looks += 1
+        if looks <= 4:
+            slow.write_bytes(whole[: len(whole) * looks // 4])
+        elif looks == 5:
+            rested(slow)
+        elif looks == 7:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr("autotune.cli.campaign.time.sleep", wait)
+    done = run_cli("campaign", fleet, "-o", "out", "--no-optimize", "--jobs", "1", "--watch", "2")
+    said = done.stderr.replace("\n ", "")
+    assert (done.returncode, "refused (" in said, said.count("Looking again every 2 s")) == (130, False, 2)
+    assert said.count("Waits for press/tue: a log that has changed within 5 s may still grow.") == 1
+    with (tmp_path / "out" / "campaign.csv").open(newline="") as stream:
+        assert [(row["run"], row["refused"]) for row in csv.DictReader(stream)] == [("mon", ""), ("tue", "")]
+
+
 def test_a_mistake_in_a_file_that_runs_share_costs_no_result(
     run_cli: RunCli, fleet: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -359,6 +396,7 @@ def test_a_mistake_in_a_file_that_runs_share_costs_no_result(
         return [(out / name).read_bytes() for name in ("campaign.csv", "cells/press/mon/identified.yaml")]
 
     words = ("campaign", fleet, "-o", "out", "--no-optimize", "--jobs", "1")
+    rested(*cell.parent.iterdir())
     assert run_cli(*words).returncode == 0
     kept, looks = results(), 0
 
