@@ -18,7 +18,10 @@ _ALWAYS = ("recorded_s", "certificate_holds")
 
 
 def campaign_rows(outcomes: Sequence[RunOutcome]) -> tuple[list[str], list[list[Any]]]:
-    """Return the columns and a row for each run; None where there is nothing."""
+    """Return the columns and a row for each run; None where there is nothing.
+
+    `reason` says why a run is refused, and why its certificate does not hold.
+    """
     names = list(dict.fromkeys(name for each in outcomes for name in each.values))
     axes = list(dict.fromkeys(axis for each in outcomes for axis in each.peaks_n))
     columns = ["cell", "run", "recorded_s", "refused", "reason", "damage", "certificate_holds"]
@@ -29,7 +32,8 @@ def campaign_rows(outcomes: Sequence[RunOutcome]) -> tuple[list[str], list[list[
     rows = []
     for each in outcomes:
         holds = None if each.outside is None else not each.outside
-        said = (each.refused or None, each.reason or None, each.damage or None)
+        reason = " ".join(text for text in (each.reason, "; ".join(each.outside or ())) if text)
+        said = (each.refused or None, reason or None, each.damage or None)
         row: list[Any] = [each.cell, each.run, each.recorded_s, *said, holds]
         row += [number for name in names for number in each.values.get(name, (None, None))]
         for shown, peaks, at in ((axes, each.peaks_n, each.peaks_at), (replayed, each.log_peaks_n, each.log_peaks_at)):

@@ -207,6 +207,23 @@ def test_a_certificate_holds_where_nothing_lies_outside_of_it(
     assert row[columns.index("certificate_holds")] is holds
 
 
+@pytest.mark.parametrize(
+    ("outside", "refusal", "said"),
+    [
+        ((), "", None),
+        (("axis x, mass: 20 kg", "axis y, delay: 4 ms"), "", "axis x, mass: 20 kg; axis y, delay: 4 ms"),
+        (None, "a.mcap is empty.", "a.mcap is empty."),
+        (("c.yaml is altered",), "a.mcap is empty.", "a.mcap is empty. c.yaml is altered"),
+    ],
+)
+def test_the_table_says_why_a_certificate_does_not_hold_and_why_a_run_is_refused(
+    outside: tuple[str, ...] | None, refusal: str, said: str | None
+) -> None:
+    outcome = RunOutcome(cell="a", run="b", key="k", outside=outside, refused=refusal and "log", reason=refusal)
+    columns, (row,) = campaign_rows([outcome])
+    assert row[columns.index("reason")] == said
+
+
 def test_a_result_that_is_half_or_of_another_release_is_none() -> None:
     outcome = RunOutcome(
         cell="a",
