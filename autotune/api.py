@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from autotune.arguments import axis_names, count, errors_in_arguments, file_path, file_paths, interval, priors
+from autotune.arguments import axis_names, count, errors_in_arguments, file_path, file_paths, interval, priors, truth
 from autotune.design import Design
 from autotune.errors import UsageError
 from autotune.formats.kinds import name_of
@@ -93,6 +93,7 @@ def identify(
         windows_s = read.windows_s if windows is None else window_length_s(windows)
     except ValueError as error:
         raise UsageError(f"windows: {error}") from None
+    allow_partial, keep_signals = truth("allow_partial", allow_partial), truth("keep_signals", keep_signals)
     options = replace(read, allow_partial=allow_partial, given=priors(given), windows_s=windows_s)
     with reporting(progress, f"identifying {', '.join(map(name_of, files))}") as report:
         return identify_log(

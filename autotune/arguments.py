@@ -8,6 +8,8 @@ from operator import index
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from autotune.errors import AutotuneError, UsageError
 from autotune.formats.quantity import Interval, Quantity, Uncertain, as_interval, as_number, as_quantity
 from autotune.quantities import check_given
@@ -77,6 +79,13 @@ def count(name: str, given: object, *, least: int = 0, most: int | None = None) 
         allowed = f"of at least {least}" if most is None else f"from {least} to {most}"
         raise UsageError(f"{name} must be a whole number {allowed}, found {shown(given)}.")
     return found
+
+
+def truth(name: str, given: object) -> bool:
+    """Return what is True or False; raises UsageError for anything else."""
+    if isinstance(given, bool | np.bool_):
+        return bool(given)
+    raise UsageError(f"{name} must be True or False, found {shown(given)}.")
 
 
 def axis_names(given: object) -> tuple[str, ...] | None:

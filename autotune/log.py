@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from autotune.arguments import count, errors_in_arguments, file_path, file_paths, in_arguments
+from autotune.arguments import count, errors_in_arguments, file_path, file_paths, in_arguments, truth
 from autotune.errors import UsageError
 from autotune.formats.atomic import check_target
 from autotune.formats.cell import CellFile, read_cell
@@ -207,7 +207,7 @@ def read_log(
         wrench_topic=wrench_topic,
         pose_topic=pose_topic,
         command_topic=command_topic,
-        salvage=salvage,
+        salvage=truth("salvage", salvage),
         urdf=None if urdf is None else str(urdf),
         tip=tip,
         start=start,

@@ -229,7 +229,10 @@ def _of_table(path: Path) -> Iterator[LoggedRun]:
                 entry = {key: value for key, value in row.items() if value}
                 options = {name: entry.pop(name) for name in OPTION_NAMES if name in entry}
                 yield _run(path, f"line {reader.line_num}", {**entry, "options": options})
-    except (OSError, UnicodeError, csv.Error) as error:
+    except UnicodeDecodeError as error:
+        byte = f"{error.object[error.start]:#04x}"
+        raise UsageError(f"{path} must be UTF-8, found the byte {byte}; save it as UTF-8 (`CSV UTF-8`).") from error
+    except (OSError, csv.Error) as error:
         raise UsageError(f"{path} cannot be read: {getattr(error, 'strerror', None) or error}.") from error
 
 
@@ -249,7 +252,10 @@ def _run(path: Path, where: str, entry: Mapping[str, Any]) -> LoggedRun:
     run = entry.get("run") or (logs[0].stem if logs else "")
     for what, name in (("cell", cell), ("run", run)):
         if not _NAME.fullmatch(name) or set(name) <= {"."}:
-            raise UsageError(f"{path}, {where}: the name of a {what} must be letters, digits, _ . + -, found {name!r}.")
+            raise UsageError(
+                f"{path}, {where}: the name of a {what} must be letters, digits, spaces, _ . + -, begin with no space, "
+                f"and not be dots alone; found {name!r}."
+            )
     files = {key: path.parent / entry[key] for key in _FILES if entry.get(key)}
     for file in (*logs, *files.values()):
         if not file.exists():

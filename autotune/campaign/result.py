@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 from warnings import warn
 
-from autotune.arguments import count, errors_in_arguments, file_path
+from autotune.arguments import count, errors_in_arguments, file_path, truth
 from autotune.drift import Change, change_text
 from autotune.errors import UsageError
 from autotune.processes import count_processors
@@ -134,6 +134,12 @@ def run_campaign(
     """
     path, target, seed = file_path("manifest", manifest), file_path("folder", folder), count("seed", seed)
     jobs = count_processors() if jobs is None else count("jobs", jobs, least=1)
+    options = RunOptions(
+        optimize=truth("optimize", optimize),
+        seed=seed,
+        allow_partial=truth("allow_partial", allow_partial),
+        salvage=truth("salvage", salvage),
+    )
     if not isinstance(executor, Executor | None):
         raise UsageError(f"executor must be one of concurrent.futures, found {shown(executor)}.")
     runs = read_manifest(path, note=partial(warn, stacklevel=4))
@@ -146,7 +152,7 @@ def run_campaign(
         outcomes = work_on_runs(
             runs,
             target,
-            RunOptions(optimize=optimize, seed=seed, allow_partial=allow_partial, salvage=salvage),
+            options,
             jobs=jobs,
             executor=executor,
             storage=storage,

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import autotune as at
-from autotune.arguments import count, in_arguments, priors
+from autotune.arguments import count, in_arguments, priors, truth
 from autotune.formats.cell import cell_text
 from autotune.text import si_parameters
 from identification.given import Given
@@ -39,6 +39,12 @@ WRONG: dict[str, Callable[[], Any]] = {
     "jobs must be a whole number of at least 1, found 0": lambda: at.run_campaign("logs", "out", jobs=0),
     "seed must be a whole number of at least 0, found -2": lambda: at.run_campaign("logs", "out", seed=-2),
     "executor must be one of concurrent.futures, found 3": lambda: at.run_campaign("logs", "out", executor=3),  # type: ignore[arg-type]
+    "optimize must be True or False, found 'no'": lambda: at.run_campaign("logs", "out", optimize="no"),  # type: ignore[arg-type]
+    "allow_partial must be True or False, found 1": lambda: at.run_campaign("logs", "out", allow_partial=1),  # type: ignore[arg-type]
+    "salvage must be True or False, found 'yes'": lambda: at.run_campaign("logs", "out", salvage="yes"),  # type: ignore[arg-type]
+    "allow_partial must be True or False, found 'no'": lambda: at.identify("run.mcap", allow_partial="no"),  # type: ignore[arg-type]
+    "keep_signals must be True or False, found None": lambda: at.identify("run.mcap", keep_signals=None),  # type: ignore[arg-type]
+    "salvage must be True or False, found 'no'": lambda: at.read_log("run.mcap", salvage="no"),  # type: ignore[arg-type]
     "folder must be the path": lambda: at.run_campaign("logs", 3),  # type: ignore[arg-type]
     "Nothing called massx": lambda: at.identify("run.mcap", given={"massx": 1.0}),
 }
@@ -122,7 +128,8 @@ def test_a_system_without_coefficients_is_no_robot() -> None:
             at.from_control(system)
 
 
-def test_whole_numbers_of_numpy_are_whole() -> None:
+def test_whole_numbers_of_numpy_are_whole_and_its_truths_true() -> None:
+    assert truth("salvage", np.bool_(True)) is True
     assert count("seed", np.int64(3)) == 3
     for wrong in (True, 1.5, None, "1"):
         with pytest.raises(at.UsageError):

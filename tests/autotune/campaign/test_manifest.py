@@ -118,7 +118,8 @@ def test_table_and_document_say_the_same(logs: Path) -> None:
         ("cell,log,oven\n", "must have the columns cell and log"),
         ("cell,log\n", "names no logs"),
         ("cell,log\npress,gone.mcap\n", "line 2: .*gone.mcap is not there"),
-        ("cell,log\n../press,press/mon.mcap\n", "line 2: the name of a cell"),
+        ("cell,log\n../press,press/mon.mcap\n", "line 2: the name of a cell must be letters, digits, spaces, _ "),
+        ("cell,log\n press,press/mon.mcap\n", r"begin with no space, and not be dots alone; found ' press'\.$"),
         ("cell,log\npress,\n", "line 2: the name of a run"),
         ("cell,log\npress,press/mon.mcap\npress,press/mon.mcap\n", "names press/mon twice"),
     ],
@@ -127,6 +128,14 @@ def test_what_is_wrong_in_a_table_is_said(logs: Path, text: str, message: str) -
     (logs / "runs.csv").write_text(text, encoding="utf-8")
     with pytest.raises(UsageError, match=message):
         read_manifest(logs / "runs.csv")
+
+
+def test_a_table_in_another_encoding_is_to_be_saved_as_utf_8(logs: Path) -> None:
+    (logs / "runs.csv").write_text("cell,log\nTür 1,press/mon.mcap\n", encoding="latin-1")
+    with pytest.raises(UsageError, match=r"runs\.csv must be UTF-8, found the byte 0xfc; save it as UTF-8"):
+        read_manifest(logs / "runs.csv")
+    (logs / "runs.csv").write_text("cell,log\nTür 1,press/mon.mcap\n", encoding="utf-8")
+    assert [run.cell for run in read_manifest(logs / "runs.csv")] == ["Tür 1"]
 
 
 def test_an_empty_folder_and_a_wrong_document_are_refused(tmp_path: Path) -> None:
