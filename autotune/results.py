@@ -20,7 +20,9 @@ from problems.frozen import freeze
 
 _CONTRADICTIONS = frozenset({"given-contradicts", "logs-disagree"})
 _ALL_THE_SAME = " With --allow-partial what was found is written all the same."
-_EXPLAINING = frozenset({"clock-offset", "hand-in-contact", "rests-without-spring", "mass-disagreement"})
+_EXPLAINING = frozenset(
+    {"clock-offset", "hand-in-contact", "rests-without-spring", "mass-disagreement", "salvaged", "salvaged-span"}
+)
 
 
 def finding_notes(findings: Sequence[Finding]) -> list[str]:

@@ -162,6 +162,13 @@ def test_a_damaged_chunk_costs_a_log_that_chunk_alone(run_cli: RunCli, tmp_path:
     check_identified(salvaged)
     assert salvaged["provenance"]["options"]["salvage"] is True
     assert {"salvaged", "salvaged-span", "hole"} <= {finding["code"] for finding in salvaged["findings"]}
+    # Where what is lost was needed, the refusal says so.
+    path.write_bytes(data[: 6 * len(data) // 10])
+    refused = run_cli("identify", path, "--salvage", "-o", tmp_path / "refused.yaml")
+    assert (refused.returncode, (tmp_path / "refused.yaml").exists()) == (4, False)
+    assert "no contact" in refused.stderr
+    assert f"Noticed: {path.name} is damaged: " in refused.stderr
+    assert f"What is left of {path.name} spans " in refused.stderr
 
 
 @pytest.mark.slow
