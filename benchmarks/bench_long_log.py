@@ -2,10 +2,11 @@
 
 `python benchmarks/bench_long_log.py --hours 1 2 4` writes an MCAP of three channels at 1.25 kHz for each length (1.7 GB
 an hour), runs `inspect`, `identify`, `validate --log` and `predict --log` on it, and prints the slope of their memory
-over the hours, and what a day would take: that of all processes of a command together, what they share counted once
-(PSS, looked at every tenth of a second), and the largest that one of them ever had. The controller of the log is one
-that was optimized for the cell. The peer is the MCAP library's own pass over the chunks, with their checksums, without
-a look into any message; wall and processor time of each command are given in those of a pass right before it.
+over the hours, and what a day would take if it went on so, which it does not (`--hours 24` shows the day): that of all
+processes of a command together, what they share counted once (PSS, looked at every tenth of a second), and the largest
+that one of them ever had. The controller of the log is one that was optimized for the cell. The peer is the MCAP
+library's own pass over the chunks, with their checksums, without a look into any message; wall and processor time of
+each command are given in those of a pass right before it.
 """
 
 import os
@@ -141,8 +142,9 @@ def main() -> int:
     if len(lengths) > 1:
         for name, found in memories.items():
             (slope, of_one), (start, one) = np.polyfit(lengths, found, 1)
-            print(f"{name}: {slope:+.1f} MiB per hour, so a day takes {start + _DAY_H * slope:.0f} MiB;", end=" ")
-            print(f"of the largest process {of_one:+.1f}, {one + _DAY_H * of_one:.0f} MiB")
+            day, largest = start + _DAY_H * slope, one + _DAY_H * of_one
+            print(f"{name}: {slope:+.1f} MiB per hour, for a day {day:.0f} MiB if it went on so;", end=" ")
+            print(f"of the largest process {of_one:+.1f}, {largest:.0f} MiB. --hours 24 shows the day")
     return 0
 
 
