@@ -405,7 +405,7 @@ def print_comparison(found: "LogComparison") -> None:
         if mine:
             print_table([*_contact_rows(mine)])
     inside = sum(each.is_inside for each in found.contacts)
-    is_followed = all(each.trace is not None for each in found.contacts)
+    is_followed = all(each.share_inside is not None for each in found.contacts)
     what = "traces lie inside the predicted band all the time" if is_followed else "peaks lie inside the certified set"
     print_message(f"{inside} of {len(found.contacts)} {what}")
     if not is_followed:

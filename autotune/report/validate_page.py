@@ -10,7 +10,7 @@ from autotune.formats.controller_record import Controller
 from autotune.formats.units import ROTATIONAL_AXES, axis_units
 from autotune.prediction.as_run_by import designed_for
 from autotune.text import scenario_text
-from autotune.validation.against_log import ComparedContact, ContactTrace, LogComparison, share_text
+from autotune.validation.against_log import MOST_DRAWN, ComparedContact, ContactTrace, LogComparison, share_text
 from autotune.validation.monte_carlo import BAND, QUANTILES, AxisMonteCarlo
 from autotune.validation.monte_carlo_checks import violations_text
 from autotune.validation.report import ValidationReport
@@ -22,8 +22,6 @@ from .optimize_page import certificate_section, footer, own_law_sections
 from .page import Block, Fact, Facts, Page, Section, Table, TableCell, Tone, build_table
 
 _PANELS = 3
-# What is beyond is in the table.
-_MOST_CONTACTS = 12
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -252,7 +250,7 @@ def band_chart(found: AxisMonteCarlo) -> Chart | None:
 def measured_charts(found: LogComparison) -> Iterator[Chart]:
     """Draw the contacts of a log beside the prediction and what the certified set allows, in the order of time."""
     traced = [each for each in found.contacts if each.trace is not None]
-    strongest = sorted(traced, key=lambda each: -each.measured_peak_n)[:_MOST_CONTACTS]
+    strongest = sorted(traced, key=lambda each: -each.measured_peak_n)[:MOST_DRAWN]
     shown = sorted(strongest, key=lambda each: each.onset_s)
     errors = [100.0 * abs(each.peak_error_n) / each.measured_peak_n for each in found.contacts]
     inside = sum(each.is_inside for each in found.contacts)
@@ -260,7 +258,9 @@ def measured_charts(found: LogComparison) -> Iterator[Chart]:
         f"of {len(found.contacts)} contacts the predicted peak is within {max(errors):.1f} % of the measured one; "
         f"{inside} lie inside the band all the time."
     )
-    which = "" if len(shown) == len(traced) else f" The strongest {len(shown)} are drawn; the table has all."
+    followed = sum(each.share_inside is not None for each in found.contacts)
+    # What is beyond is in the table.
+    which = "" if len(shown) == followed else f" The strongest {len(shown)} are drawn; the table has all."
     panels = level_panels([_measured_panel(each, each.trace) for each in shown if each.trace is not None])
     for number, start in enumerate(range(0, len(shown), _PANELS), 1):
         is_last = start + _PANELS >= len(shown)

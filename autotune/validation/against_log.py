@@ -34,6 +34,10 @@ _NOISE_STDS = 5.0
 _OUTSIDE = 0.1
 
 
+# Contacts of which a picture is drawn, the strongest; their traces are what is large of a comparison.
+MOST_DRAWN = 12
+
+
 @dataclass(frozen=True, kw_only=True)
 class ContactTrace:
     """The pressing force of one contact from the touch on: measured (m,) at `measured_s`, the others (n,) at `time_s`.
@@ -55,9 +59,9 @@ class ComparedContact:
 
     `band_peaks_n` are the smallest and the largest peak over the certified set at the same speed and F^d, and
     `share_inside` is the share of the trace between the lowest and the highest of its forces. `outside` says where
-    the contact lies outside of what is certified. `trace` is for pictures. What the log shows of no command or of a
-    wrench whose gravity was taken off is the peak alone: then `law_left_share`, `share_inside`, `rms_error_n` and
-    `trace` are None.
+    the contact lies outside of what is certified. `trace` is for pictures; of a long log the strongest contacts alone
+    have one. What the log shows of no command or of a wrench whose gravity was taken off is the peak alone: then
+    `law_left_share`, `share_inside`, `rms_error_n` and `trace` are None.
     """
 
     axis: str

@@ -15,7 +15,7 @@ from identification.logs.roles.cell import Cell
 from identification.signals.recording import Recording
 from problems.progress import no_progress
 
-from .against_log import ComparedContact, LogComparison, compare_with_log, refuse_other_law
+from .against_log import MOST_DRAWN, ComparedContact, LogComparison, compare_with_log, refuse_other_law
 from .log_touches import compare_touches_of_log
 
 # A contact takes a second or two; one that the border of two windows cuts is whole in one of both.
@@ -91,11 +91,29 @@ def compare_with_logs(
                 faults.append((window, each))
             else:
                 parts.append(each)
+        parts = _with_strongest_traces(parts)
         report(1.0 / len(windows))
     if not parts:
         commonest = Counter(str(error) for _, error in faults).most_common(1)[0][0]
         raise next(error for _, error in faults if str(error) == commonest)
     return _joined(parts, faults)
+
+
+def _with_strongest_traces(parts: list[_Part]) -> list[_Part]:
+    """Return the parts with the traces that a picture may show: of a day's contacts they would fill the memory."""
+    peaks = [each.measured_peak_n for part in parts for each in part.found.contacts if each.trace is not None]
+    # One that two windows share counts twice.
+    if len(peaks) <= 2 * MOST_DRAWN:
+        return parts
+    least = sorted(peaks, reverse=True)[2 * MOST_DRAWN - 1]
+    kept = []
+    for part in parts:
+        contacts = tuple(
+            each if each.trace is None or each.measured_peak_n >= least else replace(each, trace=None)
+            for each in part.found.contacts
+        )
+        kept.append(replace(part, found=replace(part.found, contacts=contacts)))
+    return kept
 
 
 def _compare(

@@ -122,3 +122,20 @@ def test_windows_under_another_controller_are_named_and_all_of_them_refused(
     assert "recorded with another controller" in note
     with pytest.raises(LogError, match="recorded with another controller"):
         compare_with_logs(small_controller(), [written(tmp_path / "other.mcap", other, other)])
+
+
+def test_of_a_long_log_only_the_strongest_contacts_keep_their_traces(
+    long_log: Path, whole: LogComparison, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A day has thousands of contacts, and a picture shows a few."""
+    monkeypatch.setattr(log_windows, "MOST_DRAWN", 1)
+    shorten(monkeypatch, 18.0)
+    found = compare_with_logs(small_controller(), [long_log])
+    assert len(found.contacts) == len(whole.contacts)
+    assert [each.share_inside for each in found.contacts] == pytest.approx(
+        [each.share_inside for each in whole.contacts]
+    )
+    traced = [each.measured_peak_n for each in found.contacts if each.trace is not None]
+    assert 1 <= len(traced) <= 2  # the strongest may be one that two windows share
+    assert max(each.measured_peak_n for each in found.contacts) in traced
+    assert all(each.trace is not None for each in whole.contacts)
