@@ -105,7 +105,7 @@ def _check_settings(runs: Iterable[LoggedRun]) -> None:
 
 
 class LogWatch:
-    """Looks again and again at the runs of a manifest, and tells those whose logs may still grow.
+    """Polls the runs of a manifest, and separates those whose logs may still grow.
 
     A log rests when it is as it was at the look before, and was last changed `rest_s` ago or earlier: the time between
     two looks, but at least 5 s. At the first look, or where its time lies in the future, one of both must do.

@@ -156,7 +156,7 @@ def build_joint_data(
     known = command is not None and robot is not None
     holes = (*log.holes, *(uncovered(command, log) if known and command is not None else ()))
     if known and any(span.start == 0 for span in motion.moving):
-        # What a robot that moves already was told before the log is as unknown as what it is told in a hole.
+        # The commands before the log, to a robot that moves already, are as unknown as those in a hole.
         holes = (*holes, Span(start=0, stop=1))
     free = unguided_spans(axis)
     mixed = [span for span in axis.spans if span not in free]
